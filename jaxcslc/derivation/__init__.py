@@ -1,0 +1,11 @@
+from ._algebra import (
+    Algebra as Algebra,
+    Lengths as Lengths,
+    constant_values as constant_values,
+    derive_algebra as derive_algebra,
+)
+from ._chain import Chain as Chain, link_twists as link_twists
+from ._coefficient import Addend as Addend, Coefficient as Coefficient
+from ._inertial_terms import InertialTerm as InertialTerm
+from ._polynomials import PositionRing as PositionRing
+from ._tables import Link as Link, Table as Table

@@ -1,0 +1,318 @@
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from typing import Any, Literal
+
+from sympy import QQ
+
+from ..manipulator import Length, Manipulator, RobotError, Subnumbering
+from ._base_parameters import base_parameters
+from ._chain import Chain, LinkTwists, link_twists
+from ._coefficient import Addend, Coefficient, expression, unit_of
+from ._exact import exact_number
+from ._inertial_terms import InertialTerm, inertial_terms
+from ._lagrange import Element, Form, christoffel_symbols, gravity_vector, mass_matrix
+from ._polynomials import PositionRing
+from ._positivity import positive_by_construction
+from ._span import Basis
+from ._tables import Column, Table, table
+
+
+Lengths = Literal["symbolic", "numeric"]
+
+
+@dataclass(frozen=True, eq=False)
+class Algebra:
+    """A robot's inverse dynamics in exact arithmetic: what a network is built from.
+
+    **Attributes**
+
+    - `robot`, `lengths`: what it was derived from.
+    - `ring`: names and meaning of the position-dependent variables.
+    - `terms`: the products of link parameters that occur.
+    - `coefficients`: inertial coefficients, in the order of the network's vector. Friction is
+      no matter of algebra and is added by the network.
+    - `chosen`: for numeric lengths, the term that each base parameter is named after.
+
+    `mass`, `velocity` and `gravity` are the tables of the three subnetworks.
+    """
+
+    robot: Manipulator
+    lengths: Lengths
+    ring: PositionRing
+    terms: tuple[InertialTerm, ...]
+    coefficients: tuple[Coefficient, ...]
+    chosen: tuple[int, ...]
+    _elements: Callable[[], tuple[dict[Column, Element], dict[Column, Element]]]
+
+    @property
+    def chain(self) -> Chain:
+        return self.ring.chain
+
+    @cached_property
+    def _written_in_coefficients(self) -> tuple[dict[Column, Element], dict[Column, Element]]:
+        return self._elements()
+
+    @cached_property
+    def mass(self) -> Table:
+        """Inputs and links of the mass matrix's upper triangle (thesis 5.1.1)."""
+        return self._table("mass", self._written_in_coefficients[0])
+
+    @cached_property
+    def velocity(self) -> Table:
+        """Inputs and links of the Christoffel symbols, in mass coefficients (thesis 5.1.2)."""
+        symbols = christoffel_symbols(self.ring, self._written_in_coefficients[0])  # type: ignore[arg-type]
+        return self._table("velocity", symbols)
+
+    @cached_property
+    def gravity(self) -> Table:
+        """Inputs and links of the gravity effect vector (thesis 5.1.3)."""
+        return self._table("gravity", self._written_in_coefficients[1])
+
+    def _table(self, name: str, elements: Mapping[Any, Element]) -> Table:
+        numbering = self.robot.numbering if self.lengths == "symbolic" else None
+        published = getattr(numbering, name) if numbering else None
+        return table(self.ring, elements, published, numbering.source if numbering else "")
+
+
+@lru_cache(maxsize=64)
+def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
+    """Eqns. 2.3-17 to 2.5-6 and stage C.1.4 for any serial robot.
+
+    **Arguments**
+
+    - `robot`: its joints, inertial terms and gravity.
+    - `lengths`: `"symbolic"` keeps lengths and gravity as symbols: the coefficients are those of
+      the thesis, mass and gravity apart. `"numeric"` puts their values in: fewer coefficients,
+      the base parameters of the identification literature, which mass and gravity share.
+
+    **Raises**
+
+    - `RobotError`: if numeric lengths are asked for and one has no value, or if a published
+      numbering does not fit.
+
+    >>> from jaxcslc.manipulator import Manipulator
+    >>> pendulum = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> [c.expression for c in derive_algebra(pendulum, "numeric").coefficients]
+    ['Izz1 + Im1', 'm1*rx1', 'm1*ry1']
+    """
+    chain = Chain.from_robot(robot)
+    terms = inertial_terms(robot)
+    if lengths == "symbolic":
+        return _with_symbols(robot, chain, terms)
+    if lengths == "numeric":
+        return _with_numbers(robot, chain, terms)
+    raise ValueError(f"lengths must be 'symbolic' or 'numeric', got {lengths!r}")
+
+
+def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...]) -> Algebra:
+    robot.length_values()  # every length must have one
+    chosen, combinations = base_parameters(robot, chain, terms)
+    ring = PositionRing(chain, ())
+    coefficients = tuple(
+        _coefficient(f"kB{i}", "base", combination, terms, robot, ())
+        for i, combination in enumerate(combinations, start=1)
+    )
+
+    def elements() -> tuple[dict[Column, Element], dict[Column, Element]]:
+        # A base parameter is the chosen term plus what is regrouped into it, so that a form is
+        # the combination that its entries at the chosen terms say: the others can be left out.
+        twists = _twists(robot, ring, lambda length, _: exact_number(length.value or 0.0))
+        kept = [terms[index] for index in chosen]
+        parts = mass_matrix(ring, twists, kept), gravity_vector(ring, twists, kept)
+        return _in_coefficients(parts, lambda form: {i: QQ(v) for (i, _), v in form.items()})
+
+    return Algebra(robot, "numeric", ring, terms, coefficients, chosen, elements)
+
+
+def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...]) -> Algebra:
+    named = robot.named_lengths()
+    gravity = _gravity_symbols(robot)
+    ring = PositionRing(chain, (*named, *(symbol for symbol, _ in gravity if symbol)))
+    if clash := set(ring.constants) & set(ring.variables):
+        raise RobotError(
+            f"robot {robot.name!r}: length {min(clash)!r} has the name of a position variable"
+        )
+    twists = _twists(robot, ring, lambda length, name: ring.constant(length.symbol or name))
+    mass = mass_matrix(ring, twists, terms)
+    weight = gravity_vector(ring, twists, terms)
+
+    def addends(form: Form) -> tuple[Addend, ...]:
+        return _addends(form, terms, ring.constants)
+
+    def label(form: Form) -> str:
+        return expression(addends(form))
+
+    # Symbolic constants stand in every form's key, so elements of M and G never share one.
+    mass_basis = Basis(_forms(mass), label)
+    gravity_basis = Basis(_forms(weight), label)
+    numbering = robot.numbering
+    place = [*_published_order(mass_basis, mass, numbering and numbering.mass, ring)]
+    place += [
+        (len(mass_basis.forms) + index, scale)
+        for index, scale in _published_order(
+            gravity_basis, weight, numbering and numbering.gravity, ring
+        )
+    ]
+    accelerations = tuple(symbol for symbol, _ in gravity if symbol)
+    coefficients: list[Coefficient] = [None] * len(place)  # type: ignore[list-item]
+    for form, (index, scale) in zip(mass_basis.forms + gravity_basis.forms, place, strict=True):
+        group = "mass" if index < len(mass_basis.forms) else "gravity"
+        number = index + 1 if group == "mass" else index + 1 - len(mass_basis.forms)
+        scaled = {key: value * scale for key, value in form.items()}
+        coefficients[index] = _coefficient(
+            f"k{group[0].upper()}{number}", group, scaled, terms, robot, accelerations, addends
+        )
+
+    def elements() -> tuple[dict[Column, Element], dict[Column, Element]]:
+        offset = len(mass_basis.forms)
+
+        def rewrite(basis: Basis, shift: int) -> Callable[[Form], Form]:
+            return lambda form: {
+                place[shift + index][0]: value / place[shift + index][1]
+                for index, value in basis.combination(form).items()
+            }
+
+        return (
+            _rewritten(mass, rewrite(mass_basis, 0)),
+            _rewritten(weight, rewrite(gravity_basis, offset)),
+        )
+
+    return Algebra(robot, "symbolic", ring, terms, tuple(coefficients), (), elements)
+
+
+def _twists(
+    robot: Manipulator, ring: PositionRing, number: Callable[[Length, str], Any]
+) -> tuple[LinkTwists, ...]:
+    a: list[Any] = []
+    d: list[Any] = []
+    for i, joint in enumerate(robot.joints):
+        a.append(0 if joint.a.is_zero else number(joint.a, f"a{i}"))
+        d.append(0 if joint.d.is_zero else number(joint.d, f"d{i + 1}"))
+        if joint.kind == "P":
+            d[i] = d[i] + ring.joint_variable(i)
+    if ring.constants:
+        gravity = tuple(
+            sign * ring.constant(symbol) if symbol else 0 for symbol, sign in _gravity_symbols(robot)
+        )
+    else:
+        gravity = tuple(exact_number(g) for g in robot.gravity)
+    return link_twists(
+        ring.chain,
+        cosines=ring.cosines,
+        sines=ring.sines,
+        a=a,
+        d=d,
+        gravity=gravity,  # type: ignore[arg-type]
+        reduce=ring.normal_form,
+    )
+
+
+def _gravity_symbols(robot: Manipulator) -> tuple[tuple[str, int], ...]:
+    """A symbol and its sign for each component of gravity: `g` alone along an axis."""
+    present = [axis for axis, g in zip("xyz", robot.gravity, strict=True) if g]
+    return tuple(
+        ("", 0) if not g else (("g", 1 if g > 0 else -1) if len(present) == 1 else (f"g{axis}", 1))
+        for axis, g in zip("xyz", robot.gravity, strict=True)
+    )
+
+
+def constant_values(robot: Manipulator) -> dict[str, float]:
+    """Values of the constants that symbolic expressions name: lengths [m], gravity [m/s²]."""
+    gravity = {
+        symbol: sign * g
+        for (symbol, sign), g in zip(_gravity_symbols(robot), robot.gravity, strict=True)
+        if symbol
+    }
+    return {**robot.length_values(), **gravity}
+
+
+def _forms(elements: Mapping[Any, Element]) -> list[Form]:
+    return [form for element in elements.values() for form in element.values()]
+
+
+def _in_coefficients(
+    parts: tuple[Mapping[Any, Element], Mapping[Any, Element]], rewrite: Callable[[Form], Form]
+) -> tuple[dict[Column, Element], dict[Column, Element]]:
+    return _rewritten(parts[0], rewrite), _rewritten(parts[1], rewrite)
+
+
+def _rewritten(
+    elements: Mapping[Any, Element], rewrite: Callable[[Form], Form]
+) -> dict[Column, Element]:
+    return {
+        (column if isinstance(column, tuple) else (column,)): {
+            monomial: rewrite(form) for monomial, form in element.items()
+        }
+        for column, element in elements.items()
+    }
+
+
+def _published_order(
+    basis: Basis,
+    elements: Mapping[Any, Element],
+    published: Subnumbering | None,
+    ring: PositionRing,
+) -> list[tuple[int, Any]]:
+    """For each basis form, its published index and the factor that scales it to the published."""
+    if published is None or not published.coefficients:
+        return [(index, QQ(1)) for index in range(len(basis.forms))]
+    place: dict[int, tuple[int, Any]] = {}
+    for number, (label, column, multiple) in enumerate(published.coefficients):
+        monomial = ring.parse(label)
+        indices = tuple(index - 1 for index in column)
+        element = elements.get(indices if len(indices) > 1 else indices[0], {})
+        form = element.get(monomial) if monomial is not None else None
+        combination = basis.combination(form) if form else {}
+        if len(combination) != 1 or set(combination) & set(place):
+            raise RobotError(
+                f"numbering: the link from {label!r} to element {column} does not define a"
+                f" coefficient of its own (number {number + 1})"
+            )
+        ((index, value),) = combination.items()
+        place[index] = number, value / exact_number(multiple)
+    if len(place) != len(basis.forms):
+        raise RobotError(
+            f"numbering: lists {len(place)} coefficients, the algebra has {len(basis.forms)}"
+        )
+    return [place[index] for index in range(len(basis.forms))]
+
+
+def _addends(
+    form: Form, terms: Sequence[InertialTerm], constants: Sequence[str]
+) -> tuple[Addend, ...]:
+    return tuple(
+        Addend(
+            Fraction(int(QQ(value).numerator), int(QQ(value).denominator)),
+            tuple((name, power) for name, power in zip(constants, powers, strict=True) if power),
+            terms[index],
+        )
+        for (index, powers), value in sorted(form.items())
+    )
+
+
+def _coefficient(
+    name: str,
+    group: str,
+    form: Form,
+    terms: Sequence[InertialTerm],
+    robot: Manipulator,
+    accelerations: Sequence[str],
+    addends_of: Callable[[Form], tuple[Addend, ...]] | None = None,
+) -> Coefficient:
+    if addends_of is None:
+        addends = _addends({(index, ()): value for index, value in form.items()}, terms, ())
+        # The term that the parameter is named after comes first.
+        addends = tuple(sorted(addends, key=lambda addend: addend.factor != 1))
+    else:
+        addends = addends_of(form)
+    kind = robot.joints[addends[0].term.link].kind
+    return Coefficient(
+        name,
+        group,
+        expression(addends),
+        unit_of(addends[0], prismatic=kind == "P", gravity=accelerations),
+        positive_by_construction(addends, accelerations),
+        addends,
+    )

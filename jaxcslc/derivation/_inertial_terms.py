@@ -1,0 +1,126 @@
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..manipulator import Manipulator
+from ._chain import LinkTwists, Vector
+
+
+# The ten numbers that a rigid body's dynamics are linear in: inertia tensor about the frame's
+# origin, first moments, mass.
+BODY = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "hx", "hy", "hz", "m")
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class InertialTerm:
+    """One product of a link's physical parameters, and where it stands in the link's inertia.
+
+    `factors` multiply each other: `("Ixx",)`, `("m", "rx", "ry")`, `("motor",)`. `body` says how
+    much of it each of the ten entries of `BODY` holds (Eqns. 2.3-17, 2.3-20). `link` counts
+    from 0. `central` marks a moment about the centre of gravity instead of the frame's origin.
+    """
+
+    link: int
+    factors: tuple[str, ...]
+    body: tuple[tuple[str, int], ...]
+    central: bool = False
+
+    @property
+    def label(self) -> str:
+        """As it is printed, links counted from 1: `"m6*rz6^2"`, `"Ixx3"`, `"Im2"`."""
+        counts: dict[str, int] = {}
+        for factor in self.factors:
+            name = f"{'Im' if factor == 'motor' else factor}{self.link + 1}"
+            counts[name] = counts.get(name, 0) + 1
+        return "*".join(name if power == 1 else f"{name}^{power}" for name, power in counts.items())
+
+
+def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
+    """Every product of parameters that the robot's links have, link by link, motors last."""
+    terms: list[InertialTerm] = []
+    for link, inertia in enumerate(robot.inertia):
+        zero, same = set(inertia.zero), dict((b, a) for a, b in inertia.equal)
+        body: dict[tuple[str, ...], dict[str, int]] = {}
+
+        def put(
+            factors: tuple[str, ...],
+            entries: Mapping[str, int],
+            body: dict[tuple[str, ...], dict[str, int]] = body,
+            zero: set[str] = zero,
+        ) -> None:
+            if not zero & set(factors):
+                held = body.setdefault(factors, {})
+                for entry, multiple in entries.items():
+                    held[entry] = held.get(entry, 0) + multiple
+
+        for moment in ("Ixx", "Iyy", "Izz"):
+            put((same.get(moment, moment),), {moment: 1})
+        if inertia.form == "full":
+            for product in ("Ixy", "Ixz", "Iyz"):
+                put((product,), {product: 1})
+        else:
+            for a in range(3):
+                b, c = (a + 1) % 3, (a + 2) % 3
+                put(
+                    ("m", f"r{_AXES[a]}", f"r{_AXES[a]}"),
+                    {f"I{_AXES[b]}{_AXES[b]}": 1, f"I{_AXES[c]}{_AXES[c]}": 1},
+                )
+            for a, b in ((0, 1), (0, 2), (1, 2)):
+                put(("m", f"r{_AXES[a]}", f"r{_AXES[b]}"), {f"I{_AXES[a]}{_AXES[b]}": -1})
+        for axis in _AXES:
+            put(("m", f"r{axis}"), {f"h{axis}": 1})
+        put(("m",), {"m": 1})
+        central = inertia.form == "principal"
+        terms += [
+            InertialTerm(link, factors, tuple(held.items()), central and factors[0][0] == "I")
+            for factors, held in body.items()
+        ]
+    terms += [
+        InertialTerm(link, ("motor",), ())
+        for link, inertia in enumerate(robot.inertia)
+        if inertia.motor
+    ]
+    return tuple(terms)
+
+
+def kinetic_factors(twists: LinkTwists, j: int, k: int, needed: set[str]) -> dict[str, Any]:
+    """What each entry of `BODY` is multiplied by in M_jk (Eqn. 2.3-24), entries in `needed` only.
+
+    The bilinear form of the kinetic energy: w_j' I w_k + h · (v_j x w_k + v_k x w_j) + m v_j · v_k.
+    """
+    wj, wk, vj, vk = twists.angular[j], twists.angular[k], twists.linear[j], twists.linear[k]
+    factors: dict[str, Any] = {}
+    for a, name in enumerate(_AXES):
+        if f"I{name}{name}" in needed:
+            factors[f"I{name}{name}"] = wj[a] * wk[a]
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        name = f"I{_AXES[a]}{_AXES[b]}"
+        if name in needed:
+            factors[name] = wj[a] * wk[b] + wj[b] * wk[a]
+    for a, name in enumerate(_AXES):
+        if f"h{name}" in needed:
+            factors[f"h{name}"] = _cross_entry(vj, wk, a) + _cross_entry(vk, wj, a)
+    if "m" in needed:
+        factors["m"] = vj[0] * vk[0] + vj[1] * vk[1] + vj[2] * vk[2]
+    return factors
+
+
+def gravity_factors(twists: LinkTwists, j: int, needed: set[str]) -> dict[str, Any]:
+    """What each entry of `BODY` is multiplied by in G_j (Eqns. 2.3-28, 2.4-7).
+
+    The potential energy is -g · p for every mass point p, and dp/dq_j = v_j + w_j x r.
+    """
+    w, v, g = twists.angular[j], twists.linear[j], twists.gravity
+    factors: dict[str, Any] = {}
+    for a, name in enumerate(_AXES):
+        if f"h{name}" in needed:
+            factors[f"h{name}"] = -_cross_entry(g, w, a)
+    if "m" in needed:
+        factors["m"] = -(v[0] * g[0] + v[1] * g[1] + v[2] * g[2])
+    return factors
+
+
+def _cross_entry(x: Vector, y: Vector, a: int) -> Any:
+    b, c = (a + 1) % 3, (a + 2) % 3
+    return x[b] * y[c] - x[c] * y[b]

@@ -1,0 +1,155 @@
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from sympy import QQ
+from sympy.polys.rings import PolyElement, ring
+
+from ._chain import Chain
+
+
+Monomial = tuple[int, ...]  # exponents of `PositionRing.variables`
+Polynomial = dict[Monomial, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class PositionRing:
+    """Polynomials in the position of a robot, with rational coefficients.
+
+    Its generators are, in this order: cosine and sine of every independent angle, the variable
+    of every prismatic joint, and the named constants (lengths and gravity) that are kept
+    symbolic. In normal form the power of a sine is 0 or 1, s² being 1 - c². Then two functions
+    of the position are equal exactly if their polynomials are: cosines and sines of independent
+    angles satisfy no other relation.
+    """
+
+    chain: Chain
+    constants: tuple[str, ...]
+
+    @cached_property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the position-dependent generators: `c2`, `s2`, `c23`, ..., `q3`."""
+        names = [f"{function}{angle.label}" for angle in self.chain.angles for function in "cs"]
+        return (*names, *(f"q{joint + 1}" for joint in self._prismatic))
+
+    @cached_property
+    def _prismatic(self) -> tuple[int, ...]:
+        return tuple(i for i, link in enumerate(self.chain.links) if link.prismatic)
+
+    @cached_property
+    def _ring(self) -> tuple[Any, tuple[PolyElement, ...]]:
+        domain, *generators = ring((*self.variables, *self.constants), QQ)
+        return domain, tuple(generators)
+
+    @property
+    def _generators(self) -> tuple[PolyElement, ...]:
+        return self._ring[1]
+
+    @property
+    def cosines(self) -> Sequence[PolyElement]:
+        return self._generators[0 : 2 * len(self.chain.angles) : 2]
+
+    @property
+    def sines(self) -> Sequence[PolyElement]:
+        return self._generators[1 : 2 * len(self.chain.angles) : 2]
+
+    def joint_variable(self, joint: int) -> PolyElement:
+        """The variable of a prismatic joint, joints counted from 0."""
+        return self._generators[2 * len(self.chain.angles) + self._prismatic.index(joint)]
+
+    def constant(self, name: str) -> PolyElement:
+        return self._generators[len(self.variables) + self.constants.index(name)]
+
+    def normal_form(self, polynomial: Any) -> Any:
+        """The same function with every s² replaced by 1 - c²."""
+        if not isinstance(polynomial, PolyElement):
+            return polynomial
+        for angle in range(len(self.chain.angles)):
+            cos, sin = 2 * angle, 2 * angle + 1
+            while any(monomial[sin] > 1 for monomial in polynomial):
+                polynomial = self._without_square(polynomial, cos, sin)
+        return polynomial
+
+    def _without_square(self, polynomial: PolyElement, cos: int, sin: int) -> PolyElement:
+        result: dict[Monomial, Any] = {}
+        for monomial, coefficient in polynomial.items():
+            if monomial[sin] < 2:
+                result[monomial] = result.get(monomial, 0) + coefficient
+                continue
+            row = list(monomial)
+            row[sin] -= 2
+            for factor in (coefficient, -coefficient):  # s² = 1 - c²
+                key = tuple(row)
+                result[key] = result.get(key, 0) + factor
+                row[cos] += 2
+        return polynomial.ring.from_dict(result)
+
+    def derivative(self, polynomial: dict[Monomial, Any], joint: int) -> dict[Monomial, Any]:
+        """Partial derivative of a normal form with respect to a joint variable, in normal form.
+
+        `polynomial` maps monomials to forms, themselves dictionaries of rationals. A joint turns
+        c into -s and s into c in every angle that contains it.
+        """
+        result: dict[Monomial, dict[Any, Any]] = {}
+
+        def put(monomial: list[int], form: dict[Any, Any], factor: int) -> None:
+            held = result.setdefault(tuple(monomial), {})
+            for key, value in form.items():
+                total = held.get(key, 0) + factor * value
+                if total:
+                    held[key] = total
+                else:
+                    del held[key]
+
+        for angle, sign in self._angles_of(joint):
+            cos, sin = 2 * angle, 2 * angle + 1
+            for monomial, form in polynomial.items():
+                power = monomial[cos]
+                if monomial[sin] == 0:
+                    if power:
+                        row = list(monomial)
+                        row[cos], row[sin] = power - 1, 1
+                        put(row, form, -sign * power)
+                else:  # d(c^p s) = c^(p+1) - p c^(p-1) s² = (p + 1) c^(p+1) - p c^(p-1)
+                    row = list(monomial)
+                    row[cos], row[sin] = power + 1, 0
+                    put(row, form, sign * (power + 1))
+                    if power:
+                        row[cos] = power - 1
+                        put(row, form, -sign * power)
+        if joint in self._prismatic:
+            at = 2 * len(self.chain.angles) + self._prismatic.index(joint)
+            for monomial, form in polynomial.items():
+                if monomial[at]:
+                    row = list(monomial)
+                    row[at] -= 1
+                    put(row, form, monomial[at])
+        return {monomial: form for monomial, form in result.items() if form}
+
+    def _angles_of(self, joint: int) -> list[tuple[int, int]]:
+        return [
+            (index, sign)
+            for index, angle in enumerate(self.chain.angles)
+            for member, sign in angle.terms
+            if member == joint
+        ]
+
+    def label(self, monomial: Monomial) -> str:
+        """A product as it is printed: `"c23*s4*c5^2"`, and `"1"` for the constant."""
+        parts = [
+            name if power == 1 else f"{name}^{power}"
+            for name, power in zip(self.variables, monomial, strict=True)
+            if power
+        ]
+        return "*".join(parts) or "1"
+
+    def parse(self, label: str) -> Monomial | None:
+        """The monomial that `label` names, factors in any order, or None if it is not one."""
+        powers = dict.fromkeys(self.variables, 0)
+        for factor in [] if label == "1" else label.split("*"):
+            name, _, power = factor.partition("^")
+            if name not in powers or not (power or "1").isdigit():
+                return None
+            powers[name] += int(power or 1)
+        return tuple(powers[name] for name in self.variables)

@@ -1,0 +1,89 @@
+from collections.abc import Callable, Iterable
+from math import gcd, lcm
+from typing import Any
+
+from sympy import QQ
+
+from ._lagrange import Form
+
+
+Direction = tuple[tuple[Any, Any], ...]
+
+
+def direction(form: Form) -> tuple[Direction, Any]:
+    """A form up to a multiple, as a hashable key, and the multiple that the form is of it."""
+    items = sorted(form.items())
+    scale = items[0][1]
+    return tuple((key, value / scale) for key, value in items), scale
+
+
+class Basis:
+    """The minimum set of forms of which every form is a known combination (stage C.1.4).
+
+    Forms that differ by a multiple are one. Of those that remain, the simplest that are
+    linearly independent are kept, fewest terms first; the others are rational combinations of
+    them. Multiples are made integers without a common divisor, and the first is positive.
+    """
+
+    def __init__(self, forms: Iterable[Form], label: Callable[[Form], str]) -> None:
+        multiples: dict[Direction, list[Any]] = {}
+        for form in forms:
+            key, multiple = direction(form)
+            multiples.setdefault(key, []).append(multiple)
+        candidates: list[tuple[Direction, Any]] = [
+            (key, _unit(found)) for key, found in multiples.items()
+        ]
+        candidates.sort(key=lambda item: (len(item[0]), label(_scaled(*item))))
+        self.forms: list[Form] = []
+        # Echelon rows: leading key -> (row, the same row as a combination of basis forms).
+        self._rows: dict[Any, tuple[Form, dict[int, Any]]] = {}
+        self._known: dict[Direction, dict[int, Any]] = {}
+        for key, unit in candidates:
+            form = _scaled(key, unit)
+            rest, used = self._reduce(form)
+            if rest:
+                index = len(self.forms)
+                self.forms.append(form)
+                self._known[key] = {index: 1 / unit}
+                combination = {i: -value for i, value in used.items()}
+                combination[index] = QQ(1)
+                self._rows[min(rest)] = rest, combination
+            else:
+                self._known[key] = {i: value / unit for i, value in used.items()}
+
+    def combination(self, form: Form) -> dict[int, Any]:
+        """`form` as {index of basis form: rational}."""
+        key, multiple = direction(form)
+        return {index: multiple * value for index, value in self._known[key].items()}
+
+    def _reduce(self, form: Form) -> tuple[Form, dict[int, Any]]:
+        """What is left of `form` after the rows so far, and the combination taken off."""
+        rest, used = dict(form), {}
+        for lead in list(self._rows):
+            if lead in rest:
+                row, combination = self._rows[lead]
+                factor = rest[lead] / row[lead]
+                for key, value in row.items():
+                    total = rest.get(key, 0) - factor * value
+                    if total:
+                        rest[key] = total
+                    else:
+                        del rest[key]
+                for index, value in combination.items():
+                    total = used.get(index, 0) + factor * value
+                    used[index] = total
+        return rest, {index: value for index, value in used.items() if value}
+
+
+def _scaled(key: Direction, unit: Any) -> Form:
+    return {name: value * unit for name, value in key}
+
+
+def _unit(multiples: list[Any]) -> Any:
+    """The largest rational that all multiples are integer multiples of, signed as the first."""
+    numerator, denominator = 0, 1
+    for multiple in multiples:
+        numerator = gcd(numerator, int(QQ(multiple).numerator))
+        denominator = lcm(denominator, int(QQ(multiple).denominator))
+    # gcd of fractions p/q in lowest terms: gcd(p) / lcm(q)
+    return QQ(numerator if multiples[0] > 0 else -numerator, denominator)

@@ -1,0 +1,99 @@
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from ._errors import RobotError
+
+
+JointKind = Literal["R", "P"]
+
+_PI_MULTIPLE = re.compile(
+    r"^\s*(?P<sign>[+-]?)\s*(?P<factor>\d+(?:\.\d*)?)?\s*\*?\s*pi\s*(?:/\s*(?P<divisor>\d+))?\s*$"
+)
+_SYMBOL = re.compile(r"^[A-Za-z][A-Za-z_]*\d*$")
+
+
+@dataclass(frozen=True)
+class Length:
+    """A constant length or offset of the kinematics: a number, a symbol, or a named number.
+
+    `value` is in m and may be None for a symbol whose value nobody has measured; `symbol` is
+    the name that the algebra uses when lengths are kept symbolic. A length that is zero by
+    frame placement has value 0 and no symbol: it never appears in an expression.
+    """
+
+    value: float | None = 0.0
+    symbol: str | None = None
+
+    @property
+    def is_zero(self) -> bool:
+        return self.symbol is None and self.value == 0.0
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One row of modified Denavit-Hartenberg parameters (thesis 2.6.1, Eqn. 2.6-1).
+
+    The frame of link i follows from that of link i - 1 by
+    `Rot(x, alpha) Trans(x, a) Trans(z, d) Rot(z, theta)`. The joint variable is added to
+    `theta` for a revolute joint ("R", rad) and to `d` for a prismatic one ("P", m).
+
+    `alpha` and `theta` are in rad, `a` and `d` in m.
+    """
+
+    kind: JointKind
+    alpha: float
+    a: Length
+    d: Length
+    theta: float
+
+
+def parse_angle(value: object, where: str) -> float:
+    """An angle [rad] from a number or from a multiple of pi in words, as in `"-pi/2"`.
+
+    **Raises**
+
+    - `RobotError`: if `value` is neither; `where` says which entry it was.
+
+    >>> parse_angle("-pi/2", "alpha of joint 2")
+    -1.5707963267948966
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise RobotError(f"{where}: expected an angle in rad or a multiple of pi, got {value!r}")
+    if not isinstance(value, str):
+        angle = float(value)
+    elif match := _PI_MULTIPLE.match(value):
+        angle = math.pi * float(match["factor"] or 1) / int(match["divisor"] or 1)
+        angle = -angle if match["sign"] == "-" else angle
+    else:
+        try:
+            angle = float(value)
+        except ValueError:
+            raise RobotError(
+                f"{where}: expected an angle in rad or a multiple of pi such as '-pi/2',"
+                f" got {value!r}"
+            ) from None
+    if not math.isfinite(angle):
+        raise RobotError(f"{where}: expected a finite angle, got {value!r}")
+    return angle
+
+
+def parse_length(value: object, lengths: dict[str, float], where: str) -> Length:
+    """A `Length` from a number [m] or from a symbol, with its value if `lengths` has one.
+
+    A symbol is letters followed by an optional number (`a2`, `d4`), with an optional minus
+    sign nowhere: signs belong to values. `Raises` as `parse_angle`.
+
+    >>> parse_length("a2", {"a2": 0.4318}, "a of joint 3")
+    Length(value=0.4318, symbol='a2')
+    """
+    if isinstance(value, str):
+        if not _SYMBOL.match(value):
+            raise RobotError(
+                f"{where}: expected a length in m or the name of one such as 'a2', got {value!r}"
+            )
+        return Length(lengths.get(value), value)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise RobotError(f"{where}: expected a finite length in m or its name, got {value!r}")
+    return Length(float(value), None)

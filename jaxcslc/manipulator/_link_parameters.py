@@ -1,0 +1,42 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class LinkParameters(eqx.Module):
+    """The measurable parameters of one link and of the actuator that drives its joint.
+
+    **Attributes**
+
+    - `mass`: [kg].
+    - `centre_of_gravity`: (3,), in the link's frame [m].
+    - `inertia`: (3, 3), inertia tensor at the centre of gravity, axes of the link's frame
+      [kg m²]; off-diagonal entries are tensor elements, `I[0, 1] = -∫ x y dm`.
+    - `motor_inertia`: effective inertia of the motor at the joint (Eqn. 2.5-5) [kg m², or kg
+      for a prismatic joint].
+
+    A pytree of arrays: functions of it can be differentiated and vmapped.
+
+    >>> import numpy as np
+    >>> rod = LinkParameters(2.0, np.array([0.5, 0, 0]), np.diag([0, 1 / 6, 1 / 6]))
+    >>> float(rod.inertia_at_frame[2, 2])  # 1/6 + 2 * 0.5**2
+    0.6666666666666666
+    """
+
+    mass: Float[Array | np.ndarray, ""] | float
+    centre_of_gravity: Float[Array | np.ndarray, "3"]
+    inertia: Float[Array | np.ndarray, "3 3"]
+    motor_inertia: Float[Array | np.ndarray, ""] | float = 0.0
+
+    @property
+    def first_moment(self) -> Float[Array | np.ndarray, "3"]:
+        """Mass times centre of gravity (Eqn. 2.3-16) [kg m]."""
+        return self.mass * self.centre_of_gravity
+
+    @property
+    def inertia_at_frame(self) -> Float[Array | np.ndarray, "3 3"]:
+        """Inertia tensor about the origin of the link's frame (Eqns. 2.3-18, 2.3-19) [kg m²]."""
+        r = self.centre_of_gravity
+        xp = jnp if isinstance(r, Array) or isinstance(self.mass, Array) else np
+        return self.inertia + self.mass * (xp.dot(r, r) * xp.eye(3) - xp.outer(r, r))

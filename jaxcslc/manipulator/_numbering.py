@@ -1,0 +1,29 @@
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Subnumbering:
+    """The order that a publication gives to the inputs and coefficients of a subnetwork.
+
+    `inputs` are products of sines and cosines as printed (`"c23*s4*c5"`). `coefficients` define
+    each coefficient by one link that the publication prints: `(input, column, multiple)` says
+    that the weight from that input to that element (`(1, 2)` for M12, `(2,)` for G2) is
+    `multiple` times the coefficient.
+    """
+
+    inputs: tuple[str, ...]
+    coefficients: tuple[tuple[str, tuple[int, ...], float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """A published numbering of a robot's inputs and coefficients, such as Appendix B.
+
+    The derivation does not need one: it only permutes and scales what the algebra found, and
+    refuses a numbering that does not match it one to one.
+    """
+
+    source: str
+    mass: Subnumbering
+    velocity: Subnumbering
+    gravity: Subnumbering

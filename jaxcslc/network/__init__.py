@@ -1,0 +1,5 @@
+from ._cslc import CSLC as CSLC
+from ._derive import derive as derive
+from ._evaluator import AbstractEvaluator as AbstractEvaluator
+from ._recursive import RecursiveEvaluator as RecursiveEvaluator
+from ._tables import TableEvaluator as TableEvaluator

@@ -1,0 +1,68 @@
+from typing import Literal
+
+from ..derivation import Algebra, Lengths, derive_algebra
+from ..manipulator import Manipulator
+from ._cslc import CSLC
+from ._evaluator import AbstractEvaluator
+from ._friction import friction_coefficients
+from ._recursive import RecursiveEvaluator
+from ._tables import TableEvaluator
+
+
+# Up to this many links straight-line code compiles in a few seconds and outruns the recursion.
+_LARGEST_TABLES = 1500
+# Beyond this many independent angles tables are large whatever the twists: not worth deriving
+# them to find out. (A Panda, 7 angles: 27,243 velocity links.)
+_MOST_ANGLES = 6
+
+
+def derive(
+    robot: Manipulator,
+    *,
+    lengths: Lengths = "symbolic",
+    evaluator: Literal["auto", "tables", "recursive"] = "auto",
+) -> CSLC:
+    """Derive a robot's inverse dynamics and build the network that computes them.
+
+    **Arguments**
+
+    - `robot`: from `load_robot`, `puma560`, `panda` or `Manipulator.from_modified_dh`.
+    - `lengths`: `"symbolic"`: the thesis's coefficients, valid whatever the lengths are.
+      `"numeric"`: the base parameters, the fewest coefficients that describe the torque; use it
+      for identification unless the lengths themselves are in doubt, and for any robot of more
+      than 6 joints.
+    - `evaluator`: `"tables"`: straight-line code from the closed form; `"recursive"`:
+      Newton-Euler, numeric lengths only; `"auto"`: tables where they are small.
+
+    **Raises**
+
+    - `RobotError`: if a length has no value and `lengths="numeric"`.
+    - `ValueError`: if the recursive evaluator is asked for with symbolic lengths.
+
+    >>> import jaxcslc as jc
+    >>> jc.derive(jc.puma560())
+    CSLC(PUMA 560: 6 joints, 43 coefficients: 26 mass, 5 gravity, 6 viscous, 6 dry; TableEvaluator)
+    """
+    algebra = derive_algebra(robot, lengths)
+    return CSLC(
+        (*algebra.coefficients, *friction_coefficients(robot)),
+        algebra,
+        _evaluator(algebra, evaluator),
+    )
+
+
+def _evaluator(algebra: Algebra, choice: str) -> AbstractEvaluator:
+    if choice == "tables" or (choice == "auto" and _tables_are_small(algebra)):
+        return TableEvaluator.from_algebra(algebra)
+    if choice in ("recursive", "auto"):
+        return RecursiveEvaluator.from_algebra(algebra)
+    raise ValueError(f"evaluator must be 'auto', 'tables' or 'recursive', got {choice!r}")
+
+
+def _tables_are_small(algebra: Algebra) -> bool:
+    if algebra.lengths == "symbolic":
+        return True
+    right_angles = all(0 in link.twist for link in algebra.chain.links)
+    if len(algebra.chain.angles) > (_MOST_ANGLES if right_angles else 3):
+        return False
+    return len(algebra.mass.links) + len(algebra.velocity.links) <= _LARGEST_TABLES

@@ -1,0 +1,33 @@
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+
+Coefficients = Float[Array, " coefficients"]
+Joints = Float[Array, "*batch joints"]
+Matrices = Float[Array, "*batch joints joints"]
+Regressor = Float[Array, "*batch joints coefficients"]
+
+
+class AbstractEvaluator(eqx.Module):
+    """How the rigid-body part of a network is computed; friction is not its concern.
+
+    `k` holds the inertial coefficients only. Positions, velocities and accelerations have any
+    leading batch axes. Everything is linear in `k`, and `regressor` is that linear map.
+    """
+
+    @abc.abstractmethod
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor: ...
+
+    @abc.abstractmethod
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints: ...
+
+    @abc.abstractmethod
+    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices: ...
+
+    @abc.abstractmethod
+    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints: ...
+
+    @abc.abstractmethod
+    def gravity_term(self, k: Coefficients, q: Joints) -> Joints: ...
