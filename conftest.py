@@ -1,0 +1,31 @@
+"""Settings that hold for every test, those in docstrings included.
+
+Fixtures are in `tests/conftest.py`.
+"""
+
+import os
+from pathlib import Path
+
+
+# Read once, when the libraries below are loaded, and inherited by the workers of `pytest -n`. One
+# thread each: workers that share cores with each other's threads took twice as long over products
+# and factorisations. Pictures are drawn to files, on machines with and without a screen.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MPLBACKEND"] = "Agg"
+
+import hypothesis
+import jax
+
+
+# Identification is float64 work, and an axis that JAX adds silently is a mistake. MJX broadcasts
+# so inside: call it under `jax.numpy_rank_promotion("allow")`.
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Compiling is most of the suite's time: keep what took long, for the other worker and later runs.
+jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parent / ".cache" / "jax"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+# The same examples in every run, however slow the machine.
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("repeatable")

@@ -1,0 +1,62 @@
+"""Fixtures shared by the tests.
+
+What is slow to make and never changed by a test (a derived network, a simulated recording) belongs
+here as a fixture of session scope, so that each worker makes it once. Import the packages inside
+the fixture, not at the top: collecting tests then stays quick.
+"""
+
+import json
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+
+if TYPE_CHECKING:
+    from jaxcslc.manipulator import LinkParameters
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Random numbers that are the test's own: the same in every run and in any order of tests."""
+    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+
+
+@pytest.fixture(scope="session")
+def appendix_b() -> dict[str, Any]:
+    """Appendix B of the thesis as data; indices are from one, as printed."""
+    path = Path(__file__).parent / "data" / "appendix_b.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="session")
+def random_links() -> "Callable[..., tuple[LinkParameters, ...]]":
+    """Draws links that can exist: each is eight point masses, and a motor.
+
+    A tensor that is drawn entry by entry would break the inequalities that every rigid body
+    obeys. `principal` drops the off-diagonal elements at the centre of gravity, which leaves a
+    possible body.
+    """
+
+    def draw(
+        rng: np.random.Generator, joints: int, *, motors: bool = True, principal: bool = False
+    ) -> "tuple[LinkParameters, ...]":
+        from jaxcslc.manipulator import LinkParameters
+
+        links: list[LinkParameters] = []
+        for _ in range(joints):
+            masses = rng.uniform(0.1, 1.0, 8)
+            points = rng.uniform(-0.3, 0.3, (8, 3))
+            centre = masses @ points / np.sum(masses)
+            arms = points - centre
+            second = (masses[:, None] * arms).T @ arms
+            tensor = np.trace(second) * np.eye(3) - second
+            tensor = np.diag(np.diag(tensor)) if principal else (tensor + tensor.T) / 2
+            motor = float(rng.uniform(0.05, 0.5)) if motors else 0.0
+            links.append(LinkParameters(float(np.sum(masses)), centre, tensor, motor))
+        return tuple(links)
+
+    return draw

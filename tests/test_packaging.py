@@ -1,0 +1,267 @@
+"""What the project promises about itself: its pins, its wheel, and who may import whom."""
+
+import ast
+import importlib.metadata
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+
+ROOT = Path(__file__).parents[1]
+
+# Who may import whom, by folder of `jaxcslc`. What a folder may import, whoever imports that folder
+# may import too. A folder that is not named here fails the test: decide where it stands.
+LAYERS = {
+    "manipulator": set[str](),
+    "derivation": {"manipulator"},
+    "network": {"derivation"},
+    "motion": set[str](),
+    "learning": {"network", "motion"},
+    "assessment": {"learning"},
+    "control": {"network"},
+}
+
+
+def below(folder: str) -> set[str]:
+    """All folders that `folder` may import, itself included."""
+    return {folder}.union(*(below(lower) for lower in LAYERS[folder]))
+
+
+def sources(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.py"))
+
+
+def imported(source: str, package: str) -> Iterator[str]:
+    """Absolute dotted names of everything that `source`, a module of `package`, imports.
+
+    `from a import b` gives `a.b`, since `b` may be a module.
+    """
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            start = package.split(".")[: 1 - node.level or None] if node.level else []
+            base = ".".join([*start, *([node.module] if node.module else [])])
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def forbidden_imports(source: str, package: str) -> list[str]:
+    """Imports by which a module of `package` breaks the layering, in the order of the source."""
+    house, _, rest = package.partition(".")
+    folder = rest.partition(".")[0]
+    outside = {"tests", "scripts", "notebooks"}
+    if house == "jaxcslc":
+        outside |= {"sim"}
+    if folder == "derivation":  # exact algebra
+        outside |= {"jax", "jaxlib", "equinox"}
+
+    def is_forbidden(name: str) -> bool:
+        top, second = (*name.split("."), "")[:2]
+        climbs = bool(folder) and house == top == "jaxcslc" and second not in below(folder)
+        return top in outside or climbs
+
+    return [name for name in imported(source, package) if is_forbidden(name)]
+
+
+def configures_jax(source: str) -> bool:
+    """Whether a module changes JAX's global configuration: `jax.config.update(...)` or by name."""
+    return any(
+        isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr == "update"
+        and ast.unparse(node.func.value).split(".")[-1] == "config"
+        for node in ast.walk(ast.parse(source))
+    )
+
+
+def package_of(path: Path) -> str:
+    return ".".join(path.parent.relative_to(ROOT).parts)
+
+
+def pins() -> dict[str, str]:
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    named = (line.split("==") for line in lines if line and not line.startswith("#"))
+    return {canonicalize_name(name): version for name, version in named}
+
+
+def requirements() -> list[Requirement]:
+    """Everything that pyproject.toml asks for: to run, to build, to check and to test."""
+    table: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    groups = [
+        line
+        for group in table["dependency-groups"].values()
+        for line in group
+        if isinstance(line, str)  # the rest are tables that include another group
+    ]
+    lines = [*table["build-system"]["requires"], *table["project"]["dependencies"], *groups]
+    return [Requirement(line) for line in lines]
+
+
+def closure(wanted: Iterable[Requirement]) -> set[str]:
+    """Names of all packages needed on this platform, by the metadata of what is installed."""
+    seen: set[tuple[str, str]] = set()
+    open_ = [(canonicalize_name(r.name), extra) for r in wanted for extra in ("", *r.extras)]
+    while open_:
+        name, extra = item = open_.pop()
+        if item in seen:
+            continue
+        seen.add(item)
+        for line in importlib.metadata.requires(name) or []:
+            need = Requirement(line)
+            if need.marker is None or need.marker.evaluate({"extra": extra}):
+                open_ += [(canonicalize_name(need.name), x) for x in ("", *need.extras)]
+    return {name for name, _ in seen}
+
+
+def test_every_constraint_is_a_name_and_a_version() -> None:
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = [line for line in lines if not line.startswith("#")]
+    odd = [
+        line for line in pinned if not re.fullmatch(r"[a-z0-9][a-z0-9-]*==[0-9][0-9a-z.]*", line)
+    ]
+    assert odd == []
+    assert len(pinned) == len(pins()), "a package is pinned twice"
+    assert "://" not in "".join(lines), "a comment names a host"
+
+
+def test_constraints_pin_every_dependency_within_its_range() -> None:
+    assert {r.name for r in requirements() if canonicalize_name(r.name) not in pins()} == set()
+    outside = {
+        str(r)
+        for r in requirements()
+        if not r.specifier.contains(pins()[canonicalize_name(r.name)], prereleases=True)
+    }
+    assert outside == set()
+
+
+def test_constraints_pin_what_the_dependencies_need() -> None:
+    assert closure(requirements()) - pins().keys() == set()
+
+
+def test_every_dependency_has_a_range() -> None:
+    assert [str(r) for r in requirements() if ">=" not in str(r.specifier)] == []
+
+
+def test_version_is_the_installed_one() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert importlib.metadata.version("jaxcslc") == project["version"]
+
+
+def test_version_is_read_from_the_metadata() -> None:
+    """The number is written in pyproject.toml alone."""
+    assigned = [
+        str(path.relative_to(ROOT))
+        for package in ("jaxcslc", "sim")
+        for path in sources(ROOT / package)
+        if re.search(r"""__version__\s*(:.*)?=\s*["']""", path.read_text())
+    ]
+    assert assigned == []
+
+
+def test_wheel_holds_both_packages_whole(tmp_path: Path) -> None:
+    """Robot files, `py.typed` and the command are in the wheel, and nothing beside the packages."""
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (path,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(path) as wheel:
+        names = set(wheel.namelist())
+        (entry,) = (name for name in names if name.endswith("/entry_points.txt"))
+        assert "jaxcslc = jaxcslc.cli:main" in wheel.read(entry).decode()
+    held = {name for name in names if ".dist-info/" not in name}
+    expected = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("jaxcslc", "sim")
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert held == expected
+    assert {"jaxcslc/py.typed", "sim/py.typed"} <= held
+
+
+@pytest.mark.parametrize("package", ["jaxcslc", "sim"])
+def test_imports_keep_the_layering(package: str) -> None:
+    wrong = {
+        str(path.relative_to(ROOT)): names
+        for path in sources(ROOT / package)
+        if (names := forbidden_imports(path.read_text(), package_of(path)))
+    }
+    assert wrong == {}
+
+
+def test_every_folder_has_its_layer() -> None:
+    folders = {path.parent.name for path in (ROOT / "jaxcslc").glob("*/*.py")}
+    assert folders - LAYERS.keys() == set()
+
+
+@pytest.mark.parametrize(
+    ("package", "source", "allowed"),
+    [
+        ("jaxcslc.network", "from ..manipulator import Manipulator", True),
+        ("jaxcslc.network", "from ._tables import Table", True),
+        ("jaxcslc.learning", "from jaxcslc.derivation import derive", True),
+        ("jaxcslc.derivation", "import sympy", True),
+        ("jaxcslc", "from .cli import main", True),
+        ("sim", "import jaxcslc", True),
+        ("jaxcslc.manipulator", "from ..motion import Recording", False),
+        ("jaxcslc.motion", "from .. import manipulator", False),
+        ("jaxcslc.motion", "import jaxcslc", False),
+        ("jaxcslc.network", "import jaxcslc.learning._direct", False),
+        ("jaxcslc.assessment", "from jaxcslc import control", False),
+        ("jaxcslc.learning.deeper", "from ...control import Pid", False),
+        ("jaxcslc.network", "def late():\n    from ..learning import fit", False),
+        ("jaxcslc.derivation", "import jax.numpy as jnp", False),
+        ("jaxcslc", "import sim", False),
+        ("jaxcslc.control", "from sim._mjcf import mjcf", False),
+        ("sim", "from tests.conftest import rng", False),
+    ],
+)
+def test_the_layering_is_read_from_the_source(package: str, source: str, allowed: bool) -> None:
+    assert (forbidden_imports(source, package) == []) is allowed
+
+
+def test_only_the_command_line_configures_jax() -> None:
+    touching = {
+        str(path.relative_to(ROOT))
+        for path in sources(ROOT / "jaxcslc")
+        if configures_jax(path.read_text())
+    }
+    assert touching <= {"jaxcslc/cli.py"}
+
+
+@pytest.mark.parametrize(
+    ("source", "configures"),
+    [
+        ("import jax\njax.config.update('jax_enable_x64', True)", True),
+        ("from jax import config\nconfig.update('jax_enable_x64', True)", True),
+        ("table.update(config)", False),
+        ("x = jax.config.jax_enable_x64", False),
+    ],
+)
+def test_configuring_is_read_from_the_source(source: str, configures: bool) -> None:
+    assert configures_jax(source) is configures
+
+
+def test_importing_the_library_leaves_everything_as_it_was() -> None:
+    """No output, no change of JAX's configuration, no simulator."""
+    program = (
+        "import jax; before = dict(jax.config.values); import jaxcslc, sys; "
+        "assert dict(jax.config.values) == before; "
+        "assert not {'sim', 'mujoco', 'matplotlib.pyplot'} & sys.modules.keys()"
+    )
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program], cwd=ROOT, capture_output=True, text=True
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
