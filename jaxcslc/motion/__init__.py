@@ -1,0 +1,42 @@
+from ._alignment import TorqueAlignment as TorqueAlignment, align_torque as align_torque
+from ._butterworth import (
+    Butterworth as Butterworth,
+    CentralDifferences as CentralDifferences,
+    zero_phase as zero_phase,
+)
+from ._clock import restore_clock as restore_clock
+from ._masks import (
+    away_from_reversals as away_from_reversals,
+    friction_thresholds as friction_thresholds,
+    possible_backlash as possible_backlash,
+    sliding as sliding,
+)
+from ._parallel_filter import (
+    FilteredEquations as FilteredEquations,
+    decimation_for as decimation_for,
+    parallel_filter as parallel_filter,
+)
+from ._patterns import (
+    Patterns as Patterns,
+    as_recorded as as_recorded,
+    joints_left_out as joints_left_out,
+    prepare as prepare,
+)
+from ._recording import (
+    Recording as Recording,
+    RecordingError as RecordingError,
+    stale_rows as stale_rows,
+    without_stale_rows as without_stale_rows,
+)
+from ._recording_files import (
+    RecordingChunk as RecordingChunk,
+    iterate_recording as iterate_recording,
+    load_recording as load_recording,
+    save_recording as save_recording,
+)
+from ._resampling import resample as resample, uniform_interval as uniform_interval
+from ._resolution import encoder_resolution as encoder_resolution, noise_level as noise_level
+from ._sections import Reversal as Reversal, find_reversals as find_reversals
+from ._selection import choose_spacing as choose_spacing, left_out_error as left_out_error
+from ._smoothing import AbstractSmoothing as AbstractSmoothing
+from ._splines import AveragedSplines as AveragedSplines

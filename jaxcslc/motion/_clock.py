@@ -1,0 +1,133 @@
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import maximum_filter1d
+
+from ._recording import Recording, RecordingError, without_stale_rows
+from ._resolution import noise_level
+from ._splines import AveragedSplines
+
+
+KNOWN_TO = 0.1
+"""An interval counts as told by the motion when its standard deviation is this part of a period:
+rounding to whole periods is then wrong less than once in a million times."""
+
+
+def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> Recording:
+    r"""Gives samples of an evenly running source the times at which they were taken.
+
+    A controller samples to the microsecond; a recorder that listens to it stamps each message
+    when it arrives, late by a varying delay, misses some and repeats others. At a velocity of
+    1 rad/s a delay that varies by 0.2 ms moves a position by 0.2 mrad, which can be a hundred
+    times the encoder's own noise.
+
+    But where the arm moves, the positions tell the time that has passed between two samples: for
+    small noise it is $\Delta q \cdot \dot q / |\dot q|^2$, all joints taken together and each
+    weighted by its noise. Between samples of an even clock it is a whole number of periods. Where
+    the arm is too slow to tell, the stamps decide, and a wrong guess moves the positions by
+    little more than their noise.
+
+    (On 21 s of a real Panda, stamped at nominally 1 kHz, this takes the residual of the smoothed
+    positions from 0.2 mrad to 0.002 mrad.)
+
+    **Arguments:**
+
+    - `recording`: stamped by its recorder, stale samples included.
+    - `period`: of the source [s].
+    - `spacing`: of the averaged splines that estimate the velocities from the stamped positions
+        [samples].
+
+    **Returns:**
+
+    The recording at multiples of the period, counted from about its first stamp. Samples that
+    repeat the one before are gone, lost ones leave gaps.
+
+    **Raises:**
+
+    - `ValueError`: a period that is not positive.
+    - `RecordingError`: a motion that shows no such clock, or one that does not keep pace with
+        the stamps.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import Recording, restore_clock
+    >>> rng = np.random.default_rng(0)
+    >>> time = np.delete(np.arange(2000) * 0.001, [500, 501, 1200])
+    >>> position = np.stack([np.sin(3 * time), np.cos(3 * time)], axis=1)
+    >>> stamped = Recording(time + rng.uniform(0.0, 0.0005, time.size), position, position)
+    >>> restored = restore_clock(stamped, period=0.001)
+    >>> bool(np.allclose(np.diff(restored.time), np.diff(time)))
+    True
+
+    ```
+    """
+    if not period > 0.0:
+        raise ValueError(f"period is {period} s; expected more than 0")
+    fresh = without_stale_rows(recording)
+    stamps, position = fresh.time, fresh.position
+    noise = np.maximum(noise_level(position), np.finfo(np.float64).eps)
+
+    time = stamps
+    # The velocities come from the stamped times first and from the restored ones then.
+    for _ in range(2):
+        passed, deviation = _time_passed(time, position / noise, spacing)
+        known = deviation < KNOWN_TO * period
+        ticks = _ticks(stamps, np.where(known, passed, np.nan), period)
+        time = np.median(stamps - ticks * period) + ticks * period
+        # Equal times, of samples that repeat positions but not torques, cannot be splined.
+        new = np.append(True, np.diff(ticks) > 0)
+        fresh = fresh.rows(new)
+        time, stamps, position = time[new], fresh.time, fresh.position
+    passed, deviation = _time_passed(time, position / noise, spacing)
+    known = deviation < KNOWN_TO * period
+    if np.mean(known) < 0.5:
+        raise RecordingError(
+            f"the motion is too slow or too noisy to show a clock of {period:g} s: it tells "
+            f"{np.mean(known):.0%} of the intervals; expected half of them or more"
+        )
+    misfit = np.median(np.abs(passed - np.diff(time))[known]) / period
+    if misfit > KNOWN_TO:
+        raise RecordingError(
+            f"the motion shows no clock of {period:g} s: half of its intervals are {misfit:.2g} "
+            f"periods or more from whole numbers of them; expected less than {KNOWN_TO}"
+        )
+    strayed = float(np.ptp(stamps - time))
+    if strayed > 0.01 * (stamps[-1] - stamps[0]):
+        raise RecordingError(
+            f"a clock of {period:g} s strays from the time stamps by {strayed:.3g} s; "
+            "expected less than 1 % of the recording"
+        )
+    return Recording(time, fresh.position, fresh.torque, fresh.velocity, fresh.acceleration)
+
+
+def _time_passed(
+    time: Float[np.ndarray, " samples"],
+    scaled: Float[np.ndarray, "samples joints"],
+    spacing: int,
+) -> tuple[Float[np.ndarray, " intervals"], Float[np.ndarray, " intervals"]]:
+    """Time between samples as the motion tells it, from positions in units of their noise."""
+    _, velocity, _ = AveragedSplines(spacing, sections=False).smooth(time, scaled)
+    between = 0.5 * (velocity[1:] + velocity[:-1])
+    squared = np.maximum(np.sum(between**2, axis=1), np.finfo(np.float64).tiny)
+    passed = np.sum(np.diff(scaled, axis=0) * between, axis=1) / squared
+    # Where the arm sets off or stops, smoothing makes a velocity of one that is not there yet.
+    steady = squared > 0.25 * maximum_filter1d(squared, 2 * spacing + 1)
+    return passed, np.where(steady, np.sqrt(2.0 / squared), np.inf)
+
+
+def _ticks(
+    stamps: Float[np.ndarray, " samples"],
+    passed: Float[np.ndarray, " intervals"],
+    period: float,
+) -> Int[np.ndarray, " samples"]:
+    """Numbers the samples in periods; intervals that are NaN are told by the stamps."""
+    ticks = np.zeros(stamps.size, dtype=np.int64)
+    delay = stamps[0]
+    for sample, interval in enumerate(passed, start=1):
+        before = ticks[sample - 1]
+        if np.isnan(interval):
+            ticks[sample] = max(before + 1, round((stamps[sample] - delay) / period))
+        else:
+            ticks[sample] = before + max(0, round(interval / period))
+        # The delay of the last fifty samples or so, against which a stamp alone is read.
+        delay += 0.02 * (stamps[sample] - ticks[sample] * period - delay)
+    return ticks

@@ -1,0 +1,167 @@
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+Thresholds: TypeAlias = float | int | Sequence[float | int] | Float[np.ndarray, " joints"]
+"""Velocities below which static friction matters: one for each joint, or one for all."""
+
+
+def possible_backlash(
+    qd: Float[np.ndarray, "*batch joints"],
+    qdd: Float[np.ndarray, "*batch joints"],
+    torque: Float[np.ndarray, "*batch joints"],
+) -> Bool[np.ndarray, "*batch joints"]:
+    r"""Marks the joint-and-sample pairs at which a transmission may be in backlash.
+
+    $\operatorname{sgn}\tau_i = \operatorname{sgn}\dot q_i$ and
+    $\operatorname{sgn}\tau_i = \operatorname{sgn}\ddot q_i$ (thesis, Eqn 2.5-7): a free motor is
+    pushed the way it moves and speeds up. The test includes every occurrence of backlash, and
+    more.
+
+    Backlash is decoupled, so a pair says nothing of the other joints of its sample.
+
+    **Arguments:**
+
+    - `qd`, `qdd`: velocities and accelerations, shape `(..., joints)`.
+    - `torque`: torques, shape `(..., joints)`.
+
+    **Returns:**
+
+    True where backlash is possible, shape `(..., joints)`. Where velocity, acceleration or
+    torque is exactly zero, a sign is *missing* rather than shared by the other two: the
+    magnitude is below what the recording resolves and the true sign may be either. A missing
+    sign counts as agreeing with the others, so that the mask still includes every occurrence.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import possible_backlash
+    >>> torque = np.array([1.0, 1.0, -1.0, 1.0])
+    >>> qd = np.array([0.5, -0.5, -0.5, 0.5])
+    >>> qdd = np.array([2.0, 2.0, -2.0, -2.0])
+    >>> possible_backlash(qd, qdd, torque).tolist()
+    [True, False, True, False]
+
+    ```
+    """
+    with_velocity = np.sign(torque) * np.sign(qd) >= 0
+    with_acceleration = np.sign(torque) * np.sign(qdd) >= 0
+    # A zero torque has lost its sign, but that of the motion is still to agree with itself.
+    with_each_other = np.sign(qd) * np.sign(qdd) >= 0
+    return with_velocity & with_acceleration & with_each_other
+
+
+def friction_thresholds(
+    qd: Float[np.ndarray, "samples joints"], fraction: float = 0.01
+) -> Float[np.ndarray, " joints"]:
+    """Velocities below which static friction is taken to matter, joint by joint.
+
+    The thesis starts from one hundredth of each joint's greatest velocity in the training
+    recording (Section 7.5) and sharpens it once the friction can be seen (Appendix B.6).
+
+    **Arguments:**
+
+    - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
+    - `fraction`: of each joint's greatest speed.
+
+    **Returns:**
+
+    The thresholds, shape `(joints,)` [rad/s or m/s].
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import friction_thresholds
+    >>> friction_thresholds(np.array([[0.5, -1.0], [-2.0, 0.25]])).tolist()
+    [0.02, 0.01]
+
+    ```
+    """
+    if not 0.0 <= fraction < 1.0:
+        raise ValueError(f"threshold fraction is {fraction}; expected at least 0 and below 1")
+    return fraction * np.max(np.abs(qd), axis=0)
+
+
+def sliding(
+    qd: Float[np.ndarray, "samples joints"], thresholds: Thresholds
+) -> Bool[np.ndarray, "samples joints"]:
+    """Marks the joint-and-sample pairs that move too fast for static friction (Section 7.2.2).
+
+    **Arguments:**
+
+    - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
+    - `thresholds`: one for each joint, shape `(joints,)`, or one for all [rad/s or m/s].
+
+    **Returns:**
+
+    True where `|qd| > threshold`, shape `(samples, joints)`. A joint that does not move never
+    slides, whatever its threshold.
+
+    **Raises:**
+
+    - `ValueError`: a threshold that is negative or no number, or a wrong number of them.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import sliding
+    >>> sliding(np.array([[0.5, -0.01], [0.0, 0.3]]), [0.1, 0.1]).tolist()
+    [[True, False], [False, True]]
+
+    ```
+    """
+    limits = np.asarray(thresholds, dtype=np.float64)
+    joints = qd.shape[1]
+    if limits.shape not in ((), (joints,)):
+        raise ValueError(
+            f"friction thresholds have shape {limits.shape}; expected one number, "
+            f"or one for each of the {joints} joints"
+        )
+    if not np.all(limits >= 0.0):
+        raise ValueError(f"friction thresholds are {limits.tolist()}; expected none below 0")
+    return np.abs(qd) > limits
+
+
+def away_from_reversals(
+    qd: Float[np.ndarray, "samples joints"], margin: int
+) -> Bool[np.ndarray, "samples joints"]:
+    """Marks the joint-and-sample pairs further than a margin from every velocity reversal.
+
+    Smoothing spreads the jump that friction puts into an acceleration over about its own
+    width, further than a velocity threshold reaches where a joint turns quickly.
+
+    **Arguments:**
+
+    - `qd`: velocities, shape `(samples, joints)`.
+    - `margin`: how many samples on either side of a reversal are left out; 0 leaves none out.
+
+    **Returns:**
+
+    False for the samples around each change of sign, shape `(samples, joints)`. Zero
+    velocities between two signs belong to the reversal; standing still between two motions the
+    same way is none.
+
+    **Raises:**
+
+    - `ValueError`: a negative margin.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import away_from_reversals
+    >>> qd = np.array([3.0, 2.0, 1.0, 0.0, -1.0, -2.0, -3.0])[:, None]
+    >>> away_from_reversals(qd, 2)[:, 0].tolist()
+    [True, False, False, False, False, False, True]
+
+    ```
+    """
+    if margin < 0:
+        raise ValueError(f"reversal margin is {margin} samples; expected 0 or more")
+    away = np.ones(qd.shape, dtype=bool)
+    if margin == 0:
+        return away
+    for joint, velocity in enumerate(qd.T):
+        moving = np.flatnonzero(velocity)
+        turns = np.flatnonzero(np.diff(np.sign(velocity[moving])))
+        for last, first in zip(moving[turns], moving[turns + 1], strict=True):
+            away[max(last - margin + 1, 0) : first + margin, joint] = False
+    return away

@@ -1,0 +1,295 @@
+import dataclasses
+from collections.abc import Mapping
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+
+MINIMUM_SAMPLES = 5
+"""Fewest samples a recording may hold: two central differences (Eqn 7.2-2) span five."""
+
+
+class RecordingError(ValueError):
+    """A recording, or the file that should hold one, that cannot be used.
+
+    The message is one line: what is wrong, where, and what was expected.
+
+    ```python
+    >>> from jaxcslc.motion import RecordingError
+    >>> issubclass(RecordingError, ValueError)
+    True
+
+    ```
+    """
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """The first thing that is wrong with a table of samples.
+
+    `row` counts from 0 within the table that was looked at; `None` stands for the whole table,
+    and a `column` of `None` for the whole row.
+    """
+
+    row: int | None
+    column: str | None
+    problem: str
+
+
+def first_fault(
+    columns: Mapping[str, Float[np.ndarray, " rows"]],
+    before: Mapping[str, float] | None = None,
+) -> Fault | None:
+    """Looks for the earliest row that no recording may hold.
+
+    Every way into a recording, from arrays, from a file and chunk by chunk, comes through here.
+
+    **Arguments:**
+
+    - `columns`: the columns by name, `time` among them.
+    - `before`: the row before the first, where the table continues another one.
+
+    **Returns:**
+
+    The fault, or `None`. A cell that is not finite is named before an order of times that such a
+    cell would make meaningless.
+    """
+    time = columns["time"]
+    fault: Fault | None = None
+    for name, values in columns.items():
+        bad = ~np.isfinite(values)
+        if bad.any():
+            row = int(np.argmax(bad))
+            if fault is None or fault.row is None or row < fault.row:
+                fault = Fault(row, name, f"{values[row]} where a finite number was expected")
+
+    earlier, first = (time[:-1], 1) if before is None else (np.append(before["time"], time[:-1]), 0)
+    with np.errstate(invalid="ignore"):
+        stuck = time[first:] <= earlier
+    if not stuck.any():
+        return fault
+    row = int(np.argmax(stuck)) + first
+    if fault is not None and fault.row is not None and fault.row <= row:
+        return fault
+
+    def previous(name: str) -> float:
+        if row > 0:
+            return float(columns[name][row - 1])
+        assert before is not None
+        return before[name]
+
+    if all(columns[name][row] == previous(name) for name in columns):
+        return Fault(row, None, "repeats the row before it; expected a new sample in every row")
+    return Fault(
+        row,
+        "time",
+        f"{float(time[row])!r} s follows {previous('time')!r} s; "
+        "expected time to increase strictly",
+    )
+
+
+def column_names(quantity: str, joints: int) -> list[str]:
+    """`position_1` to `position_n`: how a file names the joints of one quantity."""
+    return [f"{quantity}_{joint}" for joint in range(1, joints + 1)]
+
+
+def as_columns(
+    time: Float[np.ndarray, " samples"],
+    **quantities: Float[np.ndarray, "samples joints"] | None,
+) -> dict[str, Float[np.ndarray, " samples"]]:
+    """A recording's arrays as the columns of a file, those that are absent left out."""
+    columns = {"time": time}
+    for quantity, values in quantities.items():
+        if values is not None:
+            names = column_names(quantity, values.shape[1])
+            columns.update(zip(names, values.T, strict=True))
+    return columns
+
+
+class Recording(eqx.Module):
+    """Joint positions and torques of a moving manipulator, sampled in time.
+
+    The torque in row n is the one demanded (or measured) at `time[n]`; a drive that holds its
+    demand applies it from `time[n]` to `time[n + 1]` (thesis, Section 7.4).
+
+    **Attributes:**
+
+    - `time`: instants of the samples, shape `(samples,)` [s], strictly increasing.
+    - `position`: joint positions, shape `(samples, joints)` [rad or m].
+    - `torque`: joint torques or forces, shape `(samples, joints)` [N m or N].
+    - `velocity`, `acceleration`: shape `(samples, joints)`, or `None` where they were not
+        recorded [rad/s, rad/s² or m/s, m/s²].
+
+    All are float64 arrays.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import Recording
+    >>> time = np.linspace(0.0, 1.0, 11)
+    >>> recording = Recording(time, np.sin(time)[:, None], np.zeros((11, 1)))
+    >>> recording.samples, recording.joints
+    (11, 1)
+
+    ```
+    """
+
+    time: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, "samples joints"]
+    torque: Float[np.ndarray, "samples joints"]
+    velocity: Float[np.ndarray, "samples joints"] | None
+    acceleration: Float[np.ndarray, "samples joints"] | None
+
+    def __init__(
+        self,
+        time: ArrayLike,
+        position: ArrayLike,
+        torque: ArrayLike,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+    ):
+        """**Arguments:**
+
+        As the attributes; anything that NumPy can turn into float64 arrays of those shapes.
+
+        **Raises:**
+
+        - `RecordingError`: shapes that disagree, fewer than five samples, values that are not
+            finite, or time that does not strictly increase. Samples and joints count from 1 in
+            the message.
+        """
+        self.time = _as_float("time", time, 1)
+        self.position = _as_float("position", position, 2)
+        self.torque = _as_float("torque", torque, 2)
+        self.velocity = None if velocity is None else _as_float("velocity", velocity, 2)
+        self.acceleration = (
+            None if acceleration is None else _as_float("acceleration", acceleration, 2)
+        )
+        # Checked here and not in `__check_init__`, so that the message is this one whether or
+        # not a run-time checker of the shape annotations is at work.
+        quantities = {
+            "position": self.position,
+            "torque": self.torque,
+            "velocity": self.velocity,
+            "acceleration": self.acceleration,
+        }
+        samples, joints = self.time.size, self.position.shape[1]
+        for name, values in quantities.items():
+            if values is not None and values.shape != (samples, joints):
+                raise RecordingError(
+                    f"{name} has shape {values.shape}; expected ({samples}, {joints}): "
+                    f"one row for each of the {samples} times, one column a joint of position"
+                )
+        if joints == 0:
+            raise RecordingError("position has no columns; expected one column a joint")
+        if samples < MINIMUM_SAMPLES:
+            raise RecordingError(
+                f"{samples} samples; expected at least {MINIMUM_SAMPLES} to tell an acceleration"
+            )
+        fault = first_fault(as_columns(self.time, **quantities))
+        if fault is not None and fault.row is not None:
+            where = "" if fault.column is None else f", {fault.column}"
+            raise RecordingError(f"sample {fault.row + 1}{where}: {fault.problem}")
+
+    @property
+    def samples(self) -> int:
+        """How many samples were recorded."""
+        return self.position.shape[0]
+
+    @property
+    def joints(self) -> int:
+        """How many joints were recorded."""
+        return self.position.shape[1]
+
+    def rows(self, chosen: slice | Bool[np.ndarray, " samples"]) -> "Recording":
+        """Some of the samples, as a recording of their own.
+
+        **Arguments:**
+
+        - `chosen`: a slice, or True for each sample to keep, shape `(samples,)`.
+
+        **Returns:**
+
+        The recording of the chosen samples.
+
+        **Raises:**
+
+        - `RecordingError`: fewer than five are left.
+        """
+        return Recording(
+            self.time[chosen],
+            self.position[chosen],
+            self.torque[chosen],
+            None if self.velocity is None else self.velocity[chosen],
+            None if self.acceleration is None else self.acceleration[chosen],
+        )
+
+
+def without_stale_rows(recording: Recording) -> Recording:
+    """Drops every sample whose values all repeat those of the sample before it.
+
+    A recorder that polls faster than its source delivers writes such rows with a new time and
+    old values. They are no measurements: left in, they look like a joint that stops and jumps.
+    (Rows that repeat the *time* as well are an error when the recording is made.)
+
+    **Arguments:**
+
+    - `recording`: as recorded.
+
+    **Returns:**
+
+    The recording without its stale rows; its time is then not uniform. See `resample` for
+    methods that need uniform time.
+
+    **Raises:**
+
+    - `RecordingError`: too few samples are left.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import Recording, without_stale_rows
+    >>> position = np.array([0.0, 0.1, 0.1, 0.3, 0.4, 0.5])[:, None]
+    >>> recording = Recording(np.arange(6) * 0.01, position, 2 * position)
+    >>> without_stale_rows(recording).time
+    array([0.  , 0.01, 0.03, 0.04, 0.05])
+
+    ```
+    """
+    return recording.rows(~stale_rows(recording))
+
+
+def stale_rows(recording: Recording) -> Bool[np.ndarray, " samples"]:
+    """Marks the samples whose values all repeat those of the sample before.
+
+    **Arguments:**
+
+    - `recording`: as recorded.
+
+    **Returns:**
+
+    True for each stale sample, shape `(samples,)`; never for the first.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import Recording, stale_rows
+    >>> position = np.array([0.0, 0.1, 0.1, 0.3, 0.4])[:, None]
+    >>> stale_rows(Recording(np.arange(5) * 0.01, position, position)).tolist()
+    [False, False, True, False, False]
+
+    ```
+    """
+    parts = (recording.position, recording.torque, recording.velocity, recording.acceleration)
+    values = np.concatenate([part for part in parts if part is not None], axis=1)
+    return np.append(False, np.all(values[1:] == values[:-1], axis=1))
+
+
+def _as_float(name: str, values: ArrayLike, dimensions: int) -> np.ndarray:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{name} is not an array of real numbers: {error}") from error
+    if array.ndim != dimensions:
+        expected = "(samples,)" if dimensions == 1 else "(samples, joints)"
+        raise RecordingError(f"{name} has shape {array.shape}; expected {expected}")
+    return array
