@@ -194,7 +194,8 @@ def _twists(
             d[i] = d[i] + ring.joint_variable(i)
     if ring.constants:
         gravity = tuple(
-            sign * ring.constant(symbol) if symbol else 0 for symbol, sign in _gravity_symbols(robot)
+            sign * ring.constant(symbol) if symbol else 0
+            for symbol, sign in _gravity_symbols(robot)
         )
     else:
         gravity = tuple(exact_number(g) for g in robot.gravity)
@@ -242,9 +243,7 @@ def _rewritten(
     elements: Mapping[Any, Element], rewrite: Callable[[Form], Form]
 ) -> dict[Column, Element]:
     return {
-        (column if isinstance(column, tuple) else (column,)): {
-            monomial: rewrite(form) for monomial, form in element.items()
-        }
+        column: {monomial: rewrite(form) for monomial, form in element.items()}
         for column, element in elements.items()
     }
 
@@ -262,7 +261,7 @@ def _published_order(
     for number, (label, column, multiple) in enumerate(published.coefficients):
         monomial = ring.parse(label)
         indices = tuple(index - 1 for index in column)
-        element = elements.get(indices if len(indices) > 1 else indices[0], {})
+        element = elements.get(indices, {})
         form = element.get(monomial) if monomial is not None else None
         combination = basis.combination(form) if form else {}
         if len(combination) != 1 or set(combination) & set(place):

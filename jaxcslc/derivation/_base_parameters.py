@@ -40,7 +40,7 @@ def base_parameters(
     order = sorted(range(len(terms)), key=lambda index: _preference(terms[index], index))
     draw = random.Random(_SEED)
     rows = DomainMatrix([], (0, len(terms)), QQ)
-    rank, idle = 0, 0
+    rank, idle, pivots = 0, 0, ()
     while idle < 3:
         sample = _forms_at_random_position(robot, chain, terms, order, draw)
         rows, pivots = rows.vstack(DomainMatrix(sample, (len(sample), len(terms)), QQ)).rref()
@@ -94,7 +94,7 @@ def _forms_at_random_position(
         ],
         gravity=tuple(exact_number(g) for g in robot.gravity),  # type: ignore[arg-type]
     )
-    n, needed = len(twists), set(BODY)
+    n, needed = len(twists), set[str](BODY)
     place = {index: column for column, index in enumerate(order)}
     rows: list[list[Any]] = []
 

@@ -50,8 +50,10 @@ def expression(addends: Sequence[Addend]) -> str:
         size = abs(addend.factor)
         number = "" if size == 1 else f"{_decimal(size)}*"
         sign = "-" if addend.factor < 0 else "+"
-        text += f" {sign} {number}{addend.label}" if text else (
-            f"{'-' if sign == '-' else ''}{number}{addend.label}"
+        text += (
+            f" {sign} {number}{addend.label}"
+            if text
+            else (f"{'-' if sign == '-' else ''}{number}{addend.label}")
         )
     return text
 

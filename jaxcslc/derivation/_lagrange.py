@@ -42,16 +42,16 @@ def mass_matrix(
 
 def gravity_vector(
     ring: PositionRing, twists: Sequence[LinkTwists], terms: Sequence[InertialTerm]
-) -> dict[int, Element]:
+) -> dict[tuple[int], Element]:
     """The gravity effect vector (Eqn. 2.4-7), factorised like the mass matrix."""
-    elements: dict[int, Element] = {}
+    elements: dict[tuple[int], Element] = {}
     by_link = _by_link(terms, len(twists))
     for j in range(len(twists)):
         element: Element = {}
         for i in range(j, len(twists)):
             needed = {entry for _, term in by_link[i] for entry, _ in term.body}
             _collect(element, ring, by_link[i], gravity_factors(twists[i], j, needed))
-        elements[j] = element
+        elements[j,] = element
     return elements
 
 
@@ -94,9 +94,7 @@ def _half_sum(plus: Element, also: Element, minus: Element) -> Element:
     return _without_zeros(total)
 
 
-def _by_link(
-    terms: Sequence[InertialTerm], links: int
-) -> list[list[tuple[int, InertialTerm]]]:
+def _by_link(terms: Sequence[InertialTerm], links: int) -> list[list[tuple[int, InertialTerm]]]:
     grouped: list[list[tuple[int, InertialTerm]]] = [[] for _ in range(links)]
     for index, term in enumerate(terms):
         if term.body:

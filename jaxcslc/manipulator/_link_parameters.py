@@ -1,5 +1,4 @@
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -38,5 +37,4 @@ class LinkParameters(eqx.Module):
     def inertia_at_frame(self) -> Float[Array | np.ndarray, "3 3"]:
         """Inertia tensor about the origin of the link's frame (Eqns. 2.3-18, 2.3-19) [kg m²]."""
         r = self.centre_of_gravity
-        xp = jnp if isinstance(r, Array) or isinstance(self.mass, Array) else np
-        return self.inertia + self.mass * (xp.dot(r, r) * xp.eye(3) - xp.outer(r, r))
+        return self.inertia + self.mass * (r @ r * np.eye(3) - r[:, None] * r[None, :])

@@ -71,14 +71,14 @@ class Manipulator:
     @classmethod
     def from_modified_dh(
         cls,
-        rows: Sequence[Sequence[float | str]],
+        rows: Sequence[Sequence[float | int | str]],
         *,
         kinds: str | None = None,
-        gravity: Sequence[float] = (0.0, 0.0, -9.81),
+        gravity: Sequence[float | int] = (0.0, 0.0, -9.81),
         inertia: InertiaForm | LinkInertia | Sequence[InertiaForm | LinkInertia] = "full",
         motor_inertia: bool = True,
         friction: Sequence[str] = ("viscous", "dry"),
-        lengths: Mapping[str, float] | None = None,
+        lengths: Mapping[str, float | int] | None = None,
         name: str = "robot",
     ) -> "Manipulator":
         """A robot from modified Denavit-Hartenberg rows, as in Craig.
@@ -112,7 +112,7 @@ class Manipulator:
                 f"robot {name!r}: kinds must be one R or P for each of {len(rows)} rows,"
                 f" got {kinds!r}"
             )
-        values = dict(lengths or {})
+        values = {symbol: float(value) for symbol, value in (lengths or {}).items()}
         joints: list[Joint] = []
         for i, (row, kind) in enumerate(zip(rows, kinds, strict=True), start=1):
             if len(row) != 4:
@@ -129,20 +129,21 @@ class Manipulator:
                     parse_angle(row[3], f"{at}, theta"),
                 )
             )
-        if isinstance(inertia, str | LinkInertia):
-            inertia = [inertia] * len(rows)
+        each: list[InertiaForm | LinkInertia] = (
+            [inertia] * len(rows) if isinstance(inertia, str | LinkInertia) else list(inertia)
+        )
         return cls(
             name=name,
             joints=tuple(joints),
             inertia=tuple(
                 entry if isinstance(entry, LinkInertia) else LinkInertia(entry, motor=motor_inertia)
-                for entry in inertia
+                for entry in each
             ),
             gravity=_gravity(gravity, name),
             friction=tuple(friction),
         )
 
-    def with_gravity(self, gravity: Sequence[float]) -> "Manipulator":
+    def with_gravity(self, gravity: Sequence[float | int]) -> "Manipulator":
         """The same robot under another gravity vector in its base frame [m/s²]."""
         return dataclasses.replace(self, gravity=_gravity(gravity, self.name))
 
@@ -188,7 +189,7 @@ class Manipulator:
         return named
 
 
-def _gravity(gravity: Sequence[float], name: str) -> tuple[float, float, float]:
+def _gravity(gravity: Sequence[float | int], name: str) -> tuple[float, float, float]:
     if len(gravity) != 3 or not all(isinstance(g, int | float) for g in gravity):
         raise RobotError(f"robot {name!r}: gravity must be three numbers in m/s², got {gravity!r}")
     x, y, z = (float(g) for g in gravity)

@@ -230,9 +230,7 @@ def _numbering(table: Any, where: str) -> Numbering:
             tuple(_words(sub.get("inputs", []), f"{at}, {name}, inputs")), coefficients
         )
 
-    return Numbering(
-        str(table.get("source", "")), part("mass"), part("velocity"), part("gravity")
-    )
+    return Numbering(str(table.get("source", "")), part("mass"), part("velocity"), part("gravity"))
 
 
 def _table(value: Any, at: str) -> dict[str, Any]:

@@ -171,6 +171,38 @@ class CSLC(eqx.Module):
             parts.append(value.astype(parts[0].dtype))
         return jnp.concatenate(parts)
 
+    def friction_inputs(self, qd: Numbers) -> list[Float[Array, "..."]]:
+        """What each friction term's coefficients multiply, (..., n) each, in `robot.friction`'s
+        order: qd, sgn(qd), 1 (Eqn. 2.5-3)."""
+        (qd,) = self._checked(None, qd)[1:]
+        return friction_inputs(self.robot.friction, qd)
+
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        """For each joint, the coefficients that its torque can depend on, in ascending order."""
+        n, start, terms = self.joint_count, self._inertial, len(self.robot.friction)
+        return tuple(
+            (*inertial, *(start + term * n + joint for term in range(terms)))
+            for joint, inertial in enumerate(self.evaluator.support)
+        )
+
+    def columns(
+        self,
+        q: Float[Array, "joints samples"],
+        qd: Float[Array, "joints samples"],
+        qdd: Float[Array, "joints samples"],
+    ) -> tuple[Float[Array, "_ samples"], ...]:
+        """The regressor without what is always zero: for each joint, (its support, samples).
+
+        Joints first and samples last, unlike `regressor`: the layout to factorise many patterns
+        in (a PUMA 560 has 100 such rows where the regressor has 6 x 43).
+        """
+        inputs = friction_inputs(self.robot.friction, qd)
+        return tuple(
+            jnp.concatenate([rows, *(values[joint][None] for values in inputs)])
+            for joint, rows in enumerate(self.evaluator.columns(q, qd, qdd))
+        )
+
     @property
     def counts(self) -> dict[str, dict[str, int]]:
         """Size of each subnetwork: inputs, links and coefficients (thesis 5.1, Appendix B).
@@ -215,7 +247,8 @@ class CSLC(eqx.Module):
         n, start = self.joint_count, self._inertial
         total = jnp.zeros_like(qd)
         for i, inputs in enumerate(friction_inputs(self.robot.friction, qd)):
-            total = total + k[start + i * n : start + (i + 1) * n] * inputs
+            weights = k[start + i * n : start + (i + 1) * n]
+            total = total + jnp.broadcast_to(weights, qd.shape) * inputs
         return total
 
     def _checked(self, k: Any, *motion: Any) -> tuple[Array, ...]:

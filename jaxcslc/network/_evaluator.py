@@ -20,6 +20,24 @@ class AbstractEvaluator(eqx.Module):
     @abc.abstractmethod
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor: ...
 
+    @property
+    @abc.abstractmethod
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        """For each joint, the coefficients that its torque can depend on, in ascending order."""
+
+    @abc.abstractmethod
+    def columns(
+        self,
+        q: Float[Array, "joints samples"],
+        qd: Float[Array, "joints samples"],
+        qdd: Float[Array, "joints samples"],
+    ) -> tuple[Float[Array, "_ samples"], ...]:
+        """For each joint, the regressor's columns in its `support` as rows: (support, samples).
+
+        The layout that a factorisation of many patterns wants: joints first, samples last,
+        nothing that is always zero.
+        """
+
     @abc.abstractmethod
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints: ...
 

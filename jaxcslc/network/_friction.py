@@ -31,7 +31,11 @@ def friction_inputs(
     terms: Sequence[str], qd: Float[Array, "*batch joints"]
 ) -> list[Float[Array, "*batch joints"]]:
     """What each term's coefficients multiply: qd, sgn(qd), 1 (Eqns. 2.5-1, 2.5-3)."""
-    inputs = {"viscous": lambda: qd, "dry": lambda: jnp.sign(qd), "offset": lambda: jnp.ones_like(qd)}
+    inputs = {
+        "viscous": lambda: qd,
+        "dry": lambda: jnp.sign(qd),
+        "offset": lambda: jnp.ones_like(qd),
+    }
     return [inputs[term]() for term in terms]
 
 
@@ -39,5 +43,6 @@ def friction_regressor(
     terms: Sequence[str], qd: Float[Array, "*batch joints"]
 ) -> Float[Array, "*batch joints coefficients"]:
     """Diagonal blocks, one a term: friction is decoupled between joints."""
-    eye = np.eye(qd.shape[-1])
+    n = qd.shape[-1]
+    eye = jnp.broadcast_to(np.eye(n, dtype=qd.dtype), (*qd.shape, n))
     return jnp.concatenate([x[..., :, None] * eye for x in friction_inputs(terms, qd)], axis=-1)

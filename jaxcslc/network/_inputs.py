@@ -7,16 +7,13 @@ from ..derivation import PositionRing
 
 
 Samples = Float[Array, "*batch"]
+Monomial = tuple[int, ...]
 
 
-def input_layer(
-    ring: PositionRing, q: Sequence[Samples]
-) -> Callable[[tuple[int, ...]], Samples]:
-    """The preprocessing layer: joint positions to products of sines and cosines (thesis 5.1.1).
+def position_variables(ring: PositionRing, q: Sequence[Samples]) -> list[Samples]:
+    """Values of the ring's variables: cosine and sine of every angle, prismatic positions.
 
-    **Returns** a function from monomials (exponents of the ring's variables) to their values at
-    `q`, which is one array a joint. Every product is formed once, from the product without its
-    last factor.
+    `q` is one array a joint.
     """
     variables: list[Samples] = []
     for angle in ring.chain.angles:
@@ -25,10 +22,14 @@ def input_layer(
         for joint, sign in angle.terms[1:]:
             total = total + q[joint] if sign > 0 else total - q[joint]
         variables += [jnp.cos(total), jnp.sin(total)]
-    variables += [q[joint] for joint, link in enumerate(ring.chain.links) if link.prismatic]
-    known: dict[tuple[int, ...], Samples] = {(0,) * len(variables): jnp.ones_like(q[0])}
+    return variables + [q[i] for i, link in enumerate(ring.chain.links) if link.prismatic]
 
-    def value(monomial: tuple[int, ...]) -> Samples:
+
+def products(monomials: Sequence[Monomial], variables: Sequence[Samples]) -> list[Samples]:
+    """Values of monomials, each formed once, from the product without its last factor."""
+    known: dict[Monomial, Samples] = {(0,) * len(variables): jnp.ones_like(variables[0])}
+
+    def value(monomial: Monomial) -> Samples:
         if monomial not in known:
             last = max(index for index, power in enumerate(monomial) if power)
             rest = list(monomial)
@@ -39,4 +40,12 @@ def input_layer(
             )
         return known[monomial]
 
-    return value
+    return [value(monomial) for monomial in monomials]
+
+
+def input_layer(
+    ring: PositionRing, monomials: Sequence[Monomial], q: Sequence[Samples]
+) -> Callable[[Monomial], Samples]:
+    """The preprocessing layer: joint positions to products of sines and cosines (thesis 5.1.1)."""
+    values = products(monomials, position_variables(ring, q))
+    return dict(zip(monomials, values, strict=True)).__getitem__

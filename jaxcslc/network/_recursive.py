@@ -71,20 +71,45 @@ class RecursiveEvaluator(AbstractEvaluator):
             len(algebra.chosen),
         )
 
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        # Joint j carries the links from j outwards, and its own motor.
+        return tuple(
+            tuple(
+                sorted(
+                    [place for places in self.places[joint:] for place in places]
+                    + [place for motor, place in self.motors if motor == joint]
+                )
+            )
+            for joint in range(len(self.joints))
+        )
+
+    def columns(
+        self,
+        q: Float[Array, "joints samples"],
+        qd: Float[Array, "joints samples"],
+        qdd: Float[Array, "joints samples"],
+    ) -> tuple[Float[Array, "_ samples"], ...]:
+        regressor = self.regressor(q.T, qd.T, qdd.T)
+        return tuple(
+            regressor[:, joint, np.array(support, dtype=int)].T
+            for joint, support in enumerate(self.support)
+        )
+
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
         columns: list[Array] = [jnp.zeros_like(q)] * self.size
         for link, (state, body) in enumerate(
             zip(self._propagate(q, qd, qdd, self.gravity), map(np.array, self.body), strict=True)
         ):
             force, moment = _wrench_regressor(state)
-            block = jnp.swapaxes(state.angular_jacobian, -1, -2) @ (
-                moment @ body
-            ) + jnp.swapaxes(state.linear_jacobian, -1, -2) @ (force @ body)
+            block = jnp.swapaxes(state.angular_jacobian, -1, -2) @ (moment @ body) + jnp.swapaxes(
+                state.linear_jacobian, -1, -2
+            ) @ (force @ body)
             block = self._pad(block, axis=-2)
             for column, place in enumerate(self.places[link]):
                 columns[place] = block[..., column]
         for joint, place in self.motors:
-            columns[place] = qdd * np.eye(q.shape[-1])[joint]
+            columns[place] = jnp.zeros_like(q).at[..., joint].set(qdd[..., joint])
         return jnp.stack(columns, axis=-1)
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
@@ -106,10 +131,9 @@ class RecursiveEvaluator(AbstractEvaluator):
             angular, linear = state.angular_jacobian, state.linear_jacobian
             # J' I J of the rigid body: w' I w + v' m v + h . (v x w) both ways.
             cross = _skew(first)
-            product = (
-                jnp.swapaxes(angular, -1, -2) @ (inertia @ angular + cross @ linear)
-                + jnp.swapaxes(linear, -1, -2) @ (mass * linear - cross @ angular)
-            )
+            product = jnp.swapaxes(angular, -1, -2) @ (
+                inertia @ angular + cross @ linear
+            ) + jnp.swapaxes(linear, -1, -2) @ (mass * linear - cross @ angular)
             total = total + self._pad(self._pad(product, axis=-1), axis=-2)
         motor = jnp.zeros(n, q.dtype)
         for joint, place in self.motors:
@@ -138,7 +162,9 @@ class RecursiveEvaluator(AbstractEvaluator):
         places = np.array(self.places[link], dtype=int)
         ten = jnp.asarray(np.array(self.body[link]), k.dtype) @ k[places]
         xx, yy, zz, xy, xz, yz = (ten[i] for i in range(6))
-        tensor = jnp.stack([jnp.stack([xx, xy, xz]), jnp.stack([xy, yy, yz]), jnp.stack([xz, yz, zz])])
+        tensor = jnp.stack(
+            [jnp.stack([xx, xy, xz]), jnp.stack([xy, yy, yz]), jnp.stack([xz, yz, zz])]
+        )
         return tensor, ten[6:9], ten[9]
 
     def _pad(self, block: Array, axis: int) -> Array:
@@ -152,9 +178,10 @@ class RecursiveEvaluator(AbstractEvaluator):
     ) -> list[_LinkState]:
         """Outward recursion: velocities, accelerations and Jacobians, link by link."""
         batch = q.shape[:-1]
-        z = jnp.zeros((*batch, 3), q.dtype)
+        still = jnp.zeros((*batch, 3), q.dtype)
         empty = jnp.zeros((*batch, 3, 0), q.dtype)
-        state = _LinkState(z, z, z - np.asarray(gravity), empty, empty)
+        up = jnp.broadcast_to(-jnp.asarray(gravity, q.dtype), (*batch, 3))
+        state = _LinkState(still, still, up, empty, empty)
         axis = jnp.asarray(np.array([0.0, 0.0, 1.0]), q.dtype)
         states: list[_LinkState] = []
         for i, joint in enumerate(self.joints):
