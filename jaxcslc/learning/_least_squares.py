@@ -1,0 +1,156 @@
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..motion import Patterns, parallel_filter, uniform_interval
+from ..network import CSLC
+from ._factors import JointFactors, factorise, factorise_equations
+from ._identification import Identification, solve
+from ._solution import RESULTS
+
+
+JointWeights = Literal["equal", "residual"] | Float[Array | np.ndarray, " joints"]
+# Weights settle to a percent in two rounds: residuals hardly depend on them.
+_ROUNDS = 3
+
+
+def least_squares(
+    network: CSLC,
+    patterns: Patterns,
+    *,
+    cutoff: float | None = None,
+    joint_weights: JointWeights = "equal",
+    rcond: float | None = None,
+    throw: bool = True,
+) -> Identification:
+    """The coefficients that minimise the squared torque error over the patterns that count.
+
+    The direct solve that the thesis hoped for (Eqn. 4.1-4, section 8.2.3): torque is linear in
+    the coefficients, so one orthogonal factorisation replaces training.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `patterns`: motion and torque (samples, n); pairs outside `patterns.counts_in` are left out.
+    - `cutoff`: filter regressor and torque alike by a zero-phase low pass of this frequency [Hz]
+      and decimate ('parallel filter', see `jaxcslc.motion.parallel_filter`). Needs a uniform
+      sampling interval, and runs on the host: not under `jit`.
+    - `joint_weights`: `"equal"`; `"residual"` divides each joint's equations by its own root mean
+      square residual, as for joints of different noise; or (n,) weights.
+    - `rcond`: singular values below this part of the largest count as zero; by default what
+      rounding alone explains.
+    - `throw`: raise on NaN and on too few equations instead of returning the result code. A
+      rank-deficient fit never raises: it returns the rest and names what is missing.
+
+    **Returns** an `Identification`. Without `cutoff` and with `throw=False` the function can be
+    jitted and vmapped over recordings.
+
+    **Raises**
+
+    - `ValueError`: if patterns and network differ in joints, or are not in float64.
+    - `RuntimeError`: with `throw`, if patterns are not finite or too few.
+
+    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> k = jnp.array([0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> everything = np.ones(q.shape, bool)
+    >>> torque = network.torque(k, q, qd, qdd)
+    >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
+    >>> bool(jnp.allclose(jc.least_squares(network, patterns).k, k))
+    True
+    """
+    _check(network, patterns)
+    weight = jnp.asarray(patterns.counts_in, jnp.asarray(patterns.q).dtype)
+    if cutoff is None:
+        q, qd, qdd = jnp.asarray(patterns.q), jnp.asarray(patterns.qd), jnp.asarray(patterns.qdd)
+        factors = _factorise(network, q, qd, qdd, jnp.asarray(patterns.torque), weight)
+    else:
+        factors = _filtered(network, patterns, cutoff)
+    return fit_factors(network, factors, joint_weights=joint_weights, rcond=rcond, throw=throw)
+
+
+def fit_factors(
+    network: CSLC,
+    factors: JointFactors,
+    *,
+    joint_weights: JointWeights = "equal",
+    rcond: float | None = None,
+    throw: bool = True,
+) -> Identification:
+    """The fit of factorised patterns; arguments, result and errors as of `least_squares`."""
+    n = network.joint_count
+    if isinstance(joint_weights, str):
+        if joint_weights not in ("equal", "residual"):
+            raise ValueError(
+                f"joint_weights must be 'equal', 'residual' or ({n},) numbers,"
+                f" got {joint_weights!r}"
+            )
+        weights = jnp.ones(n)
+    else:
+        weights = jnp.asarray(joint_weights, float)
+        if weights.shape != (n,):
+            raise ValueError(f"joint_weights: expected shape ({n},), got {weights.shape}")
+    fit = _solve(network, factors, weights, rcond)
+    if isinstance(joint_weights, str) and joint_weights == "residual":
+        for _ in range(_ROUNDS):
+            fit = _solve(network, factors, _residual_weights(fit), rcond)
+    if throw:
+        # Rank deficiency is an answer, not a failure.
+        failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
+        fit = fit.result.error_if(fit, failed)
+    return fit
+
+
+def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
+    """One over each joint's residual; a joint without equations, or without error, weighs 1."""
+    error = fit.torque_error
+    largest = jnp.max(error)
+    floor = jnp.where(largest > 0, 1e-12 * largest, 1.0)
+    return jnp.where(fit.equations > 0, 1.0 / jnp.maximum(error, floor), 1.0)
+
+
+_factorise = eqx.filter_jit(factorise)
+_solve = eqx.filter_jit(solve)
+
+
+def _filtered(network: CSLC, patterns: Patterns, cutoff: float) -> JointFactors:
+    motion = (jnp.asarray(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+    regressor = np.asarray(_regressor(network, *motion))
+    equations = parallel_filter(
+        regressor,
+        np.asarray(patterns.torque),
+        np.asarray(patterns.counts_in),
+        interval=uniform_interval(np.asarray(patterns.time)),
+        cutoff=cutoff,
+    )
+    joints = [equations.joint == joint for joint in range(network.joint_count)]
+    return factorise_equations(
+        network,
+        [equations.regressor[own] for own in joints],
+        [equations.torque[own] for own in joints],
+    )
+
+
+@eqx.filter_jit
+def _regressor(network: CSLC, q: Array, qd: Array, qdd: Array) -> Array:
+    return network.regressor(q, qd, qdd)
+
+
+def _check(network: CSLC, patterns: Patterns) -> None:
+    if patterns.q.shape[-1] != network.joint_count:
+        raise ValueError(
+            f"patterns have {patterns.q.shape[-1]} joints, {network.robot.name!r} has"
+            f" {network.joint_count}"
+        )
+    if not jax.config.read("jax_enable_x64") or jnp.asarray(patterns.q).dtype != jnp.float64:
+        raise ValueError(
+            "identification needs float64: switch it on in the program's first lines with"
+            " jax.config.update('jax_enable_x64', True)"
+        )
