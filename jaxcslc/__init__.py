@@ -1,4 +1,17 @@
+from importlib.metadata import version as _version
+
+from .assessment import (
+    ErrorTable as ErrorTable,
+    compare as compare,
+    regress_friction as regress_friction,
+)
 from .derivation import Coefficient as Coefficient
+from .learning import (
+    RESULTS as RESULTS,
+    Identification as Identification,
+    least_squares as least_squares,
+    least_squares_stream as least_squares_stream,
+)
 from .manipulator import (
     LinkInertia as LinkInertia,
     LinkParameters as LinkParameters,
@@ -8,4 +21,17 @@ from .manipulator import (
     panda as panda,
     puma560 as puma560,
 )
+from .motion import (
+    AveragedSplines as AveragedSplines,
+    Butterworth as Butterworth,
+    Patterns as Patterns,
+    Recording as Recording,
+    RecordingError as RecordingError,
+    load_recording as load_recording,
+    prepare as prepare,
+    save_recording as save_recording,
+)
 from .network import CSLC as CSLC, derive as derive
+
+
+__version__ = _version("jaxcslc")

@@ -1,0 +1,69 @@
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..learning import Identification
+from ..network import CSLC
+from ._text import text_table
+
+
+_LONGEST_EXPRESSION = 60
+
+
+def coefficient_rows(
+    network: CSLC,
+    fit: Identification | None = None,
+    reference: dict[str, Float[Array | np.ndarray, " k"]] | None = None,
+) -> list[dict[str, str | float | bool]]:
+    """One row a coefficient: name, group, expression, unit and, with a fit, what it found.
+
+    **Arguments**
+
+    - `fit`: adds `value`, `standard_error`, `relative_error` and `identifiability`: `determined`;
+      `sign` where the value contradicts a positive coefficient; `weak` where its standard error
+      exceeds the value; `undetermined` where the patterns do not tell it.
+    - `reference`: further columns of values, such as the true ones.
+    """
+    rows: list[dict[str, str | float | bool]] = []
+    for i, coefficient in enumerate(network.coefficients):
+        row: dict[str, str | float | bool] = {
+            "name": coefficient.name,
+            "group": coefficient.group,
+            "unit": coefficient.unit,
+            "positive": coefficient.positive,
+        }
+        if fit is not None:
+            value, error = float(fit.k[i]), float(fit.standard_error[i])
+            row["value"], row["standard_error"] = value, error
+            row["relative_error"] = abs(error / value) if value else float("inf")
+            row["identifiability"] = _verdict(
+                value, error, bool(fit.determined[i]), coefficient.positive
+            )
+        for name, vector in (reference or {}).items():
+            row[name] = float(vector[i])
+        row["expression"] = coefficient.expression
+        rows.append(row)
+    return rows
+
+
+def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
+    """Coefficient rows as a table to read; long expressions are cut."""
+    shown = [name for name in rows[0] if name not in ("group", "positive", "relative_error")]
+    return text_table(shown, [[_cell(name, row[name]) for name in shown] for row in rows])
+
+
+def _cell(name: str, value: str | float | bool) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    text = str(value)
+    if name == "expression":
+        cut = len(text) > _LONGEST_EXPRESSION
+        return (text[: _LONGEST_EXPRESSION - 2] + " …" if cut else text).ljust(_LONGEST_EXPRESSION)
+    return text
+
+
+def _verdict(value: float, error: float, determined: bool, positive: bool) -> str:
+    if not determined:
+        return "undetermined"
+    if error > abs(value):
+        return "weak"
+    return "sign" if positive and value < 0 else "determined"

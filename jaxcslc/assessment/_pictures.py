@@ -1,0 +1,76 @@
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Array, Float
+from matplotlib.figure import Figure
+
+
+# Okabe and Ito's palette, told apart by colour-blind readers; black is the measured torque.
+_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)))
+
+
+def torque_picture(
+    time: Float[np.ndarray, " samples"],
+    measured: Float[Array | np.ndarray, "samples joints"],
+    predicted: Mapping[str, Float[Array | np.ndarray, "samples joints"]],
+    *,
+    title: str,
+    units: tuple[str, ...],
+) -> Figure:
+    """Measured and predicted torque of every joint against time (Figs. 7.6-1, 7.6-2).
+
+    **Arguments**
+
+    - `time`: (samples,) [s]; a gap longer than ten sampling intervals breaks the curves.
+    - `measured`: (samples, n) [N m or N].
+    - `predicted`: the same of each model, by name.
+    - `units`: of each joint's torque.
+
+    **Returns** a matplotlib figure; `figure.savefig(path)` draws it.
+    """
+    measured = np.asarray(measured)
+    n = measured.shape[1]
+    rows = -(-n // 2)
+    figure = Figure(figsize=(11, 1.2 + 2.3 * rows), layout="constrained")
+    axes = np.atleast_2d(figure.subplots(rows, 2, sharex=True))
+    breaks = np.flatnonzero(np.diff(time) > 10 * np.median(np.diff(time))) + 1
+
+    def broken(values: np.ndarray) -> np.ndarray:
+        return np.insert(values.astype(float), breaks, np.nan)
+
+    # Down the columns, as in the thesis: joints 1 to 3 on the left of a six-jointed arm.
+    for joint, axis in enumerate(axes.T.flat):
+        if joint >= n:
+            axis.set_visible(False)
+            continue
+        clock = broken(time)
+        axis.plot(clock, broken(measured[:, joint]), color="black", lw=1.6, label="measured")
+        for i, (name, torque) in enumerate(predicted.items()):
+            axis.plot(
+                clock,
+                broken(np.asarray(torque)[:, joint]),
+                color=_COLOURS[i % len(_COLOURS)],
+                ls=_STYLES[i % len(_STYLES)],
+                lw=1.2,
+                label=name,
+            )
+        axis.set_ylabel(f"joint {joint + 1} [{units[joint]}]")
+        axis.grid(alpha=0.25)
+        axis.margins(x=0.01)
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+        axis.tick_params(labelbottom=True)
+    if n % 2 and rows > 1:  # the last column ends one row higher
+        axes[-2, 1].set_xlabel("time [s]")
+        axes[-2, 1].tick_params(labelbottom=True)
+    figure.suptitle(title)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    return figure
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Draw a figure into a PNG file."""
+    figure.savefig(path, dpi=130)
