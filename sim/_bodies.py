@@ -1,0 +1,93 @@
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxcslc.manipulator import LinkParameters, Manipulator
+
+from ._machine import MachineError
+
+
+# A link whose measured tensor misses being a body's is made one with this much to spare.
+_MARGIN = 0.05
+_ROUNDING = 1e-12
+
+
+def possible_links(
+    robot: Manipulator, links: Sequence[LinkParameters]
+) -> tuple[LinkParameters, ...]:
+    """Link parameters that rigid bodies can have, with the dynamics of those given.
+
+    Moments of inertia that were measured or identified one by one need not belong to any rigid
+    body: each of a body's principal moments is at most the sum of the other two, and MuJoCo
+    refuses a link that breaks this. Armstrong's link 3 does.
+
+    What the moments say is how the mass is spread, ∫ x xᵀ dm = tr(I)/2 − I, and a spread cannot be
+    negative in any direction. Mass spread along the axis of joint i turns neither with link i nor
+    against it, so whether it belongs to link i or to link i − 1 makes no difference to any motion
+    or torque. This function borrows as much of it as each link lacks, from the tip to the base;
+    the base can lend without end. Links that are bodies already stay as they are, unless they
+    lend.
+
+    **Arguments**
+
+    - `robot`: the chain; only its twists are used.
+    - `links`: parameters of its links, one a joint.
+
+    **Returns**
+
+    The parameters, changed where they had to be.
+
+    **Raises**
+
+    - `MachineError`: a link has negative mass, or a spread that is negative across its joint's
+        axis, which no neighbour can lend.
+
+    ```python
+    >>> import jaxcslc
+    >>> from sim import possible_links
+    >>> robot = jaxcslc.puma560()
+    >>> robot.links[2].inertia.diagonal(), possible_links(robot, robot.links)[2].inertia.diagonal()
+    (array([0.066 , 0.0125, 0.086 ]), array([0.0699375, 0.0164375, 0.086    ]))
+
+    ```
+    """
+    borrowed = np.zeros((3, 3))  # by the link after, in the frame of this one
+    result: list[LinkParameters] = []
+    for i in reversed(range(robot.joint_count)):
+        link = links[i]
+        if not float(link.mass) >= 0:
+            raise MachineError(f"link {i + 1} has a mass of {link.mass} kg; expected zero or more")
+        inertia = np.asarray(link.inertia, dtype=np.float64) - borrowed
+        loan = _lacking(inertia, i + 1)
+        result.append(
+            link
+            if loan == 0 and not borrowed.any()
+            else dataclasses.replace(link, inertia=inertia + loan * np.diag([1.0, 1.0, 0.0]))
+        )
+        # diag(1, 1, 0) in frame i: I - z zᵀ, with joint i's axis z seen from link i - 1.
+        alpha = robot.joints[i].alpha
+        axis = np.array([0.0, -math.sin(alpha), math.cos(alpha)])
+        borrowed = loan * (np.eye(3) - np.outer(axis, axis))
+        borrowed[np.abs(borrowed) < _ROUNDING * loan] = 0.0  # of sin and cos of right angles
+    return tuple(reversed(result))
+
+
+def _lacking(inertia: Float[np.ndarray, "3 3"], number: int) -> float:
+    """How much spread along z makes the tensor a body's [kg m²]; 0 if it is one."""
+    spread = np.trace(inertia) / 2 * np.eye(3) - inertia
+    slack = _ROUNDING * max(float(np.abs(inertia).max()), _ROUNDING)
+    if float(np.linalg.eigvalsh(spread)[0]) >= -slack:
+        return 0.0
+    across = np.linalg.eigvalsh(spread[:2, :2])
+    if float(across[0]) < -slack:
+        raise MachineError(
+            f"link {number} cannot be a rigid body: its mass would be spread by {across[0]:.3g}"
+            " kg m² across its joint's axis; expected zero or more"
+        )
+    # Schur complement: the least spread_zz that leaves no direction negative.
+    lean = spread[:2, 2]
+    needed = float(lean @ np.linalg.pinv(spread[:2, :2]) @ lean) - float(spread[2, 2])
+    return (1 + _MARGIN) * needed
