@@ -15,5 +15,6 @@ from ._mjcf import mjcf as mjcf
 from ._plant import Plant as Plant
 from ._puma560 import puma560 as puma560
 from ._simulate import SimulationError as SimulationError, simulate as simulate
+from ._specimen import specimen as specimen
 from ._trajectories import Trajectory as Trajectory, comparison as comparison, training as training
 from ._truth import SimulatedRecording as SimulatedRecording, Truth as Truth

@@ -16,6 +16,9 @@ import pytest
 
 
 if TYPE_CHECKING:
+    import jax
+
+    from jaxcslc import CSLC
     from jaxcslc.manipulator import LinkParameters
 
 
@@ -60,3 +63,19 @@ def random_links() -> "Callable[..., tuple[LinkParameters, ...]]":
         return tuple(links)
 
     return draw
+
+
+@pytest.fixture(scope="session")
+def puma() -> "CSLC":
+    """The PUMA 560's network with the thesis's 43 coefficients."""
+    import jaxcslc as jc
+
+    return jc.derive(jc.puma560())
+
+
+@pytest.fixture(scope="session")
+def puma_k(puma: "CSLC") -> "jax.Array":
+    """Armstrong's coefficients with Leahy and Saridis's friction, (43,)."""
+    robot = puma.robot
+    assert robot.links is not None
+    return puma.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)

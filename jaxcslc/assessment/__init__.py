@@ -15,4 +15,8 @@ from ._output import (
     write_json as write_json,
 )
 from ._pictures import save_picture as save_picture, torque_picture as torque_picture
+from ._report import (
+    derivation_document as derivation_document,
+    identification_report as identification_report,
+)
 from ._text import text_table as text_table

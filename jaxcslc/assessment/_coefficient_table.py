@@ -1,3 +1,5 @@
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -12,7 +14,7 @@ _LONGEST_EXPRESSION = 60
 def coefficient_rows(
     network: CSLC,
     fit: Identification | None = None,
-    reference: dict[str, Float[Array | np.ndarray, " k"]] | None = None,
+    reference: Mapping[str, Float[Array | np.ndarray, " k"]] | None = None,
 ) -> list[dict[str, str | float | bool]]:
     """One row a coefficient: name, group, expression, unit and, with a fit, what it found.
 

@@ -1,9 +1,13 @@
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Array, Float
-from matplotlib.figure import Figure
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 # Okabe and Ito's palette, told apart by colour-blind readers; black is the measured torque.
@@ -18,7 +22,7 @@ def torque_picture(
     *,
     title: str,
     units: tuple[str, ...],
-) -> Figure:
+) -> "Figure":
     """Measured and predicted torque of every joint against time (Figs. 7.6-1, 7.6-2).
 
     **Arguments**
@@ -30,6 +34,8 @@ def torque_picture(
 
     **Returns** a matplotlib figure; `figure.savefig(path)` draws it.
     """
+    from matplotlib.figure import Figure  # takes 0.3 s, and most users of the package do not draw
+
     measured = np.asarray(measured)
     n = measured.shape[1]
     rows = -(-n // 2)
@@ -71,6 +77,6 @@ def torque_picture(
     return figure
 
 
-def save_picture(figure: Figure, path: Path) -> None:
+def save_picture(figure: "Figure", path: Path) -> None:
     """Draw a figure into a PNG file."""
     figure.savefig(path, dpi=130)

@@ -80,6 +80,7 @@ def factorise(
     qdd: Float[Array, "samples joints"],
     torque: Float[Array, "samples joints"],
     weight: Float[Array, "samples joints"],
+    *,
     factors: JointFactors | None = None,
 ) -> JointFactors:
     """The factors of patterns, joined to those of earlier ones (thesis 4.1-4, 8.2.3).

@@ -69,8 +69,8 @@ def least_squares(
     _check(network, patterns)
     weight = jnp.asarray(patterns.counts_in, jnp.asarray(patterns.q).dtype)
     if cutoff is None:
-        q, qd, qdd = jnp.asarray(patterns.q), jnp.asarray(patterns.qd), jnp.asarray(patterns.qdd)
-        factors = _factorise(network, q, qd, qdd, jnp.asarray(patterns.torque), weight)
+        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque)
+        factors = _factorise(network, *(_filled_up(x) for x in (*motion, weight)))
     else:
         factors = _filtered(network, patterns, cutoff)
     return fit_factors(network, factors, joint_weights=joint_weights, rcond=rcond, throw=throw)
@@ -116,13 +116,23 @@ def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
     return jnp.where(fit.equations > 0, 1.0 / jnp.maximum(error, floor), 1.0)
 
 
+def _filled_up(x: Array | np.ndarray) -> Array:
+    """Zero rows behind the end, to the next power of two: patterns of weight zero.
+
+    So that recordings of similar lengths share one compiled function.
+    """
+    rows = 1 << max(8, (x.shape[0] - 1).bit_length())
+    return jnp.pad(jnp.asarray(x), ((0, rows - x.shape[0]), (0, 0)))
+
+
 _factorise = eqx.filter_jit(factorise)
 _solve = eqx.filter_jit(solve)
 
 
 def _filtered(network: CSLC, patterns: Patterns, cutoff: float) -> JointFactors:
-    motion = (jnp.asarray(x) for x in (patterns.q, patterns.qd, patterns.qdd))
-    regressor = np.asarray(_regressor(network, *motion))
+    samples = patterns.q.shape[0]
+    motion = (_filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+    regressor = np.asarray(_regressor(network, *motion))[:samples]
     equations = parallel_filter(
         regressor,
         np.asarray(patterns.torque),

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..derivation import PositionRing
+from ._stages import in_stage
 
 
 Samples = Float[Array, "*batch"]
@@ -46,6 +47,11 @@ def products(monomials: Sequence[Monomial], variables: Sequence[Samples]) -> lis
 def input_layer(
     ring: PositionRing, monomials: Sequence[Monomial], q: Sequence[Samples]
 ) -> Callable[[Monomial], Samples]:
-    """The preprocessing layer: joint positions to products of sines and cosines (thesis 5.1.1)."""
-    values = products(monomials, position_variables(ring, q))
+    """The preprocessing layer: joint positions to products of sines and cosines (thesis 5.1.1).
+
+    Sines and cosines are a stage of their own: fused, the compiler takes them anew for every
+    torque (1.1 instead of 2.3 million PUMA 560 patterns/s on two busy cores).
+    """
+    variables = in_stage(lambda q: position_variables(ring, q), list(q))
+    values = products(monomials, variables)
     return dict(zip(monomials, values, strict=True)).__getitem__
