@@ -8,7 +8,11 @@ from .assessment import (
 from .derivation import Coefficient as Coefficient
 from .learning import (
     RESULTS as RESULTS,
+    Candidates as Candidates,
     Identification as Identification,
+    Selection as Selection,
+    Settings as Settings,
+    choose_settings as choose_settings,
     least_squares as least_squares,
     least_squares_stream as least_squares_stream,
 )

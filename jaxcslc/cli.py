@@ -1,4 +1,5 @@
 import contextlib
+import json
 import os
 import sys
 from collections.abc import Callable, Generator
@@ -20,7 +21,7 @@ from .assessment import (
     write_csv,
     write_json,
 )
-from .learning import Settings, choose_settings
+from .learning import Settings, choose_settings, settings_from
 from .manipulator import Manipulator, RobotError, load_robot, panda, puma560
 from .motion import RecordingError, load_recording
 from .network import CSLC, derive
@@ -51,14 +52,17 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)  # identification is float64 work
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "jaxcslc" / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    # Keep even the quickest compilations: there are dozens of them, and a second run has none.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     app()
 
 
-def _version(asked: bool) -> None:
+def _version(asked: bool) -> bool:
     if asked:
         typer.echo(__version__)
         raise typer.Exit
+    return asked
 
 
 @app.callback()
@@ -113,9 +117,9 @@ def identify_command(
     ),
     lengths: LengthsOption = "auto",
     settings: Annotated[
-        str | None,
+        Path | None,
         typer.Option(
-            help="Settings as an earlier run printed them, as in 'spacing=9 cutoff=15';"
+            help="Settings from an earlier run's identification.json, or written by hand;"
             " chosen by cross-validation within TRAIN if omitted."
         ),
     ] = None,
@@ -130,7 +134,7 @@ def identify_command(
             step("choosing smoothing and masks by cross-validation")
             chosen = choose_settings(network, recording).settings
         else:
-            chosen = Settings.parse(settings)
+            chosen = _settings(settings)
         step("preparing patterns")
         patterns = {"training": chosen.patterns(recording)}
         if held_out is not None:
@@ -140,7 +144,7 @@ def identify_command(
         step("writing")
         errors = {name: compare(network, p, {"fit": fit.k}) for name, p in patterns.items()}
         with all_or_nothing(output) as folder:
-            written = identification_report(folder, network, fit, patterns, errors, str(chosen))
+            written = identification_report(folder, network, fit, patterns, errors, chosen)
     typer.echo(f"{network}\nsettings: {chosen}\n")
     typer.echo(coefficient_text(coefficient_rows(network, fit)))
     for sentence in fit.unidentifiable:
@@ -159,6 +163,19 @@ def _network(robot: Manipulator, lengths: Lengths) -> CSLC:
     if lengths == "auto":
         lengths = "symbolic" if robot.joint_count <= 6 else "numeric"
     return derive(robot, lengths=lengths)
+
+
+def _settings(path: Path) -> Settings:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise ValueError(f"{path}: expected settings as a JSON object")
+    try:
+        return settings_from(document.get("settings", document))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def _usable(output: Path) -> None:

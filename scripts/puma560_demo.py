@@ -105,6 +105,7 @@ def write(folder: Path, network: jc.CSLC, found: Identified, name: str) -> None:
         },
         title=f"PUMA 560, {name} machine: torques of the comparison trajectory",
         units=("N m",) * 6,
+        counts=found.truth.counts_in,
     )
     save_picture(figure, folder / f"{name}_comparison_torque.png")
 

@@ -50,7 +50,8 @@ def coefficient_rows(
 def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     """Coefficient rows as a table to read; long expressions are cut."""
     shown = [name for name in rows[0] if name not in ("group", "positive", "relative_error")]
-    return text_table(shown, [[_cell(name, row[name]) for name in shown] for row in rows])
+    cells = [[_cell(name, row[name]) for name in shown] for row in rows]
+    return text_table(shown, cells, left=("unit", "identifiability", "expression"))
 
 
 def _cell(name: str, value: str | float | bool) -> str:
@@ -59,7 +60,7 @@ def _cell(name: str, value: str | float | bool) -> str:
     text = str(value)
     if name == "expression":
         cut = len(text) > _LONGEST_EXPRESSION
-        return (text[: _LONGEST_EXPRESSION - 2] + " …" if cut else text).ljust(_LONGEST_EXPRESSION)
+        return text[: _LONGEST_EXPRESSION - 2] + " …" if cut else text
     return text
 
 

@@ -1,10 +1,12 @@
 from collections.abc import Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from ..learning import filled_up
 from ..motion import Patterns
 from ..network import CSLC
 from ._text import text_table
@@ -73,18 +75,29 @@ def compare(
     0.0
     """
     names = tuple(vectors)
-    errors = jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names])
-    counts = jnp.broadcast_to(jnp.asarray(patterns.counts_in), errors.shape)
+    mean_modulus, rms, epsilon = _figures(
+        jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names]),
+        jnp.asarray(patterns.counts_in),
+    )
+    return ErrorTable(names, mean_modulus, rms, epsilon)
+
+
+@jax.jit
+def _figures(
+    errors: Float[Array, "vectors samples joints"], counts_in: Bool[Array, "samples joints"]
+) -> tuple[
+    Float[Array, "vectors joints"], Float[Array, "vectors joints"], Float[Array, " vectors"]
+]:
+    counts = jnp.broadcast_to(counts_in, errors.shape)
     kept = jnp.where(counts, errors, 0.0)
     per_joint = jnp.maximum(jnp.sum(counts, axis=1), 1)
     per_pattern = jnp.sum(counts, axis=2)
     cost = 0.5 * jnp.sqrt(jnp.sum(kept**2, axis=2) / jnp.maximum(per_pattern, 1))
     some = per_pattern > 0
-    return ErrorTable(
-        names=names,
-        mean_modulus=jnp.sum(jnp.abs(kept), axis=1) / per_joint,
-        rms=jnp.sqrt(jnp.sum(kept**2, axis=1) / per_joint),
-        epsilon=jnp.sum(jnp.where(some, cost, 0.0), axis=1) / jnp.maximum(jnp.sum(some, axis=1), 1),
+    return (
+        jnp.sum(jnp.abs(kept), axis=1) / per_joint,
+        jnp.sqrt(jnp.sum(kept**2, axis=1) / per_joint),
+        jnp.sum(jnp.where(some, cost, 0.0), axis=1) / jnp.maximum(jnp.sum(some, axis=1), 1),
     )
 
 
@@ -95,9 +108,15 @@ def torque_errors(
     return jnp.asarray(patterns.torque) - predicted_torque(network, patterns, k)
 
 
-@eqx.filter_jit
 def predicted_torque(
     network: CSLC, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
 ) -> Float[Array, "samples joints"]:
     """The network's torque for the patterns' motion (samples, n) [N m]."""
-    return network.torque(k, patterns.q, patterns.qd, patterns.qdd)
+    motion = (patterns.q, patterns.qd, patterns.qdd)
+    torque = _torque(network, jnp.asarray(k), *(jnp.asarray(filled_up(x)) for x in motion))
+    return torque[: patterns.q.shape[0]]
+
+
+@eqx.filter_jit
+def _torque(network: CSLC, k: Array, q: Array, qd: Array, qdd: Array) -> Array:
+    return network.torque(k, q, qd, qdd)

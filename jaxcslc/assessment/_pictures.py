@@ -3,14 +3,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito's palette, told apart by colour-blind readers; black is the measured torque.
+# Okabe and Ito's palette, told apart by colour-blind readers; the measured torque is a broad grey.
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)))
 
@@ -22,6 +22,7 @@ def torque_picture(
     *,
     title: str,
     units: tuple[str, ...],
+    counts: Bool[Array | np.ndarray, "samples joints"] | None = None,
 ) -> "Figure":
     """Measured and predicted torque of every joint against time (Figs. 7.6-1, 7.6-2).
 
@@ -31,6 +32,7 @@ def torque_picture(
     - `measured`: (samples, n) [N m or N].
     - `predicted`: the same of each model, by name.
     - `units`: of each joint's torque.
+    - `counts`: (samples, n), where given: predictions are drawn where a pair counts.
 
     **Returns** a matplotlib figure; `figure.savefig(path)` draws it.
     """
@@ -38,6 +40,7 @@ def torque_picture(
 
     measured = np.asarray(measured)
     n = measured.shape[1]
+    shown = np.ones(measured.shape, bool) if counts is None else np.asarray(counts)
     rows = -(-n // 2)
     figure = Figure(figsize=(11, 1.2 + 2.3 * rows), layout="constrained")
     axes = np.atleast_2d(figure.subplots(rows, 2, sharex=True))
@@ -52,14 +55,14 @@ def torque_picture(
             axis.set_visible(False)
             continue
         clock = broken(time)
-        axis.plot(clock, broken(measured[:, joint]), color="black", lw=1.6, label="measured")
+        axis.plot(clock, broken(measured[:, joint]), color="0.65", lw=3.0, label="measured")
         for i, (name, torque) in enumerate(predicted.items()):
             axis.plot(
                 clock,
-                broken(np.asarray(torque)[:, joint]),
+                broken(np.where(shown[:, joint], np.asarray(torque)[:, joint], np.nan)),
                 color=_COLOURS[i % len(_COLOURS)],
                 ls=_STYLES[i % len(_STYLES)],
-                lw=1.2,
+                lw=1.0,
                 label=name,
             )
         axis.set_ylabel(f"joint {joint + 1} [{units[joint]}]")

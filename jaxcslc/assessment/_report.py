@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..learning import Identification
+from ..learning import Identification, Settings, settings_document
 from ..motion import Patterns
 from ..network import CSLC
 from ._coefficient_table import coefficient_rows
@@ -19,7 +19,7 @@ def identification_report(
     fit: Identification,
     patterns: Mapping[str, Patterns],
     errors: Mapping[str, ErrorTable],
-    settings: str,
+    settings: Settings,
 ) -> list[Path]:
     """Everything that an identification found, as files.
 
@@ -27,7 +27,6 @@ def identification_report(
 
     - `folder`: exists.
     - `patterns`, `errors`: by the name of the recording: `"training"`, `"validation"`.
-    - `settings`: as they are printed.
 
     **Returns** the files: `coefficients.csv`, `identification.json`, and for every recording
     `errors_NAME.csv`, `torque_NAME.csv` and `torque_NAME.png`.
@@ -38,7 +37,7 @@ def identification_report(
         {
             "robot": network.robot.name,
             "lengths": network.algebra.lengths,
-            "settings": settings,
+            "settings": settings_document(settings),
             "names": network.names,
             "units": [coefficient.unit for coefficient in network.coefficients],
             "k": fit.k,
@@ -98,6 +97,7 @@ def _recording_files(
         {"predicted": predicted},
         title=f"{network.robot.name}: torque of the {name} recording",
         units=tuple("N m" if kind == "R" else "N" for kind in network.robot.kinds),
+        counts=counts,
     )
     save_picture(figure, paths[2])
     return paths

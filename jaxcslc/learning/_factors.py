@@ -1,5 +1,3 @@
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +12,7 @@ _BLOCK = 2048
 # Rows that are factorised at once. LAPACK libraries spread larger factorisations over threads
 # that then wait for each other: on two cores OpenBLAS took 0.1 s for 2,048 x 29, and 0.6 ms for
 # eight of 256 x 29.
-_ROWS = 256
+ROWS = 256
 
 
 class JointFactors(eqx.Module):
@@ -30,10 +28,12 @@ class JointFactors(eqx.Module):
     - `triangles`: for each joint (s + 1, s + 1), s its number of coefficients; the last column
       is the torque's.
     - `counts`: (n,) equations of each joint.
+
+    Both may have leading axes, as for the folds of a cross-validation.
     """
 
-    triangles: tuple[Float[Array, "_ _"], ...]
-    counts: Float[Array, " joints"]
+    triangles: tuple[Float[Array, "*batch _ _"], ...]
+    counts: Float[Array, "*batch joints"]
 
     @classmethod
     def empty(cls, network: CSLC) -> "JointFactors":
@@ -89,7 +89,7 @@ def factorise(
     Pure, and its memory beyond the arguments is one block of patterns.
     """
     samples, n = q.shape
-    size = min(_BLOCK, -(-samples // _ROWS) * _ROWS)
+    size = min(_BLOCK, -(-samples // ROWS) * ROWS)
     blocks = -(-samples // size)
     padding = blocks * size - samples
 
@@ -117,23 +117,9 @@ def factorise(
     return JointFactors(triangles, start.counts + jnp.sum(weight != 0, axis=0))
 
 
-def factorise_equations(
-    network: CSLC,
-    regressors: Sequence[Float[np.ndarray, "rows coefficients"]],
-    torques: Sequence[Float[np.ndarray, " rows"]],
-) -> JointFactors:
-    """The factors of given equations, such as filtered ones: rows of all coefficients, by joint."""
-    triangles: list[Array] = []
-    for support, regressor, torque in zip(network.support, regressors, torques, strict=True):
-        rows = np.concatenate([regressor[:, list(support)], torque[:, None]], axis=1)
-        padded = np.concatenate([rows, np.zeros((rows.shape[1], rows.shape[1]))])
-        triangles.append(jnp.asarray(np.linalg.qr(padded, mode="r")))
-    return JointFactors(tuple(triangles), jnp.array([float(torque.size) for torque in torques]))
-
-
 def _join_rows(triangle: Float[Array, "s s"], rows: Float[Array, "s samples"]) -> Array:
-    """The triangle of a triangle above further rows, given as columns, `_ROWS` at a time."""
-    pieces = jnp.swapaxes(rows.reshape(rows.shape[0], -1, _ROWS), 0, 1)
+    """The triangle of a triangle above further rows, given as columns, `ROWS` at a time."""
+    pieces = jnp.swapaxes(rows.reshape(rows.shape[0], -1, ROWS), 0, 1)
 
     def step(triangle: Array, piece: Array) -> tuple[Array, None]:
         return jnp.linalg.qr(jnp.concatenate([triangle, piece.T]), mode="r"), None

@@ -1,14 +1,15 @@
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..motion import Patterns, parallel_filter, uniform_interval
+from ..motion import Patterns
 from ..network import CSLC
-from ._factors import JointFactors, factorise, factorise_equations
+from ._compiled import filled_up, regressor_of, require_float64
+from ._equations import Equations
+from ._factors import JointFactors, factorise
 from ._identification import Identification, solve
 from ._solution import RESULTS
 
@@ -67,12 +68,19 @@ def least_squares(
     True
     """
     _check(network, patterns)
-    weight = jnp.asarray(patterns.counts_in, jnp.asarray(patterns.q).dtype)
     if cutoff is None:
-        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque)
-        factors = _factorise(network, *(_filled_up(x) for x in (*motion, weight)))
+        weight = jnp.asarray(patterns.counts_in, float)
+        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
+        factors = _factorise(network, *(jnp.asarray(filled_up(x)) for x in motion))
     else:
-        factors = _filtered(network, patterns, cutoff)
+        factors = Equations.of(
+            network,
+            np.asarray(regressor_of(network, patterns)),
+            np.asarray(patterns.torque),
+            np.asarray(patterns.counts_in),
+            time=np.asarray(patterns.time),
+            cutoff=cutoff,
+        ).factors()
     return fit_factors(network, factors, joint_weights=joint_weights, rcond=rcond, throw=throw)
 
 
@@ -116,41 +124,8 @@ def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
     return jnp.where(fit.equations > 0, 1.0 / jnp.maximum(error, floor), 1.0)
 
 
-def _filled_up(x: Array | np.ndarray) -> Array:
-    """Zero rows behind the end, to the next power of two: patterns of weight zero.
-
-    So that recordings of similar lengths share one compiled function.
-    """
-    rows = 1 << max(8, (x.shape[0] - 1).bit_length())
-    return jnp.pad(jnp.asarray(x), ((0, rows - x.shape[0]), (0, 0)))
-
-
 _factorise = eqx.filter_jit(factorise)
 _solve = eqx.filter_jit(solve)
-
-
-def _filtered(network: CSLC, patterns: Patterns, cutoff: float) -> JointFactors:
-    samples = patterns.q.shape[0]
-    motion = (_filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
-    regressor = np.asarray(_regressor(network, *motion))[:samples]
-    equations = parallel_filter(
-        regressor,
-        np.asarray(patterns.torque),
-        np.asarray(patterns.counts_in),
-        interval=uniform_interval(np.asarray(patterns.time)),
-        cutoff=cutoff,
-    )
-    joints = [equations.joint == joint for joint in range(network.joint_count)]
-    return factorise_equations(
-        network,
-        [equations.regressor[own] for own in joints],
-        [equations.torque[own] for own in joints],
-    )
-
-
-@eqx.filter_jit
-def _regressor(network: CSLC, q: Array, qd: Array, qdd: Array) -> Array:
-    return network.regressor(q, qd, qdd)
 
 
 def _check(network: CSLC, patterns: Patterns) -> None:
@@ -159,8 +134,4 @@ def _check(network: CSLC, patterns: Patterns) -> None:
             f"patterns have {patterns.q.shape[-1]} joints, {network.robot.name!r} has"
             f" {network.joint_count}"
         )
-    if not jax.config.read("jax_enable_x64") or jnp.asarray(patterns.q).dtype != jnp.float64:
-        raise ValueError(
-            "identification needs float64: switch it on in the program's first lines with"
-            " jax.config.update('jax_enable_x64', True)"
-        )
+    require_float64(patterns.q, patterns.qd, patterns.qdd, patterns.torque)

@@ -2,8 +2,9 @@ from itertools import pairwise
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
-from scipy.interpolate import CubicSpline
+from jaxtyping import Float, Int
+from scipy.interpolate import CubicHermiteSpline
+from scipy.linalg import solve_banded
 
 from ._resolution import noise_level
 from ._sections import find_reversals
@@ -162,22 +163,66 @@ def _average(
     end: End,
     inside: slice,
 ) -> Float[np.ndarray, "3 inside"]:
-    """Averages the splines of one section over the samples inside it."""
-    at = time[inside]
-    total = np.zeros((3, at.size))
-    for offset in range(spacing):
-        knots = np.arange(offset, time.size, spacing)
-        # A knot close to an end would put the error of their difference, divided by a short
-        # interval, into the velocity there.
-        apart = 0.5 * spacing
-        knots = knots[(knots >= start.sample + apart) & (knots <= end.sample - apart)]
-        spline = CubicSpline(
-            np.concatenate([[start.time], time[knots], [end.time]]),
-            np.concatenate([[start.position], position[knots], [end.position]]),
-            bc_type=((1, start.velocity), (1, end.velocity)),
-        )
-        total += np.stack([spline(at, order) for order in range(3)])
-    return total / spacing
+    """Averages the splines of one section over the samples inside it.
+
+    All splines of the section are one piecewise polynomial, laid out one behind the other on a
+    common axis: one solve and three evaluations, where a spline object for each took ten times
+    as long (a recording has thousands).
+    """
+    # A knot close to an end would put the error of their difference, divided by a short interval,
+    # into the velocity there.
+    apart = 0.5 * spacing
+    knots = np.arange(int(np.ceil(start.sample + apart)), int(np.floor(end.sample - apart)) + 1)
+    knots = knots[np.argsort(knots % spacing, kind="stable")]  # spline by spline
+    counts = np.bincount(knots % spacing, minlength=spacing)
+    firsts = np.concatenate([[0], np.cumsum(counts + 2)[:-1]])
+    lasts = firsts + counts + 1
+    between = np.arange(knots.size) + 1 + 2 * np.repeat(np.arange(spacing), counts)
+
+    x = np.empty(knots.size + 2 * spacing)
+    y = np.empty_like(x)
+    x[firsts], y[firsts] = start.time, start.position
+    x[between], y[between] = time[knots], position[knots]
+    x[lasts], y[lasts] = end.time, end.position
+    duration = end.time - start.time
+    behind = 2.0 * duration * np.arange(spacing)
+    axis = x - start.time + np.repeat(behind, counts + 2)
+
+    slopes = _clamped_slopes(axis, y, firsts, lasts, start.velocity, end.velocity)
+    splines = CubicHermiteSpline(axis, y, slopes)
+    # A hair before its end a spline is itself; at its end, the piece to the next one has begun.
+    within = np.minimum(time[inside] - start.time, duration * (1.0 - 1e-12))
+    at = within + behind[:, None]
+    return np.stack([splines(at, order).mean(axis=0) for order in range(3)])
+
+
+def _clamped_slopes(
+    x: Float[np.ndarray, " knots"],
+    y: Float[np.ndarray, " knots"],
+    firsts: Int[np.ndarray, " splines"],
+    lasts: Int[np.ndarray, " splines"],
+    first_slope: float,
+    last_slope: float,
+) -> Float[np.ndarray, " knots"]:
+    """Slopes at the knots of cubic splines that lie one behind the other, slopes given at ends.
+
+    The second derivative is continuous at an inner knot if
+    `h1 m0 + 2 (h0 + h1) m1 + h0 m2 = 3 (h1 (y1 - y0)/h0 + h0 (y2 - y1)/h1)`.
+    """
+    steps = np.diff(x)
+    rises = np.diff(y) / steps
+    before, after = steps[:-1], steps[1:]
+    bands = np.zeros((3, x.size))
+    right = np.zeros(x.size)
+    bands[1, 1:-1] = 2.0 * (before + after)
+    bands[0, 2:] = before
+    bands[2, :-2] = after
+    right[1:-1] = 3.0 * (after * rises[:-1] + before * rises[1:])
+    for ends, slope in ((firsts, first_slope), (lasts, last_slope)):
+        bands[1, ends], right[ends] = 1.0, slope
+        bands[0, (ends + 1)[ends + 1 < x.size]] = 0.0
+        bands[2, (ends - 1)[ends > 0]] = 0.0
+    return solve_banded((1, 1), bands, right)
 
 
 def _open_end(

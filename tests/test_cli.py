@@ -1,0 +1,217 @@
+"""The command line: what it writes, and what it says of wrong input."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import jaxcslc as jc
+import sim
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Short training and comparison recordings of the simulated PUMA 560, as CSV."""
+    folder = tmp_path_factory.mktemp("recordings")
+    machine = sim.puma560()
+    paths = folder / "train.csv", folder / "compare.csv"
+    for path, trajectory in zip(paths, (sim.training(), sim.comparison()), strict=True):
+        jc.save_recording(sim.simulate(machine, trajectory, seed=3).recording, path)
+    return paths
+
+
+def run(*arguments: str | Path) -> Result:
+    from jaxcslc.cli import app
+
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_derive_prints_the_thesis_counts(tmp_path: Path) -> None:
+    result = run("derive", "puma560", "-o", tmp_path / "tables")
+    assert result.exit_code == 0, result.output
+    assert "mass: 59 inputs, 114 links, 26 coefficients" in result.output
+    assert "velocity: 86 inputs, 408 links, 19 coefficients" in result.output
+    assert "gravity: 9 inputs, 13 links, 5 coefficients" in result.output
+    assert "network order 28; per joint 22, 28, 22, 13, 11, 4" in result.output
+    tables = json.loads((tmp_path / "tables" / "tables.json").read_text())
+    assert len(tables["mass"]["links"]) == 114
+    assert tables["velocity"]["inputs"][0] == "1"
+    names = (tmp_path / "tables" / "coefficients.csv").read_text().splitlines()
+    assert len(names) == 44
+    assert names[0] == "name,group,unit,positive,expression"
+
+
+def test_derive_reads_a_robot_file(tmp_path: Path) -> None:
+    robot = tmp_path / "arm.toml"
+    robot.write_text('[[joint]]\n[[joint]]\nalpha = "pi/2"\na = 0.3\n')
+    result = run("derive", robot, "--lengths", "numeric")
+    assert result.exit_code == 0, result.output
+    assert "kB1" in result.output
+
+
+class TestIdentify:
+    @pytest.fixture(scope="class")
+    def identified(
+        self, recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+    ) -> tuple[Result, Path]:
+        output = tmp_path_factory.mktemp("identify") / "results"
+        train, compare = recordings
+        return run("identify", "puma560", train, "--validate", compare, "-o", output), output
+
+    def test_prints_coefficients_and_errors(self, identified: tuple[Result, Path]) -> None:
+        result, _ = identified
+        assert result.exit_code == 0, result.output
+        for text in ("settings: ", "kM26", "kd6", "determined", "rank 43 of 43", "mean ε"):
+            assert text in result.output
+
+    def test_writes_what_a_user_goes_on_with(self, identified: tuple[Result, Path]) -> None:
+        _, output = identified
+        names = {path.name for path in output.iterdir()}
+        assert names == {
+            *("coefficients.csv", "identification.json"),
+            *("errors_training.csv", "torque_training.csv", "torque_training.png"),
+            *("errors_validation.csv", "torque_validation.csv", "torque_validation.png"),
+        }
+        document = json.loads((output / "identification.json").read_text())
+        assert len(document["k"]) == len(document["names"]) == 43
+        assert np.shape(document["covariance"]) == (43, 43)
+        rms = np.array(document["torque_error_rms"]["validation"])
+        assert np.all(rms < [1.0, 1.5, 0.8, 0.3, 0.3, 0.3])
+        for name in ("training", "validation"):
+            assert (output / f"torque_{name}.png").read_bytes()[:4] == b"\x89PNG"
+            table = np.genfromtxt(output / f"torque_{name}.csv", delimiter=",", names=True)
+            error = table["measured_1"] - table["predicted_1"]
+            kept = error[table["counts_1"] > 0]
+            assert np.sqrt(np.mean(kept**2)) == pytest.approx(
+                document["torque_error_rms"][name][0], rel=1e-6
+            )
+
+    def test_settings_can_be_given(
+        self, identified: tuple[Result, Path], recordings: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        """The settings that one run printed give the same coefficients in the next."""
+        _, output = identified
+        before = json.loads((output / "identification.json").read_text())
+        given = run(
+            *("identify", "puma560", recordings[0], "-o", tmp_path / "again"),
+            *("--settings", output / "identification.json"),
+        )
+        assert given.exit_code == 0, given.output
+        after = json.loads((tmp_path / "again" / "identification.json").read_text())
+        np.testing.assert_allclose(after["k"], before["k"], rtol=1e-9, atol=1e-12)
+        assert after["settings"] == before["settings"]
+
+
+def _cells(path: Path) -> list[list[str]]:
+    return [line.split(",") for line in path.read_text().splitlines()]
+
+
+def _write(path: Path, cells: list[list[str]]) -> None:
+    path.write_text("\n".join(",".join(row) for row in cells) + "\n")
+
+
+def _drop_column(cells: list[list[str]]) -> list[list[str]]:
+    at = cells[0].index("position_3")
+    return [row[:at] + row[at + 1 :] for row in cells]
+
+
+def _extra_column(cells: list[list[str]]) -> list[list[str]]:
+    return [[*row, "temperature" if i == 0 else "20"] for i, row in enumerate(cells)]
+
+
+def _cell(row: int, column: str, text: str) -> Callable[[list[list[str]]], list[list[str]]]:
+    def change(cells: list[list[str]]) -> list[list[str]]:
+        cells[row][cells[0].index(column)] = text
+        return cells
+
+    return change
+
+
+def _fewer_joints(cells: list[list[str]]) -> list[list[str]]:
+    kept = [i for i, name in enumerate(cells[0]) if not name.endswith(("_5", "_6"))]
+    return [[row[i] for i in kept] for row in cells]
+
+
+def _standing_still(cells: list[list[str]]) -> list[list[str]]:
+    header, first, *rest = cells
+    stamp = header.index("time")
+    return [header, first, *([*first[:stamp], row[stamp], *first[stamp + 1 :]] for row in rest)]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        pytest.param(_drop_column, ["position_3"], id="missing column"),
+        pytest.param(_extra_column, ["temperature"], id="extra column"),
+        pytest.param(_cell(10, "torque_2", "fast"), ["torque_2", "row 10", "fast"], id="text"),
+        pytest.param(_cell(12, "position_1", "nan"), ["position_1", "row 12"], id="NaN"),
+        pytest.param(_cell(20, "time", "0.0001"), ["time", "row 20"], id="time goes back"),
+        pytest.param(
+            lambda cells: [*cells[:30], cells[29], *cells[30:]], ["row 30"], id="repeated row"
+        ),
+        pytest.param(_fewer_joints, ["4", "6", "joints"], id="wrong number of joints"),
+        pytest.param(lambda cells: cells[:1], ["rows"], id="no rows"),
+        pytest.param(_standing_still, ["nothing"], id="nothing left after masking"),
+    ],
+)
+def test_a_wrong_recording_gets_one_line_and_leaves_results_alone(
+    change: Callable[[list[list[str]]], list[list[str]]],
+    words: list[str],
+    recordings: tuple[Path, Path],
+    tmp_path: Path,
+) -> None:
+    wrong, output = tmp_path / "wrong.csv", tmp_path / "results"
+    _write(wrong, change(_cells(recordings[0])))
+    output.mkdir()
+    (output / "coefficients.csv").write_text("earlier results\n")
+    result = run("identify", "puma560", wrong, "-o", output)
+    assert result.exit_code == 2
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    for word in words:
+        assert word in lines[0]
+    assert [path.name for path in output.iterdir()] == ["coefficients.csv"]
+    assert (output / "coefficients.csv").read_text() == "earlier results\n"
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        pytest.param("[[joint]\n", ["not valid TOML"], id="unreadable"),
+        pytest.param('[[joint]]\nkind = "X"\n', ["joint 1", "kind"], id="unknown kind"),
+        pytest.param("[[joint]]\nlenght = 1\n", ["joint 1", "lenght"], id="unknown key"),
+        pytest.param(
+            '[[joint]]\n[joint.link]\nzero = ["Ixx"]\nequal = [["Ixx", "Iyy"]]\n',
+            ["joint 1", "equal and zero"],
+            id="contradictory",
+        ),
+    ],
+)
+def test_a_wrong_robot_file_gets_one_line(
+    text: str, words: list[str], recordings: tuple[Path, Path], tmp_path: Path
+) -> None:
+    robot = tmp_path / "robot.toml"
+    robot.write_text(text)
+    for arguments in (["derive", robot], ["identify", robot, recordings[0], "-o", tmp_path / "o"]):
+        result = run(*arguments)
+        assert result.exit_code == 2
+        lines = result.stderr.strip().splitlines()
+        assert len(lines) == 1, result.stderr
+        for word in (str(robot), *words):
+            assert word in lines[0]
+    assert not (tmp_path / "o").exists()
+
+
+def test_files_that_are_not_there(recordings: tuple[Path, Path], tmp_path: Path) -> None:
+    result = run("identify", "puma560", tmp_path / "none.csv", "-o", tmp_path / "o")
+    assert result.exit_code == 2 and "none.csv" in result.stderr
+    result = run("derive", tmp_path / "none.toml")
+    assert result.exit_code == 2 and "no such robot file" in result.stderr
+    (tmp_path / "file").write_text("not a folder")
+    result = run("identify", "puma560", recordings[0], "-o", tmp_path / "file")
+    assert result.exit_code == 2 and "expected a folder" in result.stderr
+    assert (tmp_path / "file").read_text() == "not a folder"
