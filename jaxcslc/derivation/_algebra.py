@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -6,7 +7,7 @@ from typing import Any, Literal
 
 from sympy import QQ
 
-from ..manipulator import Length, Manipulator, RobotError, Subnumbering
+from ..manipulator import Length, Manipulator, Numbering, RobotError, Subnumbering
 from ._base_parameters import base_parameters
 from ._chain import Chain, LinkTwists, link_twists
 from ._coefficient import Addend, Coefficient, expression, unit_of
@@ -23,8 +24,41 @@ Lengths = Literal["symbolic", "numeric"]
 
 
 @dataclass(frozen=True, eq=False)
+class Tables:
+    """The tables of the three subnetworks, each made when it is first asked for."""
+
+    ring: PositionRing
+    numbering: Numbering | None
+    elements: Callable[[], tuple[dict[Column, Element], dict[Column, Element]]]
+    """Gives the mass matrix and the gravity vector, their forms written in coefficients."""
+
+    @cached_property
+    def _written(self) -> tuple[dict[Column, Element], dict[Column, Element]]:
+        return self.elements()
+
+    @cached_property
+    def mass(self) -> Table:
+        return self._table("mass", self._written[0])
+
+    @cached_property
+    def velocity(self) -> Table:
+        return self._table("velocity", christoffel_symbols(self.ring, self._written[0]))
+
+    @cached_property
+    def gravity(self) -> Table:
+        return self._table("gravity", self._written[1])
+
+    def _table(self, name: str, elements: Mapping[Any, Element]) -> Table:
+        if self.numbering is None:
+            return table(self.ring, elements)
+        return table(self.ring, elements, getattr(self.numbering, name), self.numbering.source)
+
+
+@dataclass(frozen=True, eq=False)
 class Algebra:
     """A robot's inverse dynamics in exact arithmetic: what a network is built from.
+
+    Derived again from an equal robot it compares equal, so that compiled functions are shared.
 
     **Attributes**
 
@@ -44,39 +78,34 @@ class Algebra:
     terms: tuple[InertialTerm, ...]
     coefficients: tuple[Coefficient, ...]
     chosen: tuple[int, ...]
-    _elements: Callable[[], tuple[dict[Column, Element], dict[Column, Element]]]
+    tables: Tables
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Algebra) and self.tables is other.tables
+
+    def __hash__(self) -> int:
+        return id(self.tables)
 
     @property
     def chain(self) -> Chain:
         return self.ring.chain
 
-    @cached_property
-    def _written_in_coefficients(self) -> tuple[dict[Column, Element], dict[Column, Element]]:
-        return self._elements()
-
-    @cached_property
+    @property
     def mass(self) -> Table:
         """Inputs and links of the mass matrix's upper triangle (thesis 5.1.1)."""
-        return self._table("mass", self._written_in_coefficients[0])
+        return self.tables.mass
 
-    @cached_property
+    @property
     def velocity(self) -> Table:
         """Inputs and links of the Christoffel symbols, in mass coefficients (thesis 5.1.2)."""
-        symbols = christoffel_symbols(self.ring, self._written_in_coefficients[0])  # type: ignore[arg-type]
-        return self._table("velocity", symbols)
+        return self.tables.velocity
 
-    @cached_property
+    @property
     def gravity(self) -> Table:
         """Inputs and links of the gravity effect vector (thesis 5.1.3)."""
-        return self._table("gravity", self._written_in_coefficients[1])
-
-    def _table(self, name: str, elements: Mapping[Any, Element]) -> Table:
-        numbering = self.robot.numbering if self.lengths == "symbolic" else None
-        published = getattr(numbering, name) if numbering else None
-        return table(self.ring, elements, published, numbering.source if numbering else "")
+        return self.tables.gravity
 
 
-@lru_cache(maxsize=64)
 def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
     """Eqns. 2.3-17 to 2.5-6 and stage C.1.4 for any serial robot.
 
@@ -97,13 +126,18 @@ def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
     >>> [c.expression for c in derive_algebra(pendulum, "numeric").coefficients]
     ['Izz1 + Im1', 'm1*rx1', 'm1*ry1']
     """
+    if lengths not in ("symbolic", "numeric"):
+        raise ValueError(f"lengths must be 'symbolic' or 'numeric', got {lengths!r}")
+    # Link parameters are no part of the algebra: robots that differ in them share one derivation.
+    return dataclasses.replace(_derived(robot, lengths), robot=robot)
+
+
+@lru_cache(maxsize=64)
+def _derived(robot: Manipulator, lengths: Lengths) -> Algebra:
     chain = Chain.from_robot(robot)
     terms = inertial_terms(robot)
-    if lengths == "symbolic":
-        return _with_symbols(robot, chain, terms)
-    if lengths == "numeric":
-        return _with_numbers(robot, chain, terms)
-    raise ValueError(f"lengths must be 'symbolic' or 'numeric', got {lengths!r}")
+    derive = _with_symbols if lengths == "symbolic" else _with_numbers
+    return derive(robot, chain, terms)
 
 
 def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...]) -> Algebra:
@@ -123,16 +157,19 @@ def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
         parts = mass_matrix(ring, twists, kept), gravity_vector(ring, twists, kept)
         return _in_coefficients(parts, lambda form: {i: QQ(v) for (i, _), v in form.items()})
 
-    return Algebra(robot, "numeric", ring, terms, coefficients, chosen, elements)
+    tables = Tables(ring, None, elements)
+    return Algebra(robot, "numeric", ring, terms, coefficients, chosen, tables)
 
 
 def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...]) -> Algebra:
     named = robot.named_lengths()
     gravity = _gravity_symbols(robot)
     ring = PositionRing(chain, (*named, *(symbol for symbol, _ in gravity if symbol)))
-    if clash := set(ring.constants) & set(ring.variables):
+    taken = {*ring.variables, *(symbol for symbol, _ in gravity)}
+    if clash := taken & set(named):
         raise RobotError(
-            f"robot {robot.name!r}: length {min(clash)!r} has the name of a position variable"
+            f"robot {robot.name!r}: length {min(clash)!r} has the name of a position variable or"
+            " of gravity; give it another"
         )
     twists = _twists(robot, ring, lambda length, name: ring.constant(length.symbol or name))
     mass = mass_matrix(ring, twists, terms)
@@ -179,7 +216,8 @@ def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
             _rewritten(weight, rewrite(gravity_basis, offset)),
         )
 
-    return Algebra(robot, "symbolic", ring, terms, tuple(coefficients), (), elements)
+    tables = Tables(ring, numbering, elements)
+    return Algebra(robot, "symbolic", ring, terms, tuple(coefficients), (), tables)
 
 
 def _twists(

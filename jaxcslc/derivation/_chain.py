@@ -16,18 +16,19 @@ class Angle:
     Where consecutive revolute axes are parallel, only the sum of their angles turns the links
     behind them (thesis 2.6.2). Taking the sum as the variable keeps the tables small.
 
-    `terms` are (joint, sign) pairs, joints counted from 0.
+    `terms` are (joint, sign) pairs, joints counted from 0. With `wide`, as for robots of ten and
+    more joints, labels keep the numbers apart: q1 + q2 is `1_2`, because `12` is q12.
     """
 
     terms: tuple[tuple[int, int], ...]
+    wide: bool = False
 
     @cached_property
     def label(self) -> str:
         """`"23"` for q2 + q3, `"2-3"` for q2 - q3."""
-        wide = any(joint >= 9 for joint, _ in self.terms)
         text = ""
         for joint, sign in self.terms:
-            separator = "-" if sign < 0 else ("_" if wide and text else "")
+            separator = "-" if sign < 0 else ("_" if self.wide and text else "")
             text += f"{separator}{joint + 1}"
         return text
 
@@ -56,6 +57,7 @@ class Chain:
         links: list[ChainLink] = []
         angles: list[Angle] = []
         side, current, offset = 1, None, (QQ(1), QQ(0))
+        wide = len(robot.joints) > 9
         for i, joint in enumerate(robot.joints):
             twist = exact_cos_sin(joint.alpha)
             joins = i > 0 and twist[1] == 0
@@ -68,7 +70,7 @@ class Chain:
             if joint.kind == "R":
                 before = () if current is None else angles[current].terms
                 current = len(angles)
-                angles.append(Angle((*before, (i, side))))
+                angles.append(Angle((*before, (i, side)), wide))
             links.append(ChainLink(joint.kind == "P", twist, joins, side, current, offset))
         return cls(tuple(links), tuple(angles))
 

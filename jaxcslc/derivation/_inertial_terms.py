@@ -40,7 +40,11 @@ def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
     """Every product of parameters that the robot's links have, link by link, motors last."""
     terms: list[InertialTerm] = []
     for link, inertia in enumerate(robot.inertia):
-        zero, same = set(inertia.zero), dict((b, a) for a, b in inertia.equal)
+        zero, same = set(inertia.zero), {moment: moment for moment in ("Ixx", "Iyy", "Izz")}
+        for first, second in inertia.equal:  # a chain of pairs makes one moment of all
+            one = min(same[first], same[second])
+            joined = {same[first], same[second]}
+            same = {moment: one if name in joined else name for moment, name in same.items()}
         body: dict[tuple[str, ...], dict[str, int]] = {}
 
         def put(
@@ -55,7 +59,7 @@ def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
                     held[entry] = held.get(entry, 0) + multiple
 
         for moment in ("Ixx", "Iyy", "Izz"):
-            put((same.get(moment, moment),), {moment: 1})
+            put((same[moment],), {moment: 1})
         if inertia.form == "full":
             for product in ("Ixy", "Ixz", "Iyz"):
                 put((product,), {product: 1})

@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sympy import QQ
@@ -56,7 +56,7 @@ def gravity_vector(
 
 
 def christoffel_symbols(
-    ring: PositionRing, mass: dict[tuple[int, int], Element]
+    ring: PositionRing, mass: Mapping[tuple[int, ...], Element]
 ) -> dict[tuple[int, int, int], Element]:
     """Christoffel symbols of the first kind c_ijk, j <= k, k != i (Eqn. 2.4-5).
 

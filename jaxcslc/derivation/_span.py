@@ -7,6 +7,7 @@ from sympy import QQ
 from ._lagrange import Form
 
 
+_LARGEST_DENOMINATOR = 1000
 Direction = tuple[tuple[Any, Any], ...]
 
 
@@ -85,5 +86,8 @@ def _unit(multiples: list[Any]) -> Any:
     for multiple in multiples:
         numerator = gcd(numerator, int(QQ(multiple).numerator))
         denominator = lcm(denominator, int(QQ(multiple).denominator))
-    # gcd of fractions p/q in lowest terms: gcd(p) / lcm(q)
+    # The gcd of fractions p/q in lowest terms is gcd(p) / lcm(q). Where twists are arbitrary,
+    # multiples are cosines of them and have no common measure worth the name.
+    if denominator > _LARGEST_DENOMINATOR:
+        return QQ(multiples[0])
     return QQ(numerator if multiples[0] > 0 else -numerator, denominator)

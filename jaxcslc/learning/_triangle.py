@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
@@ -25,9 +27,14 @@ def triangle_of(rows: Float[np.ndarray, "*batch rows columns"]) -> Float[np.ndar
     while rows.shape[-2] > at_once:
         pieces = -(-rows.shape[-2] // at_once)
         filled = _filled(rows, pieces * at_once)
-        triangles = np.linalg.qr(filled.reshape(*batch, pieces, at_once, columns), mode="r")
+        triangles = _upper(filled.reshape(*batch, pieces, at_once, columns))
         rows = triangles.reshape(*batch, pieces * columns, columns)
-    return np.linalg.qr(_filled(rows, max(rows.shape[-2], columns)), mode="r")
+    return _upper(_filled(rows, max(rows.shape[-2], columns)))
+
+
+def _upper(rows: np.ndarray) -> np.ndarray:
+    triangle: Any = np.linalg.qr(rows, mode="r")  # the stub promises Q as well
+    return triangle
 
 
 def _filled(rows: np.ndarray, count: int) -> np.ndarray:

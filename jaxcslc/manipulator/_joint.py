@@ -1,5 +1,6 @@
 import math
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +10,7 @@ from ._errors import RobotError
 JointKind = Literal["R", "P"]
 
 _PI_MULTIPLE = re.compile(
-    r"^\s*(?P<sign>[+-]?)\s*(?P<factor>\d+(?:\.\d*)?)?\s*\*?\s*pi\s*(?:/\s*(?P<divisor>\d+))?\s*$"
+    r"^\s*(?P<sign>[+-]?)\s*(?P<factor>\d+(?:\.\d*)?)?\s*\*?\s*pi\s*(?:/\s*(?P<divisor>[1-9]\d*))?\s*$"
 )
 _SYMBOL = re.compile(r"^[A-Za-z][A-Za-z_]*\d*$")
 
@@ -82,8 +83,7 @@ def parse_angle(value: object, where: str) -> float:
 def parse_length(value: object, lengths: dict[str, float], where: str) -> Length:
     """A `Length` from a number [m] or from a symbol, with its value if `lengths` has one.
 
-    A symbol is letters followed by an optional number (`a2`, `d4`), with an optional minus
-    sign nowhere: signs belong to values. `Raises` as `parse_angle`.
+    A symbol is letters followed by an optional number, as in `a2`. **Raises** as `parse_angle`.
 
     >>> parse_length("a2", {"a2": 0.4318}, "a of joint 3")
     Length(value=0.4318, symbol='a2')
@@ -97,3 +97,26 @@ def parse_length(value: object, lengths: dict[str, float], where: str) -> Length
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise RobotError(f"{where}: expected a finite length in m or its name, got {value!r}")
     return Length(float(value), None)
+
+
+def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
+    """Named lengths and their values [m], checked. **Raises** `RobotError` naming the length."""
+    table: dict[str, float] = {}
+    for symbol, value in values.items():
+        parse_length(symbol, {}, where)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise RobotError(f"{where}, {symbol}: expected a length in m, got {value!r}")
+        if not math.isfinite(value) or value == 0:
+            raise RobotError(
+                f"{where}, {symbol}: expected a finite length in m other than zero, got {value!r};"
+                " where a length vanishes, write 0 instead of a name"
+            )
+        table[symbol] = float(value)
+    return table
+
+
+def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: str) -> None:
+    """**Raises** `RobotError` if a named length is not used by any joint."""
+    used = {length.symbol for joint in joints for length in (joint.a, joint.d)}
+    if unused := sorted(set(values) - used):
+        raise RobotError(f"{where}: {unused[0]!r} is not used by any joint")

@@ -4,9 +4,16 @@ from dataclasses import dataclass
 
 from ._errors import RobotError
 from ._inertia import InertiaForm, LinkInertia
-from ._joint import Joint, Length, parse_angle, parse_length
+from ._joint import (
+    Joint,
+    Length,
+    length_table,
+    parse_angle,
+    parse_length,
+    unused_lengths,
+)
 from ._link_parameters import LinkParameters
-from ._numbering import Numbering
+from ._numbering import Numbering, Subnumbering
 
 
 FRICTION_TERMS = ("viscous", "dry", "offset")
@@ -58,6 +65,16 @@ class Manipulator:
             )
         if len(set(self.friction)) != len(self.friction):
             raise RobotError(f"robot {self.name!r}: a friction term is listed twice")
+        given = {
+            length.symbol for joint in self.joints for length in (joint.a, joint.d) if length.symbol
+        }
+        for i, joint in enumerate(self.joints, start=1):
+            for name, length in ((f"a{i - 1}", joint.a), (f"d{i}", joint.d)):
+                if length.symbol is None and not length.is_zero and name in given:
+                    raise RobotError(
+                        f"robot {self.name!r}, joint {i}, {name[0]}: the number {length.value} is"
+                        f" called {name!r} by its place, and another length has that name; name it"
+                    )
 
     @property
     def joint_count(self) -> int:
@@ -112,7 +129,7 @@ class Manipulator:
                 f"robot {name!r}: kinds must be one R or P for each of {len(rows)} rows,"
                 f" got {kinds!r}"
             )
-        values = {symbol: float(value) for symbol, value in (lengths or {}).items()}
+        values = length_table(lengths or {}, f"robot {name!r}, lengths")
         joints: list[Joint] = []
         for i, (row, kind) in enumerate(zip(rows, kinds, strict=True), start=1):
             if len(row) != 4:
@@ -129,6 +146,7 @@ class Manipulator:
                     parse_angle(row[3], f"{at}, theta"),
                 )
             )
+        unused_lengths(values, joints, f"robot {name!r}, lengths")
         each: list[InertiaForm | LinkInertia] = (
             [inertia] * len(rows) if isinstance(inertia, str | LinkInertia) else list(inertia)
         )
@@ -144,8 +162,16 @@ class Manipulator:
         )
 
     def with_gravity(self, gravity: Sequence[float | int]) -> "Manipulator":
-        """The same robot under another gravity vector in its base frame [m/s²]."""
-        return dataclasses.replace(self, gravity=_gravity(gravity, self.name))
+        """The same robot under another gravity vector in its base frame [m/s²].
+
+        A published numbering of gravity coefficients holds along the axis that it was made for;
+        for gravity along others it is dropped.
+        """
+        vector = _gravity(gravity, self.name)
+        numbering = self.numbering
+        if numbering and [g != 0 for g in vector] != [g != 0 for g in self.gravity]:
+            numbering = dataclasses.replace(numbering, gravity=Subnumbering(()))
+        return dataclasses.replace(self, gravity=vector, numbering=numbering)
 
     def with_friction(self, *terms: str) -> "Manipulator":
         """The same robot with another friction model, as in `with_friction("viscous", "dry")`."""
@@ -190,7 +216,8 @@ class Manipulator:
 
 
 def _gravity(gravity: Sequence[float | int], name: str) -> tuple[float, float, float]:
-    if len(gravity) != 3 or not all(isinstance(g, int | float) for g in gravity):
+    numbers = [isinstance(g, int | float) and not isinstance(g, bool) for g in gravity]
+    if numbers != [True] * 3:
         raise RobotError(f"robot {name!r}: gravity must be three numbers in m/s², got {gravity!r}")
     x, y, z = (float(g) for g in gravity)
     if not abs(x) + abs(y) + abs(z) < float("inf"):

@@ -9,12 +9,13 @@ import numpy as np
 
 from ._errors import RobotError
 from ._inertia import LinkInertia
-from ._joint import Joint, parse_angle, parse_length
+from ._joint import Joint, length_table, parse_angle, parse_length, unused_lengths
 from ._link_parameters import LinkParameters
 from ._manipulator import Manipulator
 from ._numbering import Numbering, Subnumbering
 
 
+_ROUNDING = 1e-12
 _ROBOT_KEYS = {"name", "about", "gravity", "friction", "lengths", "links", "joint", "numbering"}
 _DEFAULT_KEYS = {"inertia", "motor_inertia"}
 _JOINT_KEYS = {"kind", "alpha", "a", "d", "theta", "link", "viscous", "dry"}
@@ -85,10 +86,9 @@ def _bundled(name: str) -> Manipulator:
 
 def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
     _known(document, _ROBOT_KEYS, where)
-    lengths = _table(document.get("lengths", {}), f"{where}, [lengths]")
-    for symbol, value in lengths.items():
-        parse_length(symbol, {}, f"{where}, [lengths]")
-        _number(value, f"{where}, length {symbol}")
+    lengths = length_table(
+        _table(document.get("lengths", {}), f"{where}, [lengths]"), f"{where}, [lengths]"
+    )
     defaults = _table(document.get("links", {}), f"{where}, [links]")
     _known(defaults, _DEFAULT_KEYS, f"{where}, [links]")
     entries = document.get("joint")
@@ -106,10 +106,8 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
         link = _table(table.get("link", {}), f"{at}, link")
         _known(link, _LINK_KEYS, f"{at}, link")
         inertia.append(_inertia(link, defaults, f"{at}, link"))
-        links.append(_parameters(link, f"{at}, link"))
-    used = {length.symbol for joint in joints for length in (joint.a, joint.d)}
-    if unused := sorted(set(lengths) - used):
-        raise RobotError(f"{where}, [lengths]: {unused[0]!r} is not used by any joint")
+        links.append(_parameters(link, inertia[-1], f"{at}, link"))
+    unused_lengths(lengths, joints, f"{where}, [lengths]")
 
     given = [link for link in links if link is not None]
     if given and len(given) != len(links):
@@ -118,45 +116,46 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
             f"{where}, joint {missing}, link: has no mass while other links have;"
             " give every link its parameters or none"
         )
-    robot = Manipulator(
-        name=str(document.get("name", Path(where).stem)),
-        joints=tuple(joints),
-        inertia=tuple(inertia),
-        gravity=(0.0, 0.0, -9.81),
-        friction=tuple(_words(document.get("friction", ["viscous", "dry"]), f"{where}, friction")),
-        links=tuple(given) if given else None,
-        viscous=_friction(entries, "viscous", where),
-        dry=_friction(entries, "dry", where),
-        numbering=_numbering(document["numbering"], where) if "numbering" in document else None,
-    )
+    friction = _words(document.get("friction", ["viscous", "dry"]), f"{where}, friction")
     gravity = document.get("gravity", [0.0, 0.0, -9.81])
     if not isinstance(gravity, list):
         raise RobotError(f"{where}, gravity: expected three numbers in m/s², got {gravity!r}")
-    return dataclasses.replace(robot.with_gravity(gravity))
+    try:
+        robot = Manipulator(
+            name=str(document.get("name", Path(where).stem)),
+            joints=tuple(joints),
+            inertia=tuple(inertia),
+            gravity=(0.0, 0.0, 0.0),
+            friction=tuple(friction),
+            links=tuple(given) if given else None,
+        ).with_gravity(gravity)
+    except RobotError as error:
+        raise error if str(error).startswith(where) else RobotError(f"{where}: {error}") from None
+    return dataclasses.replace(
+        robot,
+        viscous=_friction(entries, "viscous", friction, where),
+        dry=_friction(entries, "dry", friction, where),
+        numbering=_numbering(document["numbering"], where) if "numbering" in document else None,
+    )
 
 
-def _joint(table: Mapping[str, Any], lengths: Mapping[str, Any], at: str) -> Joint:
+def _joint(table: Mapping[str, Any], lengths: dict[str, float], at: str) -> Joint:
     kind = table.get("kind", "R")
     if kind not in ("R", "P"):
         raise RobotError(f"{at}, kind: expected 'R' (revolute) or 'P' (prismatic), got {kind!r}")
-    values = {symbol: float(value) for symbol, value in lengths.items()}
-    joint = Joint(
+    return Joint(
         kind,
         parse_angle(table.get("alpha", 0), f"{at}, alpha"),
-        parse_length(table.get("a", 0), values, f"{at}, a"),
-        parse_length(table.get("d", 0), values, f"{at}, d"),
+        parse_length(table.get("a", 0), lengths, f"{at}, a"),
+        parse_length(table.get("d", 0), lengths, f"{at}, d"),
         parse_angle(table.get("theta", 0), f"{at}, theta"),
     )
-    for letter, length in (("a", joint.a), ("d", joint.d)):
-        if length.symbol is not None and length.value == 0.0:
-            raise RobotError(
-                f"{at}, {letter}: length {length.symbol!r} is zero; write 0 instead of a name"
-            )
-    return joint
 
 
 def _inertia(link: Mapping[str, Any], defaults: Mapping[str, Any], at: str) -> LinkInertia:
     form = link.get("inertia", defaults.get("inertia", "full"))
+    if form not in ("full", "principal"):
+        raise RobotError(f"{at}: inertia form must be 'full' or 'principal', got {form!r}")
     motor = link.get("motor", defaults.get("motor_inertia", True))
     if not isinstance(motor, bool):
         raise RobotError(f"{at}, motor: expected true or false, got {motor!r}")
@@ -174,38 +173,77 @@ def _inertia(link: Mapping[str, Any], defaults: Mapping[str, Any], at: str) -> L
         raise RobotError(f"{at}: {error}") from None
 
 
-def _parameters(link: Mapping[str, Any], at: str) -> LinkParameters | None:
+def _parameters(link: Mapping[str, Any], inertia: LinkInertia, at: str) -> LinkParameters | None:
     keys = {"mass", "centre_of_gravity", "inertia_tensor"}
-    if not keys & set(link):
+    present = sorted((keys | {"motor_inertia"}) & set(link))
+    if not present:
         return None
-    if missing := sorted(keys - set(link)):
-        raise RobotError(f"{at}: has {', '.join(sorted(keys & set(link)))} but no {missing[0]}")
+    if missing := sorted(keys - set(link), reverse=True):
+        raise RobotError(f"{at}: has {', '.join(present)} but no {missing[0]}")
     mass = _number(link["mass"], f"{at}, mass")
     if mass < 0:
         raise RobotError(f"{at}, mass: expected a mass of zero or more in kg, got {mass}")
     centre = _array(link["centre_of_gravity"], (3,), f"{at}, centre_of_gravity")
-    tensor = link["inertia_tensor"]
-    if isinstance(tensor, list) and len(tensor) == 3 and not isinstance(tensor[0], list):
-        inertia = np.diag(_array(tensor, (3,), f"{at}, inertia_tensor"))
+    entry = link["inertia_tensor"]
+    if isinstance(entry, list) and len(entry) == 3 and not isinstance(entry[0], list):
+        tensor = np.diag(_array(entry, (3,), f"{at}, inertia_tensor"))
     else:
-        inertia = _array(tensor, (3, 3), f"{at}, inertia_tensor")
-    if not np.array_equal(inertia, inertia.T):
-        raise RobotError(f"{at}, inertia_tensor: expected a symmetric tensor, got {tensor!r}")
-    return LinkParameters(
-        mass, centre, inertia, _number(link.get("motor_inertia", 0.0), f"{at}, motor_inertia")
-    )
+        tensor = _array(entry, (3, 3), f"{at}, inertia_tensor")
+    if not np.array_equal(tensor, tensor.T):
+        raise RobotError(f"{at}, inertia_tensor: expected a symmetric tensor, got {entry!r}")
+    if np.any(np.linalg.eigvalsh(tensor) < -_ROUNDING):
+        raise RobotError(
+            f"{at}, inertia_tensor: expected moments of zero or more in kg m², got {entry!r}"
+        )
+    motor = _number(link.get("motor_inertia", 0.0), f"{at}, motor_inertia")
+    if motor < 0 or (motor and not inertia.motor):
+        raise RobotError(
+            f"{at}, motor_inertia: expected {'0 or more' if inertia.motor else 'none'}, got {motor}"
+            + ("" if inertia.motor else ", because motor is false")
+        )
+    parameters = LinkParameters(mass, centre, tensor, motor)
+    _agrees(parameters, inertia, at)
+    return parameters
 
 
-def _friction(entries: list[Any], term: str, where: str) -> tuple[float, ...] | None:
-    given = [
-        _number(entry[term], f"{where}, joint {i}, {term}")
-        for i, entry in enumerate(entries, start=1)
-        if term in entry
-    ]
+def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
+    """**Raises** `RobotError` where values contradict what `zero` and `equal` say of them."""
+    principal = inertia.form == "principal"
+    tensor = np.asarray(link.inertia if principal else link.inertia_at_frame)
+    values = {"m": float(link.mass)}
+    values |= {f"r{a}": float(r) for a, r in zip("xyz", link.centre_of_gravity, strict=True)}
+    values |= {f"I{'xyz'[i]}{'xyz'[j]}": float(tensor[i, j]) for i in range(3) for j in range(i, 3)}
+    for name in inertia.zero:
+        if abs(values[name]) > _ROUNDING:
+            raise RobotError(f"{at}: {name} is {values[name]}, and listed as zero")
+    for first, second in inertia.equal:
+        if abs(values[first] - values[second]) > _ROUNDING:
+            raise RobotError(
+                f"{at}: {first} is {values[first]} and {second} is {values[second]}, and they are"
+                " listed as equal"
+            )
+
+
+def _friction(
+    entries: list[Any], term: str, friction: list[str], where: str
+) -> tuple[float, ...] | None:
+    given: list[float] = []
+    for i, entry in enumerate(entries, start=1):
+        if term in entry:
+            given.append(_number(entry[term], f"{where}, joint {i}, {term}"))
+            if given[-1] < 0:
+                raise RobotError(
+                    f"{where}, joint {i}, {term}: expected zero or more, got {given[-1]}"
+                )
     if not given:
         return None
     if len(given) != len(entries):
         raise RobotError(f"{where}: {term} is given for {len(given)} of {len(entries)} joints")
+    if term not in friction:
+        raise RobotError(
+            f"{where}: joints have {term} friction, which is not among the terms of friction:"
+            f" {', '.join(friction) or 'none'}"
+        )
     return tuple(given)
 
 

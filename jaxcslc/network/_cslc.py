@@ -14,7 +14,8 @@ from ._link_values import coefficient_values
 from ._order import order_per_joint
 
 
-Numbers = Float[Array | np.ndarray, "*batch joints"]
+Numbers = Float[Array | np.ndarray, "... joints"]
+PerJoint = Sequence[float] | Float[Array | np.ndarray, " joints"]
 Vector = Float[Array | np.ndarray, " coefficients"]
 
 
@@ -126,9 +127,9 @@ class CSLC(eqx.Module):
         self,
         links: Sequence[LinkParameters],
         *,
-        viscous: Sequence[float] | Vector | None = None,
-        dry: Sequence[float] | Vector | None = None,
-        offset: Sequence[float] | Vector | None = None,
+        viscous: PerJoint | None = None,
+        dry: PerJoint | None = None,
+        offset: PerJoint | None = None,
     ) -> Float[Array, " coefficients"]:
         """The vector `k` of a robot whose physical parameters are known, (p,).
 

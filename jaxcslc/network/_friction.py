@@ -1,4 +1,5 @@
 from collections.abc import Sequence
+from functools import lru_cache
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ _NAMES = {"viscous": "kv", "dry": "kd", "offset": "ko"}
 _UNITS = {"viscous": ("N m s/rad", "N s/m"), "dry": ("N m", "N"), "offset": ("N m", "N")}
 
 
+@lru_cache(maxsize=64)
 def friction_coefficients(robot: Manipulator) -> tuple[Coefficient, ...]:
     """One coefficient a joint for every term of the robot's friction model (thesis 5.1.4)."""
     return tuple(

@@ -1,3 +1,4 @@
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -97,10 +98,11 @@ class RecursiveEvaluator(AbstractEvaluator):
         )
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        if self.size == 0:
+            return jnp.zeros((*q.shape, 0), q.dtype)
         columns: list[Array] = [jnp.zeros_like(q)] * self.size
-        for link, (state, body) in enumerate(
-            zip(self._propagate(q, qd, qdd, self.gravity), map(np.array, self.body), strict=True)
-        ):
+        for link, state in enumerate(self._propagate(q, qd, qdd, self.gravity)):
+            body = jnp.asarray(np.array(self.body[link]), q.dtype)
             force, moment = _wrench_regressor(state)
             block = jnp.swapaxes(state.angular_jacobian, -1, -2) @ (moment @ body) + jnp.swapaxes(
                 state.linear_jacobian, -1, -2
@@ -138,7 +140,7 @@ class RecursiveEvaluator(AbstractEvaluator):
         motor = jnp.zeros(n, q.dtype)
         for joint, place in self.motors:
             motor = motor.at[joint].set(k[place])
-        return total + jnp.diag(motor)
+        return total + jnp.broadcast_to(jnp.diag(motor), total.shape)
 
     def _torque(
         self, k: Array, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
@@ -182,7 +184,7 @@ class RecursiveEvaluator(AbstractEvaluator):
         empty = jnp.zeros((*batch, 3, 0), q.dtype)
         up = jnp.broadcast_to(-jnp.asarray(gravity, q.dtype), (*batch, 3))
         state = _LinkState(still, still, up, empty, empty)
-        axis = jnp.asarray(np.array([0.0, 0.0, 1.0]), q.dtype)
+        axis = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0], q.dtype), (*batch, 3))
         states: list[_LinkState] = []
         for i, joint in enumerate(self.joints):
             rate, acceleration = qd[..., i, None] * axis, qdd[..., i, None] * axis
@@ -194,7 +196,7 @@ class RecursiveEvaluator(AbstractEvaluator):
             w, wd, a = (_into(rotation, x) for x in (w, wd, a))
             angular = jnp.swapaxes(rotation, -1, -2) @ angular
             linear = jnp.swapaxes(rotation, -1, -2) @ linear
-            column = jnp.broadcast_to(axis[:, None], (*batch, 3, 1))
+            column = axis[..., None]
             if joint.kind == "R":
                 wd = wd + jnp.cross(w, rate) + acceleration
                 w = w + rate
@@ -214,7 +216,7 @@ _BODY = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "hx", "hy", "hz", "m")
 
 def _transform(joint: Joint, q: Array) -> tuple[Array, Array]:
     """Rotation (..., 3, 3) and translation (..., 3) from a link's frame to the one before."""
-    ca, sa = np.cos(joint.alpha), np.sin(joint.alpha)
+    ca, sa = math.cos(joint.alpha), math.sin(joint.alpha)
     theta = q + joint.theta if joint.kind == "R" else jnp.full_like(q, joint.theta)
     d = (joint.d.value or 0.0) + (q if joint.kind == "P" else jnp.zeros_like(q))
     c, s, zero, one = jnp.cos(theta), jnp.sin(theta), jnp.zeros_like(q), jnp.ones_like(q)

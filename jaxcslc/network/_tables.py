@@ -65,6 +65,8 @@ class TableEvaluator(AbstractEvaluator):
         )
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        if self.size == 0:
+            return jnp.zeros((*q.shape, 0), q.dtype)
         found = self._entries(_split(q), _split(qd), _split(qdd))
         zero = jnp.zeros_like(q[..., 0])
         return jnp.stack(

@@ -99,8 +99,7 @@ def test_stream_equals_one_piece(
     )
     edges = [0, 1, 700, 701, 2400, 3000]
     pieces = [
-        jax.tree.map(lambda x, a=a, b=b: x[a:b], patterns)
-        for a, b in itertools.pairwise(edges)
+        jax.tree.map(lambda x, a=a, b=b: x[a:b], patterns) for a, b in itertools.pairwise(edges)
     ]
     whole, stream = jc.least_squares(puma, patterns), jc.least_squares_stream(puma, pieces)
     assert_allclose(stream.k, whole.k, atol=_ROUNDING)

@@ -1,0 +1,57 @@
+"""Fixtures of the robots' tests: mistakes as a user makes them."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pytest
+
+
+Call = tuple[str, dict[str, Any]]
+Outcome = tuple[str, str]
+
+PROGRAM = """
+import json, sys
+from jaxcslc.manipulator import LinkInertia, Manipulator, load_robot
+
+def tuples(value):
+    return tuple(map(tuples, value)) if isinstance(value, list) else value
+
+functions = {"load_robot": load_robot, "from_modified_dh": Manipulator.from_modified_dh,
+             "LinkInertia": LinkInertia}
+for line in sys.stdin:
+    name, arguments = json.loads(line)
+    try:
+        functions[name](**{key: tuples(value) for key, value in arguments.items()})
+        outcome = "nothing", ""
+    except Exception as error:
+        outcome = type(error).__name__, str(error)
+    print(json.dumps(outcome))
+"""
+
+
+@pytest.fixture(scope="session")
+def outcomes() -> Callable[[Sequence[Call]], list[Outcome]]:
+    """Calls functions in a process of their own: what each raises, and its message.
+
+    In a test run annotations are checked, which would stop many a wrong value before the function
+    sees it. Users run without, and are to get the library's own words.
+    """
+
+    def run(calls: Sequence[Call]) -> list[Outcome]:
+        lines = "\n".join(json.dumps(call) for call in calls)
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM],
+            input=lines,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            check=True,
+        )
+        found = [tuple(json.loads(line)) for line in done.stdout.splitlines()]
+        assert len(found) == len(calls)
+        return found
+
+    return run

@@ -1,0 +1,207 @@
+"""Every function of the network under every transformation of JAX, shape and precision."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+import jaxcslc
+
+
+METHODS: dict[str, tuple[str, ...]] = {
+    "torque": ("k", "q", "qd", "qdd"),
+    "regressor": ("q", "qd", "qdd"),
+    "mass_matrix": ("k", "q"),
+    "velocity_term": ("k", "q", "qd"),
+    "gravity_term": ("k", "q"),
+    "friction_term": ("k", "qd"),
+    "forward_dynamics": ("k", "q", "qd", "qdd"),
+}
+# Tables with symbolic lengths, tables and recursion with a prismatic first joint and offsets.
+NETWORKS = ["elbow", "prismatic-first", "prismatic-first-recursive"]
+# Compiled code may contract a product and a sum into one rounding.
+ROUNDING = 1e-12
+# What float32 leaves of seven digits after some hundred operations, relative to the largest entry.
+SINGLE = 2e-5
+
+
+@pytest.fixture(params=NETWORKS)
+def case(request: pytest.FixtureRequest, cases: Callable[[str], Any]) -> Any:
+    return cases(request.param)
+
+
+@pytest.fixture(params=list(METHODS))
+def method(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def arguments(
+    case: Any, method: str, rng: np.random.Generator, shape: tuple[int, ...] = ()
+) -> tuple[Any, ...]:
+    values = dict(zip(("q", "qd", "qdd"), case.states(rng, shape), strict=True)) | {"k": case.k}
+    return tuple(jnp.asarray(values[name]) for name in METHODS[method])
+
+
+def assert_close(found: Any, expected: Any, rounding: float = ROUNDING) -> None:
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(
+        found, expected, rtol=0, atol=rounding * np.max(np.abs(np.asarray(expected)))
+    )
+
+
+def test_jit(case: Any, method: str, rng: np.random.Generator) -> None:
+    """The same values, and nothing is compiled again for other numbers of the same shape."""
+    function = getattr(case.network, method)
+    traces: list[None] = []
+
+    @jax.jit
+    def compiled(*values: Any) -> Any:
+        traces.append(None)
+        return function(*values)
+
+    for _ in range(3):
+        values = arguments(case, method, rng, (4,))
+        assert_close(compiled(*values), function(*values))
+    assert len(traces) == 1
+
+
+def test_a_network_derived_again_is_the_same_to_the_compiler(
+    case: Any, rng: np.random.Generator
+) -> None:
+    traces: list[None] = []
+
+    @eqx.filter_jit
+    def torque(network: jaxcslc.CSLC, *values: Any) -> Any:
+        traces.append(None)
+        return network.torque(*values)
+
+    evaluator: Any = {"TableEvaluator": "tables", "RecursiveEvaluator": "recursive"}[
+        type(case.network.evaluator).__name__
+    ]
+    for _ in range(2):
+        again = jaxcslc.derive(
+            case.network.robot, lengths=case.network.algebra.lengths, evaluator=evaluator
+        )
+        torque(again, *arguments(case, "torque", rng))
+    assert len(traces) == 1
+
+
+def test_the_network_is_a_pytree_without_arrays(case: Any) -> None:
+    assert jax.tree.leaves(case.network) == []
+
+
+def test_batches(case: Any, method: str, rng: np.random.Generator) -> None:
+    """Any leading axes: every sample is what it is alone, without any axis."""
+    shapes = [(3, 1, 2), (1,)] if method == "torque" else [(3, 1, 2)]
+    n, p = case.network.joint_count, case.network.size
+    core = {"regressor": (n, p), "mass_matrix": (n, n)}.get(method, (n,))
+    for shape in shapes:
+        values = arguments(case, method, rng, shape)
+        found = getattr(case.network, method)(*values)
+        assert found.shape == (*shape, *core)
+        for index in list(np.ndindex(*shape))[:2]:
+            alone = [
+                value if name == "k" else value[index]
+                for name, value in zip(METHODS[method], values, strict=True)
+            ]
+            single = getattr(case.network, method)(*alone)
+            assert single.shape == core
+            np.testing.assert_allclose(found[index], single, rtol=1e-9, atol=1e-11)
+
+
+def test_no_samples(case: Any, rng: np.random.Generator) -> None:
+    n, p = case.network.joint_count, case.network.size
+    for shape in ((0,), (2, 0)):
+        torque = jax.eval_shape(case.network.torque, *arguments(case, "torque", rng, shape))
+        regressor = jax.eval_shape(
+            case.network.regressor, *arguments(case, "regressor", rng, shape)
+        )
+        assert torque.shape == (*shape, n)
+        assert regressor.shape == (*shape, n, p)
+
+
+def test_vmap(case: Any, method: str, rng: np.random.Generator) -> None:
+    values = arguments(case, method, rng, (4,))
+    function = getattr(case.network, method)
+    axes = tuple(None if name == "k" else 0 for name in METHODS[method])
+    assert_close(jax.jit(jax.vmap(function, axes))(*values), function(*values))
+
+
+def test_vmap_over_coefficients(case: Any, rng: np.random.Generator) -> None:
+    k, q, qd, qdd = arguments(case, "torque", rng, (4,))
+    several = jnp.stack([k, 2 * k, 0 * k])
+    torques = jax.jit(jax.vmap(case.network.torque, (0, None, None, None)))
+    found = torques(several, q, qd, qdd)
+    once = case.network.torque(k, q, qd, qdd)
+    assert_close(found, jnp.stack([once, 2 * once, 0 * once]))
+
+
+@pytest.mark.parametrize("method", ["torque", "mass_matrix", "forward_dynamics"])
+def test_gradients(case: Any, method: str, rng: np.random.Generator) -> None:
+    """Forwards and backwards, against differences, with respect to every argument at once.
+
+    Torque is the sum of the terms that are left out here.
+    """
+    values = arguments(case, method, rng)
+    function = jax.jit(getattr(case.network, method))
+    check_grads(function, values, order=1, modes=("fwd", "rev"), rtol=1e-5, atol=1e-5)
+
+
+def test_gradient_with_respect_to_k_is_the_regressor(case: Any, rng: np.random.Generator) -> None:
+    k, q, qd, qdd = arguments(case, "torque", rng, (3,))
+    found = jax.jit(jax.jacfwd(case.network.torque))(k, q, qd, qdd)
+    assert_close(found, case.network.regressor(q, qd, qdd))
+
+
+@pytest.mark.parametrize("method", ["torque", "forward_dynamics"])
+def test_gradients_are_finite_at_singular_positions(case: Any, method: str) -> None:
+    n = case.network.joint_count
+    slopes = jax.jit(jax.jacrev(getattr(case.network, method), argnums=(0, 1, 2, 3)))
+    rest = jnp.zeros(n)
+    for angle in (0.0, 1e-7, np.pi):
+        for slope in slopes(jnp.asarray(case.k), jnp.full(n, angle), rest, rest):
+            assert np.all(np.isfinite(slope)), angle
+
+
+def test_float32_stays_float32(case: Any, method: str, rng: np.random.Generator) -> None:
+    values = arguments(case, method, rng, (4,))
+    single = [value.astype(jnp.float32) for value in values]
+    found = getattr(case.network, method)(*single)
+    assert found.dtype == jnp.float32
+    if method != "forward_dynamics":  # its error is the condition number's
+        expected = getattr(case.network, method)(*values)
+        assert_close(found, np.asarray(expected), SINGLE)
+
+
+def test_numpy_in_jax_out(case: Any, method: str, rng: np.random.Generator) -> None:
+    values = [np.asarray(value) for value in arguments(case, method, rng, (4,))]
+    found = getattr(case.network, method)(*values)
+    assert isinstance(found, jax.Array)
+    assert found.dtype == jnp.float64
+
+
+def test_batch_axes_broadcast(case: Any, rng: np.random.Generator) -> None:
+    k, q, qd, qdd = arguments(case, "torque", rng, (4,))
+    found = case.network.torque(k, q[0], qd, qdd[None, 1])
+    expected = case.network.torque(k, jnp.tile(q[0], (4, 1)), qd, jnp.tile(qdd[1], (4, 1)))
+    assert_close(found, expected)
+
+
+def test_coefficients_can_be_differentiated(cases: Callable[[str], Any]) -> None:
+    """k is a function of the links: sensitivities of coefficients to masses come for free."""
+    case = cases("elbow")
+
+    def total(links: Any) -> Any:
+        return jnp.sum(case.network.coefficients_from(links))
+
+    slope = jax.grad(total)(jax.tree.map(jnp.asarray, case.links))
+    step = 1e-6
+    changed: list[Any] = list(case.links)
+    changed[1] = eqx.tree_at(lambda link: link.mass, changed[1], float(changed[1].mass) + step)
+    difference = (float(total(changed)) - float(total(case.links))) / step
+    np.testing.assert_allclose(float(slope[1].mass), difference, rtol=1e-6)
