@@ -9,10 +9,11 @@ from ..network import CSLC
 
 # Patterns that are expanded into regressor rows at once: their intermediates fit a core's cache.
 _BLOCK = 2048
-# Rows that are factorised at once. LAPACK libraries spread larger factorisations over threads
-# that then wait for each other: on two cores OpenBLAS took 0.1 s for 2,048 x 29, and 0.6 ms for
-# eight of 256 x 29.
-ROWS = 256
+# Rows that are factorised at once, and cells of the matrix that they make. LAPACK libraries spread
+# larger factorisations over threads that then wait for each other: on two cores OpenBLAS took
+# 0.1 s for 2,048 x 29, and 0.6 ms for eight of 256 x 29.
+_ROWS = 256
+_CELLS = 7000
 
 
 class JointFactors(eqx.Module):
@@ -89,7 +90,7 @@ def factorise(
     Pure, and its memory beyond the arguments is one block of patterns.
     """
     samples, n = q.shape
-    size = min(_BLOCK, -(-samples // ROWS) * ROWS)
+    size = min(_BLOCK, -(-samples // _ROWS) * _ROWS)
     blocks = -(-samples // size)
     padding = blocks * size - samples
 
@@ -118,8 +119,11 @@ def factorise(
 
 
 def _join_rows(triangle: Float[Array, "s s"], rows: Float[Array, "s samples"]) -> Array:
-    """The triangle of a triangle above further rows, given as columns, `ROWS` at a time."""
-    pieces = jnp.swapaxes(rows.reshape(rows.shape[0], -1, ROWS), 0, 1)
+    """The triangle of a triangle above further rows, given as columns, some at a time."""
+    columns, at_once = rows.shape[0], _ROWS
+    while at_once > 32 and (at_once + columns) * columns > _CELLS:
+        at_once //= 2
+    pieces = jnp.swapaxes(rows.reshape(columns, -1, at_once), 0, 1)
 
     def step(triangle: Array, piece: Array) -> tuple[Array, None]:
         return jnp.linalg.qr(jnp.concatenate([triangle, piece.T]), mode="r"), None

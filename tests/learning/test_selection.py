@@ -1,4 +1,5 @@
 import dataclasses
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,9 @@ from jaxcslc.learning._triangle import triangle_of
 
 
 INTERVAL = 0.002
-K = jnp.array([0.5, 0.3, -0.1, 0.4, 0.6])
+K = np.array([0.5, 0.3, -0.1, 0.4, 0.6])
+# Of the pendulum's motion [rad/s, rad]: it ends at 2 Hz.
+RATES, SIZES = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +27,12 @@ def pendulum() -> jc.CSLC:
 def swing(
     network: jc.CSLC, rng: np.random.Generator, *, position: float = 1e-4, torque: float = 0.0
 ) -> jc.Recording:
-    """8 s of a pendulum whose motion ends at about 2 Hz, with noise of the given deviations."""
+    """8 s of a pendulum with noise of the given deviations."""
     time = np.arange(4000) * INTERVAL
-    rates, sizes = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
-    phase = np.outer(time, rates)
-    q = (np.sin(phase) @ sizes)[:, None]
-    qd = (np.cos(phase) @ (sizes * rates))[:, None]
-    qdd = (-np.sin(phase) @ (sizes * rates**2))[:, None]
+    phase = np.outer(time, RATES)
+    q = (np.sin(phase) @ SIZES)[:, None]
+    qd = (np.cos(phase) @ (SIZES * RATES))[:, None]
+    qdd = (-np.sin(phase) @ (SIZES * RATES**2))[:, None]
     clean = np.asarray(network.torque(K, q, qd, qdd))
     return jc.Recording(
         time,
@@ -65,10 +67,11 @@ def test_triangle_keeps_the_products_of_columns(rng: np.random.Generator):
 @pytest.mark.parametrize("weights", ["equal", "residual"])
 @pytest.mark.parametrize("cutoff", [None, 8.0])
 def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
-    weights: str, cutoff: float | None, rng: np.random.Generator
+    weights: Literal["equal", "residual"], cutoff: float | None, rng: np.random.Generator
 ):
     network = jc.derive(jc.puma560())
     robot = jc.puma560()
+    assert robot.links is not None
     k = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
     samples, folds = 1200, 3
     q, qd, qdd = rng.normal(size=(3, samples, 6))
@@ -115,23 +118,13 @@ def test_the_chosen_smoothing_gives_nearly_the_best_accelerations(
 ):
     recording = swing(pendulum, rng, position=3e-4, torque=0.3)
     chosen = spacing_of(jc.choose_settings(pendulum, recording))
-    exact = swing(pendulum, rng, position=0.0)
-    inside = slice(300, -300)
+    truth = (-np.sin(np.outer(recording.time, RATES)) @ (SIZES * RATES**2))[:, None]
 
     def error(spacing: int) -> float:
-        smoothing = jc.AveragedSplines(spacing)
-        noisy, clean = (
-            smoothing.smooth(r.time, r.position)[2] if r is recording else truth(r.time)
-            for r in (recording, exact)
-        )
-        return float(np.sqrt(np.mean((noisy - clean)[inside] ** 2)))
+        _, _, qdd = jc.AveragedSplines(spacing).smooth(recording.time, recording.position)
+        return float(np.sqrt(np.mean((qdd - truth)[300:-300] ** 2)))
 
-    def truth(time: np.ndarray) -> np.ndarray:
-        rates, sizes = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
-        return (-np.sin(np.outer(time, rates)) @ (sizes * rates**2))[:, None]
-
-    candidates = jc.Candidates.suited_to(recording).smoothings
-    best = min(error(s.spacing) for s in candidates if isinstance(s, jc.AveragedSplines))
+    best = min(error(spacing) for spacing in (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137))
     assert error(chosen) < 1.5 * best
 
 
@@ -191,7 +184,8 @@ def test_is_deterministic_and_reports_every_trial(pendulum: jc.CSLC, rng: np.ran
     first, second = (jc.choose_settings(pendulum, recording) for _ in range(2))
     assert [t.score for t in first.trials] == [t.score for t in second.trials]
     assert first.settings == second.settings
-    assert first.best.score == min(trial.score for trial in first.trials)
+    least = min(trial.score for trial in first.trials)
+    assert first.best.score == pytest.approx(least, rel=1e-5)
     assert len({str(trial.settings) for trial in first.trials}) == len(first.trials)
     assert "\n" not in str(first) and str(first.settings) in str(first)
 
@@ -214,12 +208,13 @@ def test_only_candidates_that_were_given_are_tried(pendulum: jc.CSLC, rng: np.ra
     )
     selection = jc.choose_settings(pendulum, swing(pendulum, rng), candidates)
     assert len(selection.trials) == 2
-    assert {trial.settings.smoothing for trial in selection.trials} == set(candidates.smoothings)
+    tried = [trial.settings.smoothing for trial in selection.trials]
+    assert all(smoothing in tried for smoothing in candidates.smoothings)
 
 
 def test_uneven_time_is_no_reason_to_fail(pendulum: jc.CSLC, rng: np.random.Generator):
     recording = swing(pendulum, rng)
-    kept = np.sort(rng.choice(recording.samples, 3500, replace=False))
+    kept = rng.uniform(size=recording.samples) < 0.9
     selection = jc.choose_settings(pendulum, recording.rows(kept))
     assert selection.settings.cutoff is None
 
@@ -235,7 +230,7 @@ def test_refuses_what_makes_no_sense(pendulum: jc.CSLC, rng: np.random.Generator
     for gap in (-0.1, 5.0, np.nan):
         with pytest.raises(ValueError, match="a gap of"):
             jc.choose_settings(pendulum, recording, gap=gap)
-    with pytest.raises(ValueError, match="1 joints, .* has 6"):
+    with pytest.raises(ValueError, match=r"1 joints, .* has 6"):
         jc.choose_settings(jc.derive(jc.puma560()), recording)
     with pytest.raises(ValueError, match="no candidates for cutoffs"):
         jc.Candidates(cutoffs=())
@@ -260,7 +255,7 @@ def test_refuses_a_joint_that_stands_still(pendulum: jc.CSLC):
         ("cutoff", 0.0, "cut-off is 0.0"),
     ],
 )
-def test_settings_refuse_numbers_that_make_no_sense(field: str, value: object, message: str):
+def test_settings_refuse_numbers_that_make_no_sense(field: str, value: Any, message: str):
     # Types are checked first where tests check them.
     with pytest.raises((ValueError, TypeError), match=f"{message}|type"):
         jc.Settings(**{field: value})
