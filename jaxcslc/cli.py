@@ -188,6 +188,8 @@ def _one_line_errors() -> Generator[None]:
     """What a user can set right is one line on standard error, and exit code 2."""
     try:
         yield
+    except BrokenPipeError:  # the reader has seen enough, as `head` has; typer ends quietly
+        raise
     except (RobotError, RecordingError, ValueError, RuntimeError, OSError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
         print(f"jaxcslc: {message}", file=sys.stderr)
