@@ -1,4 +1,6 @@
+from ._agreement import Agreement as Agreement, agreement as agreement
 from ._baselines import regress_friction as regress_friction
+from ._budget_picture import budget_picture as budget_picture
 from ._coefficient_table import (
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,
@@ -8,6 +10,16 @@ from ._errors import (
     compare as compare,
     predicted_torque as predicted_torque,
     torque_errors as torque_errors,
+)
+from ._excitation import Excitation as Excitation, degree_of_excitation as degree_of_excitation
+from ._friction_pictures import (
+    friction_picture as friction_picture,
+    hysteresis_picture as hysteresis_picture,
+)
+from ._mask_quality import MaskQuality as MaskQuality, mask_quality as mask_quality
+from ._motor_pictures import (
+    motor_curve_picture as motor_curve_picture,
+    motor_response_picture as motor_response_picture,
 )
 from ._output import (
     all_or_nothing as all_or_nothing,
@@ -19,4 +31,14 @@ from ._report import (
     derivation_document as derivation_document,
     identification_report as identification_report,
 )
+from ._sensitivity import output_sensitivity as output_sensitivity
+from ._sign_check import SignCheck as SignCheck, sign_check as sign_check
+from ._smoothing_pictures import (
+    averaged_spline_picture as averaged_spline_picture,
+    spline_subsets_picture as spline_subsets_picture,
+)
 from ._text import text_table as text_table
+from ._trajectory_pictures import (
+    motion_picture as motion_picture,
+    reversal_picture as reversal_picture,
+)

@@ -5,14 +5,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ._look import COLOURS, MEASURED, STYLES, new_figure
+
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-# Okabe and Ito's palette, told apart by colour-blind readers; the measured torque is a broad grey.
-_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)))
 
 
 def torque_picture(
@@ -36,13 +33,11 @@ def torque_picture(
 
     **Returns** a matplotlib figure; `figure.savefig(path)` draws it.
     """
-    from matplotlib.figure import Figure  # takes 0.3 s, and most users of the package do not draw
-
     measured = np.asarray(measured)
     n = measured.shape[1]
     shown = np.ones(measured.shape, bool) if counts is None else np.asarray(counts)
     rows = -(-n // 2)
-    figure = Figure(figsize=(11, 1.2 + 2.3 * rows), layout="constrained")
+    figure = new_figure(11, 1.2 + 2.3 * rows)
     axes = np.atleast_2d(figure.subplots(rows, 2, sharex=True))
     breaks = np.flatnonzero(np.diff(time) > 10 * np.median(np.diff(time))) + 1
 
@@ -55,13 +50,13 @@ def torque_picture(
             axis.set_visible(False)
             continue
         clock = broken(time)
-        axis.plot(clock, broken(measured[:, joint]), color="0.65", lw=3.0, label="measured")
+        axis.plot(clock, broken(measured[:, joint]), color=MEASURED, lw=3.0, label="measured")
         for i, (name, torque) in enumerate(predicted.items()):
             axis.plot(
                 clock,
                 broken(np.where(shown[:, joint], np.asarray(torque)[:, joint], np.nan)),
-                color=_COLOURS[i % len(_COLOURS)],
-                ls=_STYLES[i % len(_STYLES)],
+                color=COLOURS[i % len(COLOURS)],
+                ls=STYLES[i % len(STYLES)],
                 lw=1.0,
                 label=name,
             )

@@ -1,0 +1,51 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..learning import filled_up
+from ..motion import Patterns
+from ..network import CSLC
+
+
+def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coefficients"]:
+    """How much a unit of each coefficient changes the torque of a recording (Section 7.6).
+
+    The mean modulus, over all joints and all patterns, of the torque that the network gives
+    when one coefficient is 1 and every other 0. Torque is linear in the coefficients, so a
+    variation times its sensitivity is its mean effect [N m], whatever the coefficients are.
+
+    A joint that the coefficient does not enter counts into the mean with zero. So does
+    Appendix B: its dry friction, which moves one joint of six, has a sensitivity of one sixth.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `patterns`: motion of the training recording. Its masks are not used: a sensitivity is a
+      property of the motion, not of what a fit is shown of it.
+
+    **Returns** (p,) [N m, or N, per unit of the coefficient].
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.assessment import output_sensitivity
+    >>> network = jc.derive(jc.puma560())
+    >>> motion = 0.5 + np.arange(60.0).reshape(10, 6)
+    >>> all_pairs = np.ones((10, 6), bool)
+    >>> patterns = jc.Patterns(
+    ...     np.arange(10.0), motion, motion, motion, motion, all_pairs, all_pairs
+    ... )
+    >>> round(float(output_sensitivity(network, patterns)[network.names.index("kd3")]), 4)
+    0.1667
+    """
+    q, qd, qdd = (jnp.asarray(filled_up(x)).T for x in (patterns.q, patterns.qd, patterns.qdd))
+    # The rows that fill up are at rest, where gravity still pulls: they weigh nothing.
+    weight = jnp.asarray(filled_up(np.ones((patterns.samples, 1)))[:, 0])
+    return _mean_modulus(network, q, qd, qdd, weight)
+
+
+@eqx.filter_jit
+def _mean_modulus(network: CSLC, q: Array, qd: Array, qdd: Array, weight: Array) -> Array:
+    total = jnp.zeros(network.size, q.dtype)
+    for support, rows in zip(network.support, network.columns(q, qd, qdd), strict=True):
+        total = total.at[np.array(support, dtype=int)].add(jnp.abs(rows) @ weight)
+    return total / (network.joint_count * jnp.sum(weight))
