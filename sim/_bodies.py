@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
 
-from ._machine import MachineError
+from ._machine_error import MachineError
 
 
 # A link whose measured tensor misses being a body's is made one with this much to spare.
@@ -73,6 +74,37 @@ def possible_links(
         borrowed = loan * (np.eye(3) - np.outer(axis, axis))
         borrowed[np.abs(borrowed) < _ROUNDING * loan] = 0.0  # of sin and cos of right angles
     return tuple(reversed(result))
+
+
+def tilted_links(
+    links: Sequence[LinkParameters], angles: Sequence[float]
+) -> tuple[LinkParameters, ...]:
+    """Link parameters whose principal axes at the centre of gravity are turned.
+
+    **Arguments**
+
+    - `links`: parameters of the links.
+    - `angles`: by how much each is turned, about the direction (1, 1, 1) of its own frame, which
+        favours none of the frame's axes [rad].
+
+    **Returns**
+
+    The parameters with other inertia tensors of the same principal moments.
+
+    ```python
+    >>> import jaxcslc
+    >>> from sim import tilted_links
+    >>> link = tilted_links(jaxcslc.puma560().links, [0.1] * 6)[1]
+    >>> round(float(link.inertia[0, 1]), 4), round(float(link.inertia.trace()), 4)
+    (-0.0233, 1.193)
+
+    ```
+    """
+    turns = [Rotation.from_rotvec(np.full(3, angle / math.sqrt(3))).as_matrix() for angle in angles]
+    return tuple(
+        dataclasses.replace(link, inertia=turn @ np.asarray(link.inertia) @ turn.T)
+        for link, turn in zip(links, turns, strict=True)
+    )
 
 
 def _lacking(inertia: Float[np.ndarray, "3 3"], number: int) -> float:

@@ -7,26 +7,32 @@ from jaxtyping import Float
 
 from jaxcslc.manipulator import Manipulator
 
+from ._arrays import Array, clock, namespace, spread
 from ._machine import MachineError
+from ._paths import AbstractPath
+from ._repulsion import AbstractRepulsion
 
 
 class AbstractController(abc.ABC):
     """What demands torque of the drives, once a sample, knowing the encoders and the clock.
 
-    A controller is immutable; what it remembers is a state that it hands out and is handed back.
-    Every method takes any leading batch axes.
+    A controller is immutable; what it remembers is a state that it hands out and is handed back:
+    a pytree of arrays whose shapes stay the same. Every method takes any leading batch axes, and
+    arrays of NumPy or of JAX, tracers included, so that a loop over the samples can be a
+    `jax.lax.scan`.
     """
 
     @abc.abstractmethod
-    def begin(self, position: Float[np.ndarray, "*batch joints"]) -> Any:
+    def begin(self, position: Float[Array, "*batch joints"]) -> Any:
         """The state before the first sample, the joints at rest at `position` [rad or m]."""
 
     @abc.abstractmethod
     def demand(
-        self, state: Any, time: float, position: Float[np.ndarray, "*batch joints"]
-    ) -> tuple[Float[np.ndarray, "*batch joints"], Any]:
+        self, state: Any, time: float | Array, position: Float[Array, "*batch joints"]
+    ) -> tuple[Float[Array, "*batch joints"], Any]:
         """The torque demanded at `time` [s] when the encoders read `position` [rad or m], held
-        until the next sample [N m or N], and the state to go on with."""
+        until the next sample [N m or N], and the state to go on with. The time is one number, or
+        one a row, (*batch, 1)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,51 +99,14 @@ class AbbreviatedGravity:
             ),
         )
 
-    def torque(
-        self, position: Float[np.ndarray, "*batch joints"]
-    ) -> Float[np.ndarray, "*batch joints"]:
+    def torque(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
         """The compensation at joint positions [rad], [N m]."""
+        xp = namespace(position)
         q2, q23 = position[..., 1], position[..., 1] + position[..., 2]
-        forearm = self.forearm[0] * np.cos(q23) + self.forearm[1] * np.sin(q23)
-        torque = np.zeros(position.shape)
-        torque[..., 1] = self.upper_arm[0] * np.cos(q2) + self.upper_arm[1] * np.sin(q2) + forearm
-        torque[..., 2] = forearm
-        return torque
-
-
-@dataclass(frozen=True, eq=False)
-class Repulsion:
-    """The safety measure of 7.4.1: a torque away from the ends of each joint's range.
-
-    It is `strength` at an end and falls by a factor e every `width` inside it: vanishingly small
-    through most of the range. The thesis gives neither its form nor its size.
-
-    ```python
-    >>> import numpy as np
-    >>> from sim import Repulsion
-    >>> repulsion = Repulsion(np.array([[-1.0, 1.0]]), strength=np.array([50.0]))
-    >>> [float(repulsion.torque(np.array([q])).round(3)[0]) for q in (-1.0, -0.5, 0.0)]
-    [50.0, 0.002, 0.0]
-
-    ```
-    """
-
-    position_range: Float[np.ndarray, "joints 2"]
-    """Lowest and highest position of each joint [rad or m]."""
-
-    strength: Float[np.ndarray, " joints"]
-    """Torque at either end [N m or N]; beyond it, it grows no more than threefold."""
-
-    width: float = 0.05
-    """[rad or m]."""
-
-    def torque(
-        self, position: Float[np.ndarray, "*batch joints"]
-    ) -> Float[np.ndarray, "*batch joints"]:
-        """The repulsion at joint positions [rad or m], [N m or N]."""
-        above = (self.position_range[:, 0] - position) / self.width
-        below = (position - self.position_range[:, 1]) / self.width
-        return self.strength * (np.exp(np.minimum(above, 1.0)) - np.exp(np.minimum(below, 1.0)))
+        forearm = self.forearm[0] * xp.cos(q23) + self.forearm[1] * xp.sin(q23)
+        upper_arm = self.upper_arm[0] * xp.cos(q2) + self.upper_arm[1] * xp.sin(q2) + forearm
+        none = xp.zeros_like(q2)
+        return xp.stack([none, upper_arm, forearm, none, none, none], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,55 +127,53 @@ class SinusoidalTorque(AbstractController):
     """[rad]. At 3π/2, a joint that starts at rest swings to one side of its start and back."""
 
     gravity: AbbreviatedGravity | None = None
-    repulsion: Repulsion | None = None
+    repulsion: tuple[AbstractRepulsion, ...] = ()
 
-    def begin(self, position: Float[np.ndarray, "*batch joints"]) -> Any:
+    def begin(self, position: Float[Array, "*batch joints"]) -> Any:
         """Nothing: this controller has no memory."""
         del position
+        return ()
 
     def demand(
-        self, state: Any, time: float, position: Float[np.ndarray, "*batch joints"]
-    ) -> tuple[Float[np.ndarray, "*batch joints"], Any]:
+        self, state: Any, time: float | Array, position: Float[Array, "*batch joints"]
+    ) -> tuple[Float[Array, "*batch joints"], Any]:
         """As the abstract method."""
-        wave = self.amplitude * np.sin(2 * np.pi * time / self.period + self.phase)
-        torque = np.broadcast_to(wave, position.shape)
+        angle = 2 * np.pi * clock(time, position) / spread(self.period, position)
+        wave = namespace(position).sin(angle + spread(self.phase, position))
+        torque = spread(self.amplitude, position) * wave
         if self.gravity is not None:
             torque = torque + self.gravity.torque(position)
-        if self.repulsion is not None:
-            torque = torque + self.repulsion.torque(position)
+        for repulsion in self.repulsion:
+            torque = torque + repulsion.torque(position)
         return torque, state
 
 
 class PIDState(NamedTuple):
-    """What a PID controller remembers; every array has shape (*batch, joints)."""
+    """What a PID controller remembers; arrays of shape (*batch, joints), and the time's."""
 
-    origin: np.ndarray
+    origin: Array
     """Where the path begins [rad or m]."""
-    error: np.ndarray
+    error: Array
     """Position error at the sample before [rad or m]."""
-    rate: np.ndarray
+    rate: Array
     """Filtered rate of the error [rad/s or m/s]."""
-    integral: np.ndarray
+    integral: Array
     """Integral of the error [rad s or m s]."""
-    time: float
-    """Of the sample before [s]."""
+    time: Array
+    """Of the sample before [s]; shape (*batch, 1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PID(AbstractController):
     """The comparison trajectory's controller (7.4.2): PID along a path, gravity compensated.
 
-    The path is a `minimum_jerk` motion in joint space from where the encoders find the arm to
-    `end`. The machine has no tachometers, so the rate of the error is the difference of two
-    readings over a sample interval, smoothed by a first-order low pass: without it, one count at
-    2 ms would be worth 4 N m at joint 2.
+    With an integral gain of zero it is the PD controller of 7.2.3. The machine has no tachometers,
+    so the rate of the error is the difference of two readings over a sample interval, smoothed by
+    a first-order low pass: without it, one count at 2 ms would be worth 4 N m at joint 2.
     """
 
-    end: Float[np.ndarray, " joints"]
-    """Where the path ends [rad or m]."""
-
-    duration: float
-    """Of the path [s]; afterwards its end is held."""
+    path: AbstractPath
+    """Where the joints should be, from where the encoders find the arm at first."""
 
     position_gain: Float[np.ndarray, " joints"]
     """[N m/rad or N/m]."""
@@ -222,43 +189,29 @@ class PID(AbstractController):
     cut_off: float = 20.0
     """Of the low pass on the rate [Hz]."""
 
-    def begin(self, position: Float[np.ndarray, "*batch joints"]) -> PIDState:
+    def begin(self, position: Float[Array, "*batch joints"]) -> PIDState:
         """At rest where the encoders say, without error."""
-        zero = np.zeros(position.shape)
-        return PIDState(position, zero, zero, zero, 0.0)
+        zero = namespace(position).zeros_like(position)
+        return PIDState(position, zero, zero, zero, clock(0.0, position))
 
     def demand(
-        self, state: PIDState, time: float, position: Float[np.ndarray, "*batch joints"]
-    ) -> tuple[Float[np.ndarray, "*batch joints"], PIDState]:
+        self, state: PIDState, time: float | Array, position: Float[Array, "*batch joints"]
+    ) -> tuple[Float[Array, "*batch joints"], PIDState]:
         """As the abstract method."""
-        path = state.origin + (self.end - state.origin) * minimum_jerk(time / self.duration)
-        error = path - position
-        rate, integral = state.rate, state.integral
-        interval = time - state.time
-        if interval > 0:
-            integral = integral + error * interval
-            weight = -np.expm1(-2 * np.pi * self.cut_off * interval)
-            rate = rate + weight * ((error - state.error) / interval - rate)
+        xp = namespace(position)
+        now = clock(time, position)
+        error = self.path.position(now, state.origin) - position
+        # No time has passed at the first sample, and the error has no rate yet.
+        interval = now - state.time
+        weight = -xp.expm1(-2 * np.pi * self.cut_off * interval)
+        rate = (error - state.error) / xp.where(interval > 0, interval, 1.0)
+        rate = state.rate + weight * (rate - state.rate)
+        integral = state.integral + error * interval
         torque = (
-            self.position_gain * error + self.integral_gain * integral + self.velocity_gain * rate
+            spread(self.position_gain, position) * error
+            + spread(self.integral_gain, position) * integral
+            + spread(self.velocity_gain, position) * rate
         )
         if self.gravity is not None:
             torque = torque + self.gravity.torque(position)
-        return torque, PIDState(state.origin, error, rate, integral, time)
-
-
-def minimum_jerk(s: float) -> float:
-    """The quintic from 0 at s = 0 to 1 at s = 1 that starts and ends at rest, unaccelerated.
-
-    Of all such motions it has the least mean square jerk (Flash and Hogan 1985). Before and after
-    it stays at 0 and at 1.
-
-    ```python
-    >>> from sim import minimum_jerk
-    >>> minimum_jerk(-1.0), minimum_jerk(0.5), minimum_jerk(2.0)
-    (0.0, 0.5, 1.0)
-
-    ```
-    """
-    s = min(max(s, 0.0), 1.0)
-    return s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        return torque, PIDState(state.origin, error, rate, integral, now)

@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -8,10 +9,10 @@ from ._machine import Machine
 
 @dataclass(frozen=True, eq=False)
 class Encoders:
-    """Incremental encoders, one a joint (7.1, 7.2.5).
+    """Incremental encoders, one a joint, on its rotor (7.1, 7.2.5).
 
     An encoder counts the lines that have passed since it was set to zero, so a reading is a whole
-    number of counts. Where between two lines the joint stood at that moment is its phase, which
+    number of counts. Where between two lines the rotor stood at that moment is its phase, which
     differs every time the machine is switched on.
 
     ```python
@@ -24,10 +25,10 @@ class Encoders:
     ```
     """
 
-    resolution: Float[np.ndarray, " joints"]
+    resolution: Float[Any, "*batch joints"]
     """What one count means at the joint [rad or m]; zero reads the position as it is."""
 
-    phase: Float[np.ndarray, "*batch joints"]
+    phase: Float[Any, "*batch joints"]
     """In counts, from 0 to 1. A half makes a reading the nearest whole count; with any other, it
     is at most `max(phase, 1 - phase)` counts from the position."""
 
@@ -36,8 +37,10 @@ class Encoders:
         """The encoders of a machine."""
         return cls(np.array(machine.encoder_resolution), phase)
 
-    def read(self, q: Float[np.ndarray, "*batch joints"]) -> Float[np.ndarray, "*batch joints"]:
-        """Readings of joint positions, `resolution * floor(q / resolution + phase)` [rad or m]."""
+    def read(self, q: Float[Any, "*batch joints"]) -> Float[Any, "*batch joints"]:
+        """Readings of rotor positions, `resolution * floor(q / resolution + phase)` [rad or m];
+        NumPy or JAX arrays."""
+        xp = q.__array_namespace__()
         exact = self.resolution == 0
-        count = np.where(exact, 1.0, self.resolution)
-        return np.where(exact, q, count * np.floor(q / count + self.phase))
+        count = xp.where(exact, 1.0, self.resolution)
+        return xp.where(exact, q, count * xp.floor(q / count + self.phase))

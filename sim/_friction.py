@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -8,16 +9,19 @@ from ._machine import Machine
 
 @dataclass(frozen=True, eq=False)
 class Friction:
-    """The three-part friction of Eqn. 2.5-4, joint by joint.
+    """The three-part friction of Eqn. 2.5-4, for each thing that rubs.
 
-    F(qd) = k^v qd + sgn(qd) [k^d + (k^s − k^d) exp(−|qd| / γ)] opposes a joint that moves; one at
-    rest is held by whatever keeps it still, up to k^s.
+    F(qd) = (k^v |qd| + k^d + (k^s − k^d) exp(−|qd| / γ)) (sgn(qd) + a) opposes what moves; what is
+    at rest is held by whatever keeps it still, from −k^s (1 − a) to k^s (1 + a). The thesis's law
+    has no asymmetry a.
 
-    MuJoCo's friction loss is a constant that its constraint solver makes stick and slip. Written
-    F(qd) = k^v qd + sgn(qd) k^s − w(qd), the law is that constant and a torque w that is zero at
-    rest and continuous: MuJoCo is given k^s, and w is applied to the joint as a help to its motion
-    (see `weakening`). Changing the friction loss with the speed would do the same, but constants
-    of a model cannot differ between the members of a batch at no cost.
+    MuJoCo's friction loss is a constant that its constraint solver makes stick and slip, and its
+    damping is symmetric. Written F(qd) = k^v qd + sgn(qd) k^s − w(qd), the law is these two and a
+    torque w that is continuous: MuJoCo is given k^v and k^s, and w is applied as a help to the
+    motion (see `help`). Changing the friction loss with the speed would do the same, but
+    constants of a model cannot differ between the members of a batch at no cost.
+
+    Every array may have leading batch axes.
 
     ```python
     >>> import numpy as np
@@ -28,37 +32,45 @@ class Friction:
     ```
     """
 
-    viscous: Float[np.ndarray, " joints"]
+    viscous: Float[Any, "*batch rubbing"]
     """k^v [N m s/rad or N s/m]."""
 
-    dry: Float[np.ndarray, " joints"]
+    dry: Float[Any, "*batch rubbing"]
     """k^d [N m or N]."""
 
-    static: Float[np.ndarray, " joints"]
+    static: Float[Any, "*batch rubbing"]
     """k^s [N m or N]."""
 
-    static_velocity: Float[np.ndarray, " joints"]
+    static_velocity: Float[Any, "*batch rubbing"]
     """γ [rad/s or m/s]."""
+
+    asymmetry: Float[Any, "*batch rubbing"]
+    """a."""
 
     @classmethod
     def of(cls, machine: Machine) -> "Friction":
-        """The friction of a machine."""
+        """The friction of a machine's joints, that of rotor and link together."""
         return cls(
             np.array(machine.viscous),
             np.array(machine.dry),
             np.array(machine.static),
             np.array(machine.static_velocity),
+            np.array(machine.asymmetry),
         )
 
-    def torque(self, qd: Float[np.ndarray, "*batch joints"]) -> Float[np.ndarray, "*batch joints"]:
-        """F(qd), what friction takes from sliding joints [N m or N]; of the sign of `qd`
-        [rad/s or m/s], and zero where that is zero."""
-        return self.viscous * qd + np.sign(qd) * self.static - self.weakening(qd)
+    def torque(self, qd: Float[Any, "*batch rubbing"]) -> Float[Any, "*batch rubbing"]:
+        """F(qd), what friction takes of what slides [N m or N]; against `qd` [rad/s or m/s], and
+        zero where that is zero."""
+        xp = qd.__array_namespace__()
+        moving = xp.where(qd == 0, 0.0, 1.0)
+        return moving * (self.viscous * qd + xp.sign(qd) * self.static - self.help(qd))
 
-    def weakening(
-        self, qd: Float[np.ndarray, "*batch joints"]
-    ) -> Float[np.ndarray, "*batch joints"]:
-        """w(qd), by how much dry and static friction of a moving joint fall short of k^s
-        [N m or N]; of the sign of `qd` [rad/s or m/s], and continuous where that is zero."""
+    def help(self, qd: Float[Any, "*batch rubbing"]) -> Float[Any, "*batch rubbing"]:
+        """w(qd), by how much friction falls short of k^v qd + sgn(qd) k^s [N m or N], from `qd`
+        [rad/s or m/s]; continuous where that is zero. NumPy or JAX arrays."""
+        xp = qd.__array_namespace__()
+        speed = xp.abs(qd)
         excess = self.static - self.dry
-        return -np.sign(qd) * excess * np.expm1(-np.abs(qd) / self.static_velocity)
+        weaker = -excess * xp.expm1(-speed / self.static_velocity)
+        one_sided = self.viscous * speed + self.static - weaker
+        return xp.sign(qd) * weaker - self.asymmetry * one_sided

@@ -1,16 +1,22 @@
-import math
+from collections.abc import Sequence
 
-import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from mujoco.batch import Batch
 
-from ._friction import Friction
+from ._drives import Drives
 from ._machine import Machine
-from ._mjcf import mjcf
+from ._models import check_time_step, model_of, rubbing
+from ._plan import Plan
+from ._stacking import stacked
+from ._transmission import Transmission
 
 
 class Plant:
-    """A machine's mechanics in motion: drives, rigid links and friction, without encoders.
+    """The mechanics of machines in motion: drives, rotors, gears, links and friction.
+
+    Any number of machines move side by side, on as many threads as asked for. What a machine does
+    depends on no other, and not on the number of threads, to the last bit.
 
     The equations of motion are integrated by a fourth-order Runge-Kutta method. A semi-implicit
     Euler method of the same cost lets positions run ahead of torques by half a step, which an
@@ -18,10 +24,11 @@ class Plant:
     joint 6 in the training trajectory.
 
     A joint sticks or slips as MuJoCo's friction constraint decides. The part of Eqn. 2.5-4 that
-    varies with the speed (`Friction.weakening`) is held over a step, at its value for the speed
+    varies with the speed (`Friction.help`) is held over a step, at its value for the speed
     expected at the step's middle.
 
-    This is the one mutable thing in the simulator; `simulate` makes one for each recording.
+    Every array below has shape `(machines, joints)`, or `(joints,)` for a plant of one machine
+    that was not given as a sequence. A plant is the one mutable thing in the simulator.
 
     ```python
     >>> import numpy as np
@@ -36,75 +43,153 @@ class Plant:
     """
 
     def __init__(
-        self, machine: Machine, position: Float[np.ndarray, " joints"], *, interval: float
+        self,
+        machines: Machine | Sequence[Machine],
+        position: Float[np.ndarray, "*machines joints"],
+        *,
+        interval: float,
+        threads: int = 1,
     ) -> None:
-        """A machine at rest.
+        """Machines at rest, their gears in the middle of the dead band.
 
         **Arguments**
 
-        - `machine`: the machine.
-        - `position`: of its joints [rad or m].
+        - `machines`: one, or several of as many joints, of which the same have a transmission
+            that gives way, and with the same time step.
+        - `position`: of their joints [rad or m].
         - `interval`: by how much `advance` goes on [s]; divided into equal steps, each at most
-            `machine.time_step`.
+            the machines' `time_step`.
+        - `threads`: how many to use.
+
+        **Raises**
+
+        - `MachineError`: machines that do not go together, a torque limit below gravity's need, a
+            time step too long for a transmission, a torque delay as long as the interval.
         """
-        self._steps = max(1, math.ceil(interval / machine.time_step - 1e-9))
-        self._step = interval / self._steps
-        self._friction = Friction.of(machine)
-        self._limit = np.array(machine.maximum_torque)
-        self._model = mujoco.MjModel.from_xml_string(
-            mjcf(
-                machine.robot,
-                viscous=machine.viscous,
-                breakaway=machine.static,
-                time_step=self._step,
-            )
-        )
-        # A state that is not finite has to show, and not to be put back to the start.
-        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self._data = mujoco.MjData(self._model)
-        self._data.qpos[:] = position
-        self.drive(np.zeros(machine.joint_count))
+        self._alone = isinstance(machines, Machine)
+        group = [machines] if isinstance(machines, Machine) else list(machines)
+        plan = Plan.of(group, interval)
+        first = group[0]
+        self._steps, self._step, self._stale = plan.steps, plan.step, plan.stale
+        self._is_late = bool(plan.stale.any())
+        self._transmission = stacked([Transmission.of(machine) for machine in group], ("flexible",))
+        self._rotor = self._transmission.rotor
+        self._friction = stacked([rubbing(machine) for machine in group])
+        self._share = np.array([machine.link_share for machine in group])
+        self._drives = stacked([Drives.of(machine) for machine in group])
+        links = [machine.links for machine in group]
+        self._inertia = np.array([[float(link.motor_inertia) for link in row] for row in links])
+
+        # Machines of many recordings are often the same one.
+        models = {id(machine): model_of(machine, self._step) for machine in group}
+        at = np.atleast_2d(position)
+        for machine, row in zip(group, at, strict=True):
+            check_time_step(machine, models[id(machine)], row)
+        self._batch = Batch(models[id(first)], len(group), nthread=threads)
+        if len(models) > 1:
+            self._batch.set_models([models[id(machine)] for machine in group])
+        self._q, self._qd = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._control, self._applied = self._batch.bind("ctrl"), self._batch.bind("qfrc_applied")
+        self._qdd = self._batch.bind("qacc")
+        self._constraint = self._batch.bind("qfrc_constraint")
+        n = first.joint_count
+        self._q[:, :n] = at
+        self._q[:, self._rotor] = at
+        self._torque = np.zeros(at.shape)
+        self._before = self._torque
+        self._n = n
+        self.drive(np.zeros(position.shape))
 
     @property
-    def position(self) -> Float[np.ndarray, " joints"]:
-        """Joint positions [rad or m]."""
-        return self._data.qpos.copy()
+    def position(self) -> Float[np.ndarray, "*machines joints"]:
+        """Positions of the links [rad or m]."""
+        return self._given(self._q[:, : self._n])
 
     @property
-    def velocity(self) -> Float[np.ndarray, " joints"]:
-        """Joint velocities [rad/s or m/s]."""
-        return self._data.qvel.copy()
+    def velocity(self) -> Float[np.ndarray, "*machines joints"]:
+        """Velocities of the links [rad/s or m/s]."""
+        return self._given(self._qd[:, : self._n])
 
     @property
-    def acceleration(self) -> Float[np.ndarray, " joints"]:
-        """Joint accelerations at the latest `drive` [rad/s² or m/s²]."""
-        return self._acceleration
+    def acceleration(self) -> Float[np.ndarray, "*machines joints"]:
+        """Accelerations of the links at the latest `drive` [rad/s² or m/s²]."""
+        return self._given(self._acceleration[:, : self._n])
 
     @property
-    def torque(self) -> Float[np.ndarray, " joints"]:
-        """What the drives give [N m or N]."""
-        return self._data.ctrl.copy()
+    def rotor_position(self) -> Float[np.ndarray, "*machines joints"]:
+        """Positions of the rotors, at the joint [rad or m]."""
+        return self._given(self._q[:, self._rotor])
 
     @property
-    def friction(self) -> Float[np.ndarray, " joints"]:
-        """What friction took of it at the latest `drive` [N m or N]."""
-        return self._taken
+    def rotor_velocity(self) -> Float[np.ndarray, "*machines joints"]:
+        """Velocities of the rotors, at the joint [rad/s or m/s]."""
+        return self._given(self._qd[:, self._rotor])
 
-    def drive(self, demand: Float[np.ndarray, " joints"]) -> None:
-        """Makes the drives give the torque demanded, as far as they can, from now on [N m or N]."""
-        data = self._data
-        data.ctrl[:] = np.clip(demand, -self._limit, self._limit)
-        data.qfrc_applied[:] = self._friction.weakening(data.qvel)
-        mujoco.mj_forward(self._model, data)
-        self._acceleration = data.qacc.copy()
-        self._taken = -(data.qfrc_passive + data.qfrc_constraint + data.qfrc_applied)
+    @property
+    def rotor_acceleration(self) -> Float[np.ndarray, "*machines joints"]:
+        """Accelerations of the rotors at the latest `drive` [rad/s² or m/s²]."""
+        return self._given(self._acceleration[:, self._rotor])
+
+    @property
+    def torque(self) -> Float[np.ndarray, "*machines joints"]:
+        """What the drives give just after the latest `drive` [N m or N]."""
+        return self._given(self._acting(0))
+
+    @property
+    def friction(self) -> Float[np.ndarray, "*machines joints"]:
+        """What friction of rotor and link took of it at the latest `drive` [N m or N]."""
+        return self._given(self._rotor_friction + self._link_friction)
+
+    @property
+    def link_friction(self) -> Float[np.ndarray, "*machines joints"]:
+        """What friction of the link alone took [N m or N]."""
+        return self._given(self._link_friction)
+
+    @property
+    def transmitted(self) -> Float[np.ndarray, "*machines joints"]:
+        """What went through the gears from rotor to link at the latest `drive` [N m or N]."""
+        inertial = self._inertia * self._acceleration[:, self._rotor]
+        return self._given(self._acting(0) - self._rotor_friction - inertial)
+
+    @property
+    def apart(self) -> Bool[np.ndarray, "*machines joints"]:
+        """Whether the gears are apart: whether the joint is experiencing backlash."""
+        rotor, link = self._q[:, self._rotor], self._q[:, : self._n]
+        apart = self._transmission.apart(rotor, link)
+        return apart[0] if self._alone else apart
+
+    def drive(self, demand: Float[np.ndarray, "*machines joints"]) -> None:
+        """Makes the drives give the torque demanded, as far and as soon as they can [N m or N]."""
+        self._before = self._torque
+        self._torque = self._drives.torque(np.atleast_2d(demand))
+        self._control[:] = self._acting(0)
+        self._applied[:] = self._friction.help(self._qd)
+        self._batch.forward()
+        self._acceleration = self._qdd.copy()
+        taken = self._friction.viscous * self._qd - self._applied - self._constraint
+        link, rotor = taken[:, : self._n], taken[:, self._rotor]
+        soft, share = self._transmission.flexible, self._share
+        self._rotor_friction = np.where(soft, rotor, (1 - share) * link)
+        self._link_friction = np.where(soft, link, share * link)
 
     def advance(self) -> None:
         """Goes on by one interval."""
-        data, half = self._data, 0.5 * self._step
+        half = 0.5 * self._step
         acceleration = self._acceleration
-        for _ in range(self._steps):
-            before = data.qvel.copy()
-            data.qfrc_applied[:] = self._friction.weakening(before + half * acceleration)
-            mujoco.mj_step(self._model, data)
-            acceleration = (data.qvel - before) / self._step
+        for step in range(self._steps):
+            before = self._qd.copy()
+            if self._is_late:
+                self._control[:] = self._acting(step)
+            self._applied[:] = self._friction.help(before + half * acceleration)
+            self._batch.step()
+            acceleration = (self._qd - before) / self._step
+
+    def _acting(self, step: int) -> Float[np.ndarray, "machines joints"]:
+        """The drives' mean torque over a step of the interval."""
+        if not self._is_late:
+            return self._torque
+        stale = self._stale[:, step, None]
+        return stale * self._before + (1 - stale) * self._torque
+
+    def _given(self, values: np.ndarray) -> np.ndarray:
+        return values[0].copy() if self._alone else values.copy()

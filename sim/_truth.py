@@ -2,7 +2,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxcslc.motion import Recording
 
@@ -10,7 +10,14 @@ from jaxcslc.motion import Recording
 class Truth(eqx.Module):
     """What no real machine tells: its state at each sample of a recording, just after it.
 
-    At each sample the rigid links' equation holds with what is written here (Eqns. 2.5-2, 2.5-6),
+    At each sample the links' equation holds with what is written here (Eqn. 2.5-2 without the
+    motors), and that of the rotors:
+
+    `M'(position) acceleration + V(position, velocity) + G(position) + link_friction = transmitted`
+
+    `motor_inertia * rotor_acceleration + friction - link_friction + transmitted = torque`
+
+    Without a transmission that gives way, rotors move as links do, and the sum of the two is
 
     `M(position) acceleration + V(position, velocity) + G(position) + friction = torque`.
 
@@ -27,22 +34,40 @@ class Truth(eqx.Module):
     """[s]."""
 
     position: Float[np.ndarray, "samples joints"]
-    """Before the encoders [rad or m]."""
+    """Of the links [rad or m]."""
 
     velocity: Float[np.ndarray, "samples joints"]
-    """[rad/s or m/s]."""
+    """Of the links [rad/s or m/s]."""
 
     acceleration: Float[np.ndarray, "samples joints"]
-    """The one that begins with the torque of this row: it jumps at each sample, as the torque
-    does [rad/s² or m/s²]."""
+    """Of the links: the one that begins with the torque of this row. Where rotor and link are one
+    body it jumps at each sample, as the torque does [rad/s² or m/s²]."""
 
     torque: Float[np.ndarray, "samples joints"]
-    """What the drives give from this sample to the next [N m or N]."""
+    """What the drives give just after this sample [N m or N]."""
 
     friction: Float[np.ndarray, "samples joints"]
     """What friction takes of it [N m or N]: Eqn. 2.5-4 where the joint slides; whatever keeps it
     still where it sticks; within one step of the integrator before it stops or turns, whatever
     stops it."""
+
+    rotor_position: Float[np.ndarray, "samples joints"]
+    """Before the encoders, at the joint [rad or m]."""
+
+    rotor_velocity: Float[np.ndarray, "samples joints"]
+    """At the joint [rad/s or m/s]."""
+
+    rotor_acceleration: Float[np.ndarray, "samples joints"]
+    """At the joint [rad/s² or m/s²]."""
+
+    link_friction: Float[np.ndarray, "samples joints"]
+    """The part of `friction` that acts on the link [N m or N]."""
+
+    transmitted: Float[np.ndarray, "samples joints"]
+    """What goes through the gears from rotor to link [N m or N]."""
+
+    apart: Bool[np.ndarray, "samples joints"]
+    """Whether the gears are apart: whether the joint is experiencing backlash (2.5.3)."""
 
 
 class SimulatedRecording(NamedTuple):

@@ -2,22 +2,29 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import sim
 from jaxcslc.manipulator import Manipulator, puma560
+from sim._paths import MinimumJerk, Oscillation
 
 
-def test_minimum_jerk_is_a_rest_to_rest_quintic():
-    s = np.linspace(0, 1, 11)
-    path = np.polynomial.Polynomial.fit(s, [sim.minimum_jerk(float(x)) for x in s], 5)
-    path = path.convert()
-    assert path.degree() == 5
-    for derivative in (path.deriv(1), path.deriv(2)):
-        np.testing.assert_allclose([derivative(0.0), derivative(1.0)], 0.0, atol=1e-9)
-    assert [sim.minimum_jerk(x) for x in (-0.5, 0.0, 1.0, 3.0)] == [0.0, 0.0, 1.0, 1.0]
+# Sines and exponentials of two libraries, added up over a loop that amplifies a little.
+_ROUNDING = 1e-11
+
+
+def _swing() -> sim.Trajectory:
+    """The comparison trajectory's arm, made to oscillate."""
+    trajectory = sim.comparison()
+    assert isinstance(trajectory.controller, sim.PID)
+    path = Oscillation(trajectory.start + 0.1, np.full(6, 0.1), 0.3)
+    controller = dataclasses.replace(trajectory.controller, path=path)
+    return dataclasses.replace(trajectory, controller=controller)
 
 
 def test_gravity_compensation_is_gravity_without_the_wrist(
@@ -44,34 +51,6 @@ def test_gravity_compensation_is_for_a_puma():
         sim.AbbreviatedGravity.of(puma560().with_gravity((1.0, 0.0, -9.81)))
 
 
-def test_repulsion_pushes_inwards_and_only_near_an_end():
-    repulsion = sim.Repulsion(np.array([[-2.0, 1.0]]), np.array([40.0]))
-    q = np.array([-5.0, -2.0, -1.5, -0.5, 0.5, 1.0, 5.0])[:, None]
-    torque = repulsion.torque(q)[:, 0]
-    np.testing.assert_allclose(torque[[1, 5]], [40.0, -40.0], rtol=1e-9)
-    np.testing.assert_allclose(torque[[0, 6]], [40 * np.e, -40 * np.e])
-    np.testing.assert_allclose(torque[2:5], 0.0, atol=40 * np.exp(-9.9))
-
-
-def test_repulsion_turns_a_driven_joint_back(one_joint: Callable[..., sim.Machine]):
-    machine = one_joint(inertia=0.5, viscous=(5.0,), position_range=((-1.0, 1.0),))
-    controller = sim.SinusoidalTorque(
-        np.array([5.0]),
-        np.array([1e9]),
-        np.array([np.pi / 2]),  # in effect 5 N m for ever
-        repulsion=sim.Repulsion(np.array(machine.position_range), np.array([50.0])),
-    )
-    _, truth = sim.simulate(machine, sim.Trajectory("push", np.zeros(1), controller, 3000))
-    assert truth.position.max() < 1.0  # or simulate would have refused
-    # It comes to rest where repulsion equals the push: 50 exp(-x / 0.05) = 5.
-    np.testing.assert_allclose(truth.position[-1], 1 - 0.05 * np.log(10), atol=1e-3)
-    free = dataclasses.replace(controller, repulsion=None)
-    with pytest.raises(
-        sim.SimulationError, match=r"push trajectory, .* s: joint 1 is at 1.*, outside"
-    ):
-        sim.simulate(machine, sim.Trajectory("push", np.zeros(1), free, 3000))
-
-
 def test_sinusoids_have_the_given_amplitude_period_and_phase():
     controller = sim.SinusoidalTorque(np.array([2.0]), np.array([0.8]), np.array([1.5 * np.pi]))
     at = np.zeros(1)
@@ -82,8 +61,7 @@ def test_sinusoids_have_the_given_amplitude_period_and_phase():
 def test_pid_is_its_formula_on_a_moving_arm():
     """On an arm that stands still while the path moves on; no filter, so rates are differences."""
     pid = sim.PID(
-        end=np.array([1.0]),
-        duration=1.0,
+        MinimumJerk(np.array([1.0]), 1.0),
         position_gain=np.array([100.0]),
         integral_gain=np.array([7.0]),
         velocity_gain=np.array([3.0]),
@@ -92,7 +70,7 @@ def test_pid_is_its_formula_on_a_moving_arm():
     state = pid.begin(np.zeros(1))
     torque, state = pid.demand(state, 0.0, np.zeros(1))
     assert torque[0] == 0.0
-    errors = [sim.minimum_jerk(0.25), sim.minimum_jerk(0.5)]
+    errors = sim.minimum_jerk(np.array([0.25, 0.5]))
     pid_torque = []
     for time in (0.25, 0.5):
         torque, state = pid.demand(state, time, np.zeros(1))
@@ -106,7 +84,7 @@ def test_pid_is_its_formula_on_a_moving_arm():
 
 def test_pid_filter_has_its_cut_off():
     """A ramp of the error is followed with the low pass's time constant, 1 / (2π cut-off)."""
-    pid = sim.PID(np.zeros(1), 1.0, np.zeros(1), np.zeros(1), np.ones(1), cut_off=10.0)
+    pid = sim.PID(MinimumJerk(np.zeros(1), 1.0), np.zeros(1), np.zeros(1), np.ones(1), cut_off=10.0)
     state = pid.begin(np.zeros(1))
     interval, torque = 1e-4, np.zeros(1)
     for sample in range(round(1 / (2 * np.pi * 10.0) / interval) + 1):
@@ -114,7 +92,7 @@ def test_pid_filter_has_its_cut_off():
     np.testing.assert_allclose(torque, 1 - np.exp(-1), rtol=1e-2)
 
 
-@pytest.mark.parametrize("make", [sim.training, sim.comparison])
+@pytest.mark.parametrize("make", [sim.training, sim.comparison, _swing])
 def test_a_batch_is_its_rows(make: Callable[[], sim.Trajectory], rng: np.random.Generator):
     trajectory = make()
     controller = trajectory.controller
@@ -126,3 +104,53 @@ def test_a_batch_is_its_rows(make: Callable[[], sim.Trajectory], rng: np.random.
         for i in range(4):
             row, apart[i] = controller.demand(apart[i], 0.002 * sample, position[i])
             np.testing.assert_array_equal(torque[i], row)
+
+
+@pytest.mark.parametrize("make", [sim.training, sim.comparison, _swing])
+@pytest.mark.parametrize("batch", [(), (3,), (2, 1)])
+def test_a_compiled_scan_gives_what_numpy_gives(
+    make: Callable[[], sim.Trajectory], batch: tuple[int, ...], rng: np.random.Generator
+):
+    """A closed loop about unit masses, with rank promotion forbidden to JAX (tests/conftest.py)."""
+    trajectory = make()
+    controller, interval = trajectory.controller, trajectory.sample_interval
+    start = trajectory.start + 0.1 * rng.normal(size=(*batch, 6))
+    times = interval * np.arange(60)
+
+    def go_on(carry: tuple[Any, Any, Any], time: Any) -> tuple[tuple[Any, Any, Any], Any]:
+        position, velocity, state = carry
+        torque, state = controller.demand(state, time, position)
+        velocity = velocity + interval * torque
+        return (position + interval * velocity, velocity, state), torque
+
+    carry, expected = (start, np.zeros_like(start), controller.begin(start)), []
+    for time in times:
+        carry, torque = go_on(carry, float(time))
+        expected.append(torque)
+
+    @jax.jit
+    def run(position: jax.Array, times: jax.Array) -> Any:
+        state = controller.begin(position)
+        return jax.lax.scan(go_on, (position, jnp.zeros_like(position), state), times)
+
+    end, torques = run(start, times)
+    scale = _ROUNDING * np.abs(expected).max()
+    np.testing.assert_allclose(torques, expected, rtol=0, atol=scale)
+    np.testing.assert_allclose(end[0], carry[0], rtol=0, atol=_ROUNDING)
+    assert jax.tree.structure(end[2]) == jax.tree.structure(carry[2])
+
+
+def test_rows_may_have_clocks_of_their_own(rng: np.random.Generator):
+    controller = sim.training().controller
+    position, times = rng.normal(size=(2, 6)), np.array([[0.3], [0.7]])
+    together, _ = controller.demand((), times, position)
+    apart = [controller.demand((), float(t[0]), q)[0] for t, q in zip(times, position, strict=True)]
+    np.testing.assert_array_equal(together, apart)
+
+
+def test_single_precision_stays_single():
+    for trajectory in (sim.training(), sim.comparison(), _swing()):
+        position = jnp.asarray(trajectory.start, dtype=jnp.float32)
+        state = trajectory.controller.begin(position)
+        torque, state = trajectory.controller.demand(state, 0.002, position)
+        assert {leaf.dtype for leaf in [torque, *jax.tree.leaves(state)]} == {np.dtype("float32")}

@@ -1,0 +1,126 @@
+"""Does a motor give what is demanded of it? The experiment of 7.2.3, on two simulated machines.
+
+One PUMA 560 whose motors are linear, and one whose limit of linearity lies within the experiment's
+range. On the first the heaviest weight's measurement lies on the line through the others, as in
+Fig. 7.2-2; on the second it lies above.
+"""
+
+import argparse
+import dataclasses
+import math
+from pathlib import Path
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+import sim
+from jaxcslc.assessment import (
+    all_or_nothing,
+    motor_curve_picture,
+    motor_response_picture,
+    save_picture,
+    write_csv,
+)
+
+
+jax.config.update("jax_enable_x64", True)
+
+_JOINT = 2
+
+
+def limited(machine: sim.Machine, limit: float) -> sim.Machine:
+    """A machine whose joint 2 has a limit of linearity [N m], and whose others have it in
+    proportion to their greatest torques (7.2.3)."""
+    share = limit / machine.maximum_torque[_JOINT - 1]
+    return dataclasses.replace(
+        machine, linear_torque=tuple(share * most for most in machine.maximum_torque)
+    )
+
+
+def table(found: sim.MotorLinearity) -> str:
+    """Measurements beside the line, and what they say."""
+    lines = ["mass [kg]  mean torque [N m]  above the line [N m]"]
+    for mass, torque, residual in zip(found.mass, found.torque, found.residual, strict=True):
+        lines.append(f"{mass:9.2f}  {torque:17.3f}  {residual:20.3f}")
+    lines.append(
+        f"line through all but the heaviest: {found.intercept:.3f} N m + {found.slope:.4f} N m/kg,"
+        f" scatter {found.scatter:.3f} N m"
+    )
+    lines.append(f"the heaviest lies {found.excess:+.3f} N m from it")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("build/motor_linearity"))
+    parser.add_argument("--seed", type=int, default=1, help="of encoders and starts")
+    parser.add_argument(
+        "--limit", type=float, default=70.0, help="of linearity of the second machine [N m]"
+    )
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="+",
+        default=[0, 0, 0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5],
+        help="suspended weights, one measurement each [kg]",
+    )
+    parser.add_argument("--period", type=float, default=2.0, help="of an oscillation [s]")
+    parser.add_argument("--swings", type=int, default=3, help="whole oscillations averaged")
+    options = parser.parse_args(arguments)
+
+    try:
+        machines = {"linear": sim.puma560(), "limited": limited(sim.puma560(), options.limit)}
+        results = {
+            name: sim.motor_linearity(
+                machine,
+                joint=_JOINT,
+                masses=options.masses,
+                period=options.period,
+                swings=options.swings,
+                seed=options.seed,
+                progress=lambda masses, name=name: tqdm(
+                    masses, desc=f"{name} machine", unit="weight", disable=None
+                ),
+            )
+            for name, machine in machines.items()
+        }
+    except sim.MachineError as error:
+        parser.error(str(error))
+
+    for name, found in results.items():
+        limit = machines[name].linear_torque[_JOINT - 1]
+        said = "none" if math.isinf(limit) else f"{limit:g} N m"
+        print(f"\n{name} machine, limit of linearity of joint {_JOINT}: {said}\n{table(found)}")
+    with all_or_nothing(options.output) as folder:
+        for name, found in results.items():
+            write_csv(folder / f"{name}.csv", rows(found))
+            figure = motor_response_picture(
+                found.mass,
+                found.torque,
+                title=f"PUMA 560, joint {_JOINT}, {name} machine: weights on the flange",
+            )
+            save_picture(figure, folder / f"{name}.png")
+        drives = sim.Drives.of(machines["limited"])
+        demanded = np.linspace(0.0, drives.most, 200)
+        figure = motor_curve_picture(
+            demanded[:, _JOINT - 1],
+            drives.torque(demanded)[:, _JOINT - 1],
+            limit=options.limit,
+            title=f"PUMA 560, joint {_JOINT}, limited machine: motor response",
+        )
+        save_picture(figure, folder / "motor_curve.png")
+    print(f"\nwrote tables and pictures into {options.output}")
+    return 0
+
+
+def rows(found: sim.MotorLinearity) -> list[dict[str, float]]:
+    """One a measurement."""
+    return [
+        {"mass": float(mass), "mean_torque": float(torque), "above_line": float(residual)}
+        for mass, torque, residual in zip(found.mass, found.torque, found.residual, strict=True)
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

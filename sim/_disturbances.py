@@ -1,0 +1,126 @@
+import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from ._machine import Machine
+from ._machine_error import MachineError
+from ._puma560 import puma560
+
+
+def _table() -> dict[str, dict[str, Any]]:
+    puma = puma560()
+    # Locked-rotor frequencies of 20 to 30 Hz at the main joints. The wrist's links are light
+    # (link 6 has 4e-5 kg m²): a spring that gave them such frequencies would be wound up by a
+    # whole turn by the wrist's friction. Damping is 3 % of critical.
+    stiffness = (4e4, 5e4, 2e4, 1.5e3, 1e3, 5e2)
+    damping = (20.0, 20.0, 5.0, 0.1, 0.05, 0.01)
+    share = (0.3,) * 6
+    dead_band = (5e-4, 5e-4, 5e-4, 1e-3, 1e-3, 1e-3)
+    return {
+        "quantisation": {"encoder_resolution": puma.encoder_resolution},
+        "static friction": {"static": puma.static, "static_velocity": puma.static_velocity},
+        "asymmetric friction": {"asymmetry": (0.02,) * 6},
+        "tilted axes": {"tilt": (0.1,) * 6},
+        "motor linearity": {"linear_torque": (20.0, 40.0, 16.0, 6.4, 8.0, 11.0)},
+        "sample timing": {"timing_jitter": 2e-5, "torque_delay": 1e-4},
+        "compliance": {
+            "stiffness": stiffness,
+            "transmission_damping": damping,
+            "link_share": share,
+            "time_step": 2e-4,
+        },
+        # Gears that hardly give way where they meet: four times as stiff, twice as quick.
+        "backlash": {
+            "backlash": dead_band,
+            "stiffness": tuple(4 * value for value in stiffness),
+            "transmission_damping": tuple(2 * value for value in damping),
+            "link_share": share,
+            "time_step": 1e-4,
+        },
+    }
+
+
+DISTURBANCES: Mapping[str, Mapping[str, Any]] = MappingProxyType(_table())
+"""What each disturbance of Section 7.2 is like on a PUMA 560: fields of `Machine` by the name of
+the disturbance. The thesis gives the encoders' resolutions alone. The rest are choices, of a size
+that can be told in the results."""
+
+
+def undisturbed(machine: Machine) -> Machine:
+    """A PUMA 560 with links and friction of its own, and nothing that Section 7.2 lists.
+
+    Viscous and dry friction stay, as do its limits; what rests on the seed is where it starts.
+
+    ```python
+    >>> import sim
+    >>> sim.undisturbed(sim.puma560()).encoder_resolution
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    ```
+    """
+    none = (0.0,) * machine.joint_count
+    return dataclasses.replace(
+        machine,
+        encoder_resolution=none,
+        static=machine.dry,
+        asymmetry=(),
+        tilt=(),
+        linear_torque=(),
+        timing_jitter=0.0,
+        torque_delay=0.0,
+        stiffness=(),
+        backlash=(),
+        transmission_damping=(),
+        link_share=(),
+    )
+
+
+def disturbed(machine: Machine, *names: str) -> Machine:
+    """A PUMA 560 with some disturbances of Section 7.2, or with all of them, and no others.
+
+    **Arguments**
+
+    - `machine`: links and friction. Static friction is a quarter more than its own dry friction;
+        where it has one already, that and its velocity are kept.
+    - `names`: keys of `DISTURBANCES`; all of them if none is given. Backlash beside compliance is
+        a dead band in compliant gears.
+
+    **Raises**
+
+    - `MachineError`: an unknown name, or a machine of another number of joints than six.
+
+    ```python
+    >>> import sim
+    >>> machine = sim.disturbed(sim.puma560(), "backlash", "compliance")
+    >>> machine.backlash[0], machine.stiffness[0], machine.tilt[0]
+    (0.0005, 40000.0, 0.0)
+
+    ```
+    """
+    if machine.joint_count != 6:
+        raise MachineError(
+            f"robot {machine.robot.name!r} has {machine.joint_count} joints;"
+            " expected six, as these disturbances are a PUMA 560's"
+        )
+    for name in names:
+        if name not in DISTURBANCES:
+            raise MachineError(
+                f"no disturbance is called {name!r}; expected some of {', '.join(DISTURBANCES)}"
+            )
+    chosen = names or tuple(DISTURBANCES)
+    changes: dict[str, Any] = {}
+    for name in DISTURBANCES:
+        if name in chosen:
+            changes |= DISTURBANCES[name]
+    if "backlash" in chosen and "compliance" in chosen:
+        changes |= DISTURBANCES["compliance"]
+    if "static friction" in chosen and machine.static != machine.dry:
+        changes |= {"static": machine.static, "static_velocity": machine.static_velocity}
+    elif "static friction" in chosen:
+        puma = puma560()
+        pairs = zip(puma.static, puma.dry, strict=True)
+        changes["static"] = tuple(
+            own * static / dry for own, (static, dry) in zip(machine.dry, pairs, strict=True)
+        )
+    return dataclasses.replace(undisturbed(machine), **changes)

@@ -1,0 +1,99 @@
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxcslc.manipulator import Manipulator
+
+from ._arrays import Array, namespace, spread
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """A point of the last link: where it is, and its Jacobian, by the modified D-H rows.
+
+    The transform of row i (Eqn. 2.6-1) is linear in the cosine and the sine of its angle and in
+    its offset, so all of them are formed at once and then multiplied along the chain.
+
+    ```python
+    >>> import numpy as np
+    >>> import jaxcslc
+    >>> from sim import Hand
+    >>> place, jacobian = Hand.of(jaxcslc.puma560()).locate(np.zeros(6))
+    >>> place.round(4), jacobian.shape
+    (array([0.4115, 0.1501, 0.4331]), (3, 6))
+
+    ```
+    """
+
+    fixed: Float[np.ndarray, "joints 4 4"]
+    """What is left of each transform when its cosine, sine and joint variable are zero."""
+
+    cosine: Float[np.ndarray, "joints 4 4"]
+    """Its factor of the cosine of θ."""
+
+    sine: Float[np.ndarray, "joints 4 4"]
+    """Its factor of the sine of θ."""
+
+    slide: Float[np.ndarray, "joints 4 4"]
+    """Its factor of a prismatic joint's variable; zero for a revolute joint."""
+
+    theta: Float[np.ndarray, " joints"]
+    """θ where the joint variable is zero [rad]."""
+
+    turns: Float[np.ndarray, " joints"]
+    """1 for a revolute joint, 0 for a prismatic one."""
+
+    point: Float[np.ndarray, "3"]
+    """In the last link's frame [m]."""
+
+    @classmethod
+    def of(cls, robot: Manipulator, point: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> "Hand":
+        """A point of a manipulator's last link, its frame's origin if omitted [m].
+
+        **Raises**
+
+        - `jaxcslc.RobotError`: a length has no value.
+        """
+        robot.length_values()  # names the length that has no value
+        n = robot.joint_count
+        fixed, cosine, sine, slide = np.zeros((4, n, 4, 4))
+        for i, joint in enumerate(robot.joints):
+            c, s = np.cos(joint.alpha), np.sin(joint.alpha)
+            d = float(joint.d.value or 0.0)
+            cosine[i, 0, 0], cosine[i, 1, 1], cosine[i, 2, 1] = 1.0, c, s
+            sine[i, 0, 1], sine[i, 1, 0], sine[i, 2, 0] = -1.0, c, s
+            fixed[i, :, 2] = 0.0, -s, c, 0.0
+            fixed[i, :, 3] = float(joint.a.value or 0.0), -s * d, c * d, 1.0
+            if joint.kind == "P":
+                slide[i, :, 3] = 0.0, -s, c, 0.0
+        theta = np.array([joint.theta for joint in robot.joints], dtype=np.float64)
+        turns = np.array([float(joint.kind == "R") for joint in robot.joints])
+        return cls(fixed, cosine, sine, slide, theta, turns, np.array(point, dtype=np.float64))
+
+    def locate(
+        self, position: Float[Array, "*batch joints"]
+    ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3 joints"]]:
+        """Where the point is in frame 0 [m], and by how much each joint moves it [m/rad, or 1],
+        at joint positions [rad or m]."""
+        xp = namespace(position)
+        turns = spread(self.turns, position)
+        angle = (spread(self.theta, position) + turns * position)[..., None, None]
+        steps = (
+            spread(self.fixed, position)
+            + spread(self.cosine, position) * xp.cos(angle)
+            + spread(self.sine, position) * xp.sin(angle)
+            + spread(self.slide, position) * position[..., None, None]
+        )
+        frames = [steps[..., 0, :, :]]
+        for i in range(1, len(self.turns)):
+            frames.append(frames[-1] @ steps[..., i, :, :])
+        place = (frames[-1][..., :3, :3] @ spread(self.point[:, None], position))[..., 0]
+        place = place + frames[-1][..., :3, 3]
+        chain = xp.stack(frames, axis=-1)  # (*batch, 4, 4, joints)
+        axis, origin = chain[..., :3, 2, :], chain[..., :3, 3, :]
+        x, y, z = (place[..., i, None] - origin[..., i, :] for i in range(3))
+        u, v, w = (axis[..., i, :] for i in range(3))
+        circling = xp.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-2)
+        turns = turns[..., None, :]
+        return place, turns * circling + (1.0 - turns) * axis

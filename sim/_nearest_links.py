@@ -1,0 +1,213 @@
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+from jaxcslc.manipulator import LinkInertia, LinkParameters, Manipulator
+
+from ._bodies import possible_links
+from ._coefficient_map import PARAMETERS, CoefficientMap, links_of, parameters_of
+from ._machine_error import MachineError
+
+
+# A parameter that the coefficients do not determine stays where the robot's own links have it:
+# this many units of weighted difference (N m, for torque sensitivities) pull it there when it is
+# half its range away, or its own size where the range has no end. For the thesis's PUMA 560s that
+# lengthens the distance by less than 1 part in 1,000.
+_PREFERENCE = 1e-3
+_TOLERANCE = 1e-14
+_SMALLEST_SCALE = 1e-3  # of a mass or moment that is about zero
+
+
+def nearest_links(
+    robot: Manipulator,
+    coefficients: Float[np.ndarray, " coefficients"],
+    weight: Float[np.ndarray, " weights"],
+    *,
+    least: float = 0.5,
+    shift: float = 0.1,
+) -> tuple[LinkParameters, ...]:
+    """Links of the possible machine whose coefficients come nearest to those given.
+
+    Coefficients that were identified one by one need not belong to any machine: some are known
+    multiples of others, and bodies obey inequalities. This finds the links that minimise
+    |weight · (their coefficients − `coefficients`)|₂ among those that are
+
+    - bodies: positive mass, and mass that is spread by no less than nothing in each direction,
+      ∫ x xᵀ dm = tr(I)/2 − I ≥ 0. With principal axes along the frame's that is three bounds a
+      link, and exact (Traversaro, Brossette, Escande and Nori 2016; Wensing, Kim and Slotine 2018);
+    - of the robot's kind: principal axes, zeros and equal moments as `robot.inertia` has them, so
+      that the robot's network holds for them exactly;
+    - like the robot's own links: masses and motor inertias from `least` to 1/`least` times theirs,
+      spreads of mass no less than `least` times theirs, centres of gravity within `shift` of
+      theirs in each direction. M(q) is then positive definite everywhere, its smallest eigenvalue
+      no less than the smallest motor inertia.
+
+    Spread along a joint's axis belongs to either neighbour (see `possible_links`); what the robot's
+    own links lack of it is lent to them first. What the coefficients leave open stays as the
+    robot's own links have it. The problem is not convex (products such as m rx ry are tied to the
+    first moments); for the PUMA 560 every start led to the same links within the default limits,
+    but with a `shift` of a metre the search may end a few percent short of the nearest.
+
+    **Arguments**
+
+    - `robot`: the chain, whose links have principal axes and values.
+    - `coefficients`: of mass and gravity, in the order of `jaxcslc.derive(robot)`; no friction.
+    - `weight`: what a unit of each is worth, such as its output sensitivity [N m a unit] (7.6).
+    - `least`, `shift`: how unlike the robot's own links the result may be; `shift` in m.
+
+    **Returns**
+
+    The links, one a joint. Deterministic.
+
+    **Raises**
+
+    - `MachineError`: the robot has no links or a full inertia tensor, a number is not finite or
+        out of range, or there are not as many as the robot has coefficients.
+
+    ```python
+    >>> import dataclasses
+    >>> import numpy as np
+    >>> import jaxcslc
+    >>> from sim import nearest_links
+    >>> robot = jaxcslc.Manipulator.from_modified_dh([(0, 0, 0, 0)], inertia="principal")
+    >>> rod = jaxcslc.LinkParameters(1.0, np.array([0.2, 0, 0]), np.diag([0.0, 0.01, 0.01]), 0.1)
+    >>> robot = dataclasses.replace(robot, links=(rod,))
+    >>> [k.expression for k in jaxcslc.derive(robot).coefficients[:1]]
+    ['Izz1 + m1*rx1^2 + m1*ry1^2 + Im1']
+    >>> (link,) = nearest_links(robot, np.array([-1.0]), np.array([1.0]))
+    >>> float(link.mass), float(link.centre_of_gravity[0]), float(link.motor_inertia)
+    (0.5, 0.1, 0.05)
+
+    ```
+    """
+    own = _own_links(robot)
+    if not 0 < least <= 1:
+        raise MachineError(f"least is {least}; expected more than 0 and at most 1")
+    if not 0 <= shift < np.inf:
+        raise MachineError(f"shift is {shift} m; expected zero or more")
+    mapping = CoefficientMap.of(robot)
+    k = _one_each(mapping, "coefficients", coefficients)
+    w = _one_each(mapping, "weight", weight)
+    if not (w >= 0).all():
+        i = int(np.argmin(w))
+        raise MachineError(f"weight of {mapping.names[i]} is {w[i]}; expected zero or more")
+
+    choice = _Choice.of(robot, parameters_of(own), least, shift)
+
+    def residual(z: Float[np.ndarray, " choices"]) -> Float[np.ndarray, " residuals"]:
+        change = w * (mapping.values(choice.parameters(z)) - k)
+        return np.concatenate([change, _PREFERENCE * (z - choice.own)])
+
+    def jacobian(z: Float[np.ndarray, " choices"]) -> Float[np.ndarray, "residuals choices"]:
+        slope = mapping.jacobian(choice.parameters(z)).reshape(len(k), -1) @ choice.basis
+        return np.concatenate([w[:, None] * slope, _PREFERENCE * np.eye(len(z))])
+
+    found = least_squares(
+        residual,
+        choice.own,
+        jacobian,
+        bounds=(choice.low, choice.high),
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        gtol=_TOLERANCE,
+        max_nfev=3000,
+    )
+    return links_of(choice.parameters(np.clip(found.x, choice.low, choice.high)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """The numbers that may be chosen, each in units of its size: `start + basis @ z`, flattened."""
+
+    start: Float[np.ndarray, " parameters"]
+    basis: Float[np.ndarray, "parameters choices"]
+    own: Float[np.ndarray, " choices"]
+    """The robot's own links."""
+    low: Float[np.ndarray, " choices"]
+    high: Float[np.ndarray, " choices"]
+
+    @classmethod
+    def of(
+        cls, robot: Manipulator, own: Float[np.ndarray, "links 8"], least: float, shift: float
+    ) -> "_Choice":
+        start = np.zeros(own.shape)
+        columns: list[Float[np.ndarray, " parameters"]] = []
+        bounds: list[tuple[float, float, float]] = []
+
+        def choose(
+            entries: Float[np.ndarray, "links 8"], low: float, at: float, high: float
+        ) -> None:
+            """One number: where it is added, its value in the robot's own links, its bounds."""
+            if low < high:
+                between = (high - low) / 2 if np.isfinite(high) else max(abs(at), _SMALLEST_SCALE)
+                columns.append(between * entries.ravel())
+                bounds.append((low / between, at / between, high / between))
+            else:
+                start[...] += at * entries
+
+        for i, (inertia, values) in enumerate(zip(robot.inertia, own, strict=True)):
+            for j in (0, 7):  # a mass that is zero, or a motor that is not there, stays so
+                entries = np.zeros(own.shape)
+                entries[i, j] = 1.0
+                choose(entries, least * values[j], values[j], values[j] / least)
+            for j in (1, 2, 3):
+                entries = np.zeros(own.shape)
+                entries[i, j] = 1.0
+                free = shift if PARAMETERS[j] not in inertia.zero and values[0] > 0 else 0.0
+                choose(entries, values[j] - free, values[j], values[j] + free)
+            spread = values[4:7].sum() / 2 - values[4:7]
+            for axes in _spreads(inertia):
+                entries = np.zeros(own.shape)
+                entries[i, 4:7] = len(axes)  # spread along x is part of Iyy and Izz
+                entries[i, [4 + axis for axis in axes]] -= 1.0
+                at = max(float(np.mean(spread[list(axes)])), 0.0)
+                vanishes = any(
+                    PARAMETERS[j] in inertia.zero for j in (4, 5, 6) if entries[i, j] > 0
+                )
+                choose(entries, least * at, at, at if vanishes else np.inf)
+        low, at, high = (np.array(column) for column in zip(*bounds, strict=True))
+        return cls(start.ravel(), np.array(columns).T, at, low, high)
+
+    def parameters(self, z: Float[np.ndarray, " choices"]) -> Float[np.ndarray, "links 8"]:
+        return (self.start + self.basis @ z).reshape(-1, len(PARAMETERS))
+
+
+def _spreads(inertia: LinkInertia) -> list[tuple[int, ...]]:
+    """Axes whose spreads of mass are one number, since the moments about them are equal."""
+    same = [{axis} for axis in range(3)]
+    for pair in inertia.equal:
+        first, second = (PARAMETERS.index(moment) - 4 for moment in pair)
+        joined = same[first] | same[second]
+        for axis in joined:
+            same[axis] = joined
+    return sorted({tuple(sorted(axes)) for axes in same})
+
+
+def _own_links(robot: Manipulator) -> tuple[LinkParameters, ...]:
+    if robot.links is None:
+        raise MachineError(f"robot {robot.name!r} has no link parameters; expected some to keep to")
+    for i, (inertia, link) in enumerate(zip(robot.inertia, robot.links, strict=True), start=1):
+        tensor = np.asarray(link.inertia, dtype=np.float64)
+        if inertia.form != "principal" or np.count_nonzero(tensor - np.diag(np.diag(tensor))):
+            raise MachineError(
+                f"robot {robot.name!r}: link {i} has a full inertia tensor;"
+                " expected principal axes along the frame's"
+            )
+    return possible_links(robot, robot.links)
+
+
+def _one_each(
+    mapping: CoefficientMap, name: str, values: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " coefficients"]:
+    values = np.asarray(values, dtype=np.float64)
+    names = mapping.names
+    if values.shape != (len(names),):
+        raise MachineError(
+            f"{name} has {len(values)} values; expected {len(names)}, {names[0]} to {names[-1]}"
+        )
+    if not np.isfinite(values).all():
+        i = int(np.argmin(np.isfinite(values)))
+        raise MachineError(f"{name}: {names[i]} is {values[i]}; expected a finite number")
+    return values
