@@ -9,6 +9,7 @@ from ..motion import (
     Butterworth,
     Patterns,
     Recording,
+    SavitzkyGolay,
     TorqueAlignment,
     prepare,
 )
@@ -33,6 +34,8 @@ class Settings:
       recording, by linear interpolation.
     - `threshold_fraction`: of each joint's greatest speed, below which static friction is taken
       to matter (7.2.2).
+    - `thresholds`: speeds below which it is taken to matter, one for each joint [rad/s or m/s], in
+      place of `threshold_fraction`; or None. See `refine_thresholds`.
     - `backlash`: leave out pairs that may be in backlash (Eqn. 2.5-7).
     - `cutoff`: filter regressor and torque alike at this frequency and decimate [Hz]; or None.
     - `joint_weights`: `"equal"` or `"residual"`.
@@ -60,6 +63,7 @@ alike at 15 Hz, joints weighted by residual
     cutoff: float | None = None
     joint_weights: Literal["equal", "residual"] = "residual"
     trim: int | None = None
+    thresholds: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.torque_alignment not in ("sample", "previous", "mean"):
@@ -77,6 +81,12 @@ alike at 15 Hz, joints weighted by residual
             raise ValueError(
                 f"threshold fraction is {self.threshold_fraction}; expected at least 0 and below 1"
             )
+        if self.thresholds is not None:
+            object.__setattr__(self, "thresholds", tuple(float(v) for v in self.thresholds))
+            if not all(0.0 <= threshold < np.inf for threshold in self.thresholds):
+                raise ValueError(
+                    f"thresholds are {list(self.thresholds)}; expected finite numbers, none below 0"
+                )
         if self.cutoff is not None and not 0.0 < self.cutoff < np.inf:
             raise ValueError(f"cut-off is {self.cutoff} Hz; expected more than 0, or None")
 
@@ -93,6 +103,7 @@ alike at 15 Hz, joints weighted by residual
             Recording(recording.time, recording.position, torque),
             smoothing=self.smoothing,
             torque_alignment=self.torque_alignment,
+            thresholds=self.thresholds,
             threshold_fraction=self.threshold_fraction,
             backlash=self.backlash,
             trim=self.trimmed(recording),
@@ -117,6 +128,8 @@ alike at 15 Hz, joints weighted by residual
                 seen = max(self.smoothing.spacings(recording.joints))
             case Butterworth(cutoff=cutoff):
                 seen = int(np.ceil(0.5 / (cutoff * interval)))
+            case SavitzkyGolay(window=window):
+                seen = window // 2
             case _:
                 seen = 0
         # Beyond the ends there is no torque to read.
@@ -128,13 +141,20 @@ alike at 15 Hz, joints weighted by residual
                 smoothing = f"averaged splines of {spacing} samples"
             case Butterworth(cutoff=cutoff):
                 smoothing = f"Butterworth at {cutoff:g} Hz"
+            case SavitzkyGolay(window=window, order=order):
+                smoothing = f"Savitzky-Golay of {window} samples and order {order}"
             case _:
                 smoothing = repr(self.smoothing)
+        if self.thresholds is None:
+            thresholds = f"thresholds {100 * self.threshold_fraction:g} % of top speed"
+        else:
+            listed = ", ".join(f"{threshold:.3g}" for threshold in self.thresholds)
+            thresholds = f"thresholds {listed}"
         parts = [
             smoothing,
             f"torque of {self.torque_alignment!r}",
             f"torque lag {1e3 * self.torque_lag:g} ms" if self.torque_lag else "",
-            f"thresholds {100 * self.threshold_fraction:g} % of top speed",
+            thresholds,
             "backlash left out" if self.backlash else "",
             "" if self.cutoff is None else f"filtered alike at {self.cutoff:g} Hz",
             f"joints weighted {'equally' if self.joint_weights == 'equal' else 'by residual'}",

@@ -2,13 +2,14 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from ..motion import AbstractSmoothing, AveragedSplines, Butterworth
+from ..motion import AbstractSmoothing, AveragedSplines, Butterworth, SavitzkyGolay
 from ._settings import Settings
 
 
 _SMOOTHINGS: dict[str, type[AbstractSmoothing]] = {
     "averaged_splines": AveragedSplines,
     "butterworth": Butterworth,
+    "savitzky_golay": SavitzkyGolay,
 }
 
 
@@ -53,6 +54,8 @@ def settings_from(document: Mapping[str, Any]) -> Settings:
     entries = dict(document)
     if "smoothing" in entries:
         entries["smoothing"] = _smoothing(entries["smoothing"])
+    if isinstance(entries.get("thresholds"), list):
+        entries["thresholds"] = tuple(entries["thresholds"])
     try:
         return Settings(**entries)
     except TypeError as error:

@@ -36,7 +36,12 @@ from ._recording_files import (
 )
 from ._resampling import resample as resample, uniform_interval as uniform_interval
 from ._resolution import encoder_resolution as encoder_resolution, noise_level as noise_level
+from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay
 from ._sections import Reversal as Reversal, find_reversals as find_reversals
 from ._selection import choose_spacing as choose_spacing, left_out_error as left_out_error
 from ._smoothing import AbstractSmoothing as AbstractSmoothing
 from ._splines import AveragedSplines as AveragedSplines
+from ._thresholds import (
+    StaticFriction as StaticFriction,
+    thresholds_from_residuals as thresholds_from_residuals,
+)
