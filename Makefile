@@ -33,8 +33,8 @@ $(stamp): pyproject.toml constraints.txt
 	  --editable . --group dev
 	@touch $@
 
-demo: $(stamp) ## simulate a PUMA 560, identify it, print and draw the comparison into build/demo
-	$(bin)/python scripts/puma560_demo.py -o build/demo $(ARGS)
+demo: $(stamp) ## perform the experiment of Chapter 7 on two simulated PUMA 560s, into build/demo
+	$(bin)/python scripts/puma560_experiment.py -o build/demo $(ARGS)
 
 test: $(stamp) ## run all tests and the examples in docstrings (one file: ARGS=tests/test_x.py)
 	$(bin)/python -m pytest -n $(WORKERS) $(ARGS)

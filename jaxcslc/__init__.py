@@ -10,11 +10,13 @@ from .learning import (
     RESULTS as RESULTS,
     Candidates as Candidates,
     Identification as Identification,
+    Refinement as Refinement,
     Selection as Selection,
     Settings as Settings,
     choose_settings as choose_settings,
     least_squares as least_squares,
     least_squares_stream as least_squares_stream,
+    refine_thresholds as refine_thresholds,
 )
 from .manipulator import (
     LinkInertia as LinkInertia,
@@ -31,6 +33,7 @@ from .motion import (
     Patterns as Patterns,
     Recording as Recording,
     RecordingError as RecordingError,
+    SavitzkyGolay as SavitzkyGolay,
     load_recording as load_recording,
     prepare as prepare,
     save_recording as save_recording,

@@ -37,7 +37,7 @@ def torque_picture(
     n = measured.shape[1]
     shown = np.ones(measured.shape, bool) if counts is None else np.asarray(counts)
     rows = -(-n // 2)
-    figure = new_figure(11, 1.2 + 2.3 * rows)
+    figure = new_figure(11.0, 1.2 + 2.3 * rows)
     axes = np.atleast_2d(figure.subplots(rows, 2, sharex=True))
     breaks = np.flatnonzero(np.diff(time) > 10 * np.median(np.diff(time))) + 1
 

@@ -169,7 +169,7 @@ def test_truth_obeys_the_equations_of_links_and_of_rotors(
     rigid = inverse_dynamics(machine.robot, links)(
         truth.position, truth.velocity, truth.acceleration
     )
-    # To the constraint solver's accuracy, which a stuck wrist of 4e-5 kg m² on a stiff spring tries.
+    # To the accuracy of the constraint solver, tried by a stuck wrist of 4e-5 kg m² on a spring.
     np.testing.assert_allclose(rigid + truth.link_friction, truth.transmitted, atol=1e-5)
     error = np.abs(rigid + truth.link_friction - truth.transmitted)
     assert np.quantile(error, 0.99) < 1e-10

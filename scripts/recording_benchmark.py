@@ -1,0 +1,83 @@
+"""Time many training recordings of the rigid plant at once: C MuJoCo's threads, or MJX on a GPU.
+
+Prints one JSON object a line: metric, unit, direction, value. Compile and run time are apart; what
+the recordings say is checked against C MuJoCo's before it is timed.
+"""
+
+import argparse
+import json
+import time
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+
+jax.config.update("jax_enable_x64", True)
+
+import sim  # noqa: E402  (float64 first)
+
+
+def report(metric: str, unit: str, direction: str, value: float) -> None:
+    print(
+        json.dumps({"metric": metric, "unit": unit, "direction": direction, "value": value}),
+        flush=True,
+    )
+
+
+def disagreement(backend: str) -> float:
+    """Largest difference to one recording alone in C MuJoCo, over a short stretch [rad]."""
+    trajectory = sim.training(samples=50)
+    jobs = [sim.Job(sim.specimen(sim.puma560(), seed), trajectory, seed) for seed in range(2)]
+    together = sim.record(jobs, backend=backend)  # pyright: ignore[reportArgumentType]
+    alone = [sim.simulate(*job[:2], seed=job.seed) for job in jobs]
+    return max(
+        float(np.abs(one.truth.position - other.truth.position).max())
+        for one, other in zip(together, alone, strict=True)
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--backend", choices=["mujoco", "mjx"], default="mujoco")
+    parser.add_argument("--machines", type=int, default=1000)
+    parser.add_argument("--side-by-side", type=int, default=None)
+    parser.add_argument("--samples", type=int, default=3300)
+    parser.add_argument("--rounds", type=int, default=None, help="2 under MJX, else 1, if omitted")
+    parser.add_argument("--alike", action="store_true", help="one machine, many seeds")
+    arguments = parser.parse_args()
+
+    prefix = f"recording.{arguments.backend}"
+    report(f"{prefix}.disagreement", "rad", "lower", disagreement(arguments.backend))
+    trajectory, puma = sim.training(samples=arguments.samples), sim.puma560()
+    begun = time.perf_counter()
+    jobs = [
+        sim.Job(puma if arguments.alike else sim.specimen(puma, seed), trajectory, seed)
+        for seed in range(arguments.machines)
+    ]
+    report(f"{prefix}.machines", "s", "lower", time.perf_counter() - begun)
+    steps = arguments.machines * (arguments.samples - 1) * 4
+    rounds = arguments.rounds or (2 if arguments.backend == "mjx" else 1)
+    for number in ("first", "second", "third")[:rounds] if rounds > 1 else ("only",):
+        begun = time.perf_counter()
+        done = 0
+        for _ in tqdm(
+            sim.record_each(jobs, backend=arguments.backend, side_by_side=arguments.side_by_side),
+            total=len(jobs),
+            desc=f"{number} round",
+            disable=None,
+        ):
+            done += 1
+        taken = time.perf_counter() - begun
+        report(f"{prefix}.{number}_round", "s", "lower", taken)
+        report(f"{prefix}.{number}_round.rate", "steps/s", "higher", steps / taken)
+        assert done == len(jobs)
+    if arguments.backend == "mjx":
+        device = jax.devices()[0]
+        peak = (device.memory_stats() or {}).get("peak_bytes_in_use", 0)
+        report(f"{prefix}.peak_memory", "GB", "lower", peak / 1e9)
+        print(f"# on {device.device_kind}")
+
+
+if __name__ == "__main__":
+    main()
