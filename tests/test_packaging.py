@@ -25,7 +25,9 @@ LAYERS = {
     "derivation": {"manipulator"},
     "network": {"derivation"},
     "motion": set[str](),
+    "adaptive": {"network"},
     "learning": {"network", "motion"},
+    "training": {"adaptive", "learning"},
     "assessment": {"learning"},
     "control": {"network"},
 }

@@ -1,5 +1,5 @@
 from ._candidates import Candidates as Candidates
-from ._compiled import filled_up as filled_up
+from ._compiled import filled_up as filled_up, require_float64 as require_float64
 from ._factors import JointFactors as JointFactors, factorise as factorise
 from ._identification import Identification as Identification
 from ._least_squares import fit_factors as fit_factors, least_squares as least_squares

@@ -1,0 +1,148 @@
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..derivation import Table
+from ..network import CSLC, input_layer
+from ._activations import LINEAR_COMBINER
+from ._layers import ContextLayer, Layer
+from ._links import Links
+from ._network import AdaptiveNetwork, Signals, Subnetwork
+
+
+class InverseDynamicsInputs(eqx.Module):
+    """The preprocessing of a CSLC: motion to products of sines and cosines, and contexts.
+
+    Takes patterns with `q`, `qd` and `qdd`, (..., n) each, or the three as a tuple.
+    """
+
+    network: CSLC
+
+    def __call__(self, patterns: Any) -> Signals:
+        motion = patterns if isinstance(patterns, tuple) else _motion(patterns)
+        q, qd, qdd = (jnp.moveaxis(jnp.asarray(x), -1, 0) for x in motion)
+        algebra = self.network.algebra
+        tables = (algebra.mass, algebra.velocity, algebra.gravity)
+        used = tuple(dict.fromkeys(monomial for table in tables for monomial in table.inputs))
+        values = input_layer(algebra.ring, used, list(q))
+        mass, velocity, gravity = (
+            jnp.stack([values(monomial) for monomial in table.inputs])
+            if table.inputs
+            else jnp.zeros((0, *q.shape[1:]), q.dtype)
+            for table in tables
+        )
+        friction = [
+            jnp.moveaxis(term, -1, 0)
+            for term in self.network.friction_inputs(jnp.moveaxis(qd, 0, -1))
+        ]
+        present = [(mass, (qdd,)), (velocity, (qd, qd)), (gravity, ())]
+        parts = [part for part, table in zip(present, tables, strict=True) if table.links]
+        parts += [(term, ()) for term in friction]
+        return Signals(tuple(x for x, _ in parts), tuple(context for _, context in parts))
+
+
+def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
+    """The CSLC as the adaptive network that the thesis draws (5.1, Figs. 5.1-1 to 5.1-6).
+
+    Five subnetworks, superposed: mass, velocity, gravity, viscous and dry friction (and torque
+    offsets, where the robot has them). The mass subnetwork's linear combiners are the elements
+    of M(q), and accelerations weigh them; the velocity subnetwork's are the Christoffel symbols,
+    which velocities weigh twice, over the velocity matrix C (Eqns. 5.1-5, 5.1-6). Mass and
+    velocity share their coefficients. The weights are the coefficients `k`, in their order.
+
+    A subnetwork without links, such as the gravity of a robot that lies flat, is left out.
+
+    >>> import jax.numpy as jnp, jaxcslc as jc
+    >>> from jaxcslc.adaptive import inverse_dynamics
+    >>> cslc = jc.derive(jc.puma560())
+    >>> network = inverse_dynamics(cslc)
+    >>> network.groups
+    ('mass', 'velocity', 'gravity', 'viscous', 'dry')
+    >>> k, x = jnp.ones(43), jnp.ones((3, 6))
+    >>> bool(jnp.allclose(network.outputs(k, (x, x, x)), cslc.torque(k, x, x, x)))
+    True
+    """
+    algebra, n = network.algebra, network.joint_count
+    parts: list[Subnetwork] = []
+    if algebra.mass.links:
+        columns, links = _linked(algebra.mass)
+        parts.append(Subnetwork("mass", (Layer(links),), (_mass_context(columns, n),)))
+    if algebra.velocity.links:
+        columns, links = _linked(algebra.velocity)
+        parts.append(Subnetwork("velocity", (Layer(links),), _velocity_contexts(columns, n)))
+    if algebra.gravity.links:
+        columns, links = _linked(algebra.gravity)
+        joints = Links(
+            links.inputs,
+            n,
+            links.source,
+            [columns[node][0] for node in links.node],
+            links.weight,
+            links.multiple,
+        )
+        parts.append(Subnetwork("gravity", (Layer(joints),)))
+    first = network.size - n * len(network.robot.friction)
+    for at, term in enumerate(network.robot.friction):
+        own = Links(n, n, range(n), range(n), range(first + at * n, first + (at + 1) * n))
+        parts.append(Subnetwork(term, (Layer(own),)))
+    return AdaptiveNetwork(
+        tuple(parts), InverseDynamicsInputs(network), LINEAR_COMBINER, network.names
+    )
+
+
+def _motion(patterns: Any) -> tuple[Float[Array, "..."], ...]:
+    return tuple(getattr(patterns, name) for name in ("q", "qd", "qdd"))
+
+
+def _linked(table: Table) -> tuple[list[tuple[int, ...]], Links]:
+    """The nodes of a table that have links, and the links: one for each weight of each link."""
+    nodes = sorted({link.column for link in table.links})
+    place = {column: node for node, column in enumerate(nodes)}
+    each = [
+        (link.input, place[link.column], coefficient, float(multiple))
+        for link in table.links
+        for coefficient, multiple in link.weights
+    ]
+    source, node, weight, multiple = (list(part) for part in zip(*each, strict=True))
+    links = Links(len(table.inputs), len(nodes), source, node, weight, multiple)  # pyright: ignore[reportArgumentType]
+    return [table.columns[column] for column in nodes], links
+
+
+def _mass_context(columns: Sequence[tuple[int, ...]], n: int) -> ContextLayer:
+    """M_ij to torque i weighed by qdd_j, and to torque j by qdd_i (5.1.1)."""
+    each = [
+        link
+        for node, (i, j) in enumerate(columns)
+        for link in ([(node, i, j)] if i == j else [(node, i, j), (node, j, i)])
+    ]
+    return _context(len(columns), n, n, each)
+
+
+def _velocity_contexts(
+    columns: Sequence[tuple[int, ...]], n: int
+) -> tuple[ContextLayer, ContextLayer]:
+    """c_ijk to C_ij weighed by qd_k, and to C_ik by qd_j; C_ij to V_i weighed by qd_j (5.1.2)."""
+    elements = sorted({(i, j) for i, *pair in columns for j in pair})
+    place = {element: node for node, element in enumerate(elements)}
+    inner = [
+        link
+        for node, (i, j, k) in enumerate(columns)
+        for link in (
+            [(node, place[i, j], k)] if j == k else [(node, place[i, j], k), (node, place[i, k], j)]
+        )
+    ]
+    outer = [(node, i, j) for node, (i, j) in enumerate(elements)]
+    return (
+        _context(len(columns), len(elements), n, inner),
+        _context(len(elements), n, n, outer),
+    )
+
+
+def _context(
+    inputs: int, nodes: int, contexts: int, each: Sequence[tuple[int, int, int]]
+) -> ContextLayer:
+    source, node, context = zip(*each, strict=True)
+    return ContextLayer(inputs, nodes, contexts, source, node, context)

@@ -1,0 +1,202 @@
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._activations import LINEAR_COMBINER, Activation
+from ._layers import ContextLayer, Layer
+
+
+class Signals(eqx.Module):
+    """What a network sees of patterns, preprocessed: computed once, not once an epoch (5.2.6).
+
+    Units first and patterns last, so that every unit is one stretch of memory; a single pattern
+    has no last axis.
+
+    **Attributes**
+
+    - `inputs`: one (inputs, patterns) array a subnetwork.
+    - `contexts`: for every subnetwork, one (contexts, patterns) array a context layer.
+    """
+
+    inputs: tuple[Float[Array, "_ ..."], ...]
+    contexts: tuple[tuple[Float[Array, "_ ..."], ...], ...]
+
+
+@dataclass(frozen=True)
+class Subnetwork:
+    """Adaptive layers, then context-sensitive ones; its last nodes are outputs of the network.
+
+    **Attributes**
+
+    - `name`: as in error messages and histories.
+    - `layers`: one or more; the last one's activation is the linear combiner if nothing follows
+      it, since the network's own activation does.
+    - `contexts`: none, or those that follow.
+
+    **Raises** `ValueError` if layers do not fit together.
+    """
+
+    name: str
+    layers: tuple[Layer, ...]
+    contexts: tuple[ContextLayer, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.layers:
+            raise ValueError(f"subnetwork {self.name!r}: expected at least one adaptive layer")
+        sizes = [(layer.inputs, layer.links.nodes) for layer in self.layers]
+        sizes += [(layer.inputs, layer.nodes) for layer in self.contexts]
+        for at, ((_, given), (wanted, _)) in enumerate(pairwise(sizes)):
+            if given != wanted:
+                raise ValueError(
+                    f"subnetwork {self.name!r}: layer {at + 1} has {given} nodes, layer"
+                    f" {at + 2} takes {wanted}"
+                )
+        if not self.contexts and self.layers[-1].activation != LINEAR_COMBINER:
+            raise ValueError(
+                f"subnetwork {self.name!r}: the last layer's nodes are outputs; give their"
+                " activation to the network"
+            )
+
+    @property
+    def outputs(self) -> int:
+        return self.contexts[-1].nodes if self.contexts else self.layers[-1].links.nodes
+
+
+class Passage(NamedTuple):
+    """All values of one pass forward, kept for the learning rules.
+
+    - `given`: for every subnetwork, what each adaptive layer's links saw.
+    - `sums`: for every subnetwork, each adaptive layer's sums.
+    - `values`: for every subnetwork, what each context layer took.
+    - `total`: the sums at the output nodes, (outputs, ...).
+    """
+
+    given: list[list[Float[Array, "_ ..."]]]
+    sums: list[list[Float[Array, "_ ..."]]]
+    values: list[list[Float[Array, "_ ..."]]]
+    total: Float[Array, "outputs ..."]
+
+
+class AdaptiveNetwork(eqx.Module):
+    """A feedforward network of adaptive and context-sensitive layers (thesis 3.1 and 3.3).
+
+    Subnetworks stand side by side; their last nodes are superposed to the network's outputs, on
+    which `activation` acts (5.1.5). All weights are one vector, (p,), which the links index, so
+    that subnetworks may share weights.
+
+    **Attributes**
+
+    - `subnetworks`: at least one.
+    - `preprocess`: from patterns as a user has them to `Signals`.
+    - `activation`: of the output nodes.
+    - `names`: of the weights.
+
+    **Raises** `ValueError` if subnetworks differ in outputs, or a name is missing.
+
+    Built by `fully_connected`, `inverse_dynamics`, or by hand from layers.
+    """
+
+    subnetworks: tuple[Subnetwork, ...] = eqx.field(static=True)
+    preprocess: Callable[[Any], Signals]
+    activation: Activation = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        outputs = {subnetwork.outputs for subnetwork in self.subnetworks}
+        if len(outputs) != 1:
+            raise ValueError(
+                "subnetworks must have the same output nodes, got"
+                f" {', '.join(f'{s.name}: {s.outputs}' for s in self.subnetworks) or 'none'}"
+            )
+        highest = max(
+            (int(layer.links.weight.max(initial=-1)) for _, layer in self.adaptive_layers),
+            default=-1,
+        )
+        if highest >= len(self.names):
+            raise ValueError(f"links use weight {highest}, but only {len(self.names)} are named")
+
+    @property
+    def size(self) -> int:
+        """Number of weights, p."""
+        return len(self.names)
+
+    @property
+    def outputs_count(self) -> int:
+        """Number of output nodes, o."""
+        return self.subnetworks[0].outputs
+
+    @property
+    def adaptive_layers(self) -> tuple[tuple[str, Layer], ...]:
+        """Every adaptive layer with its name: each has a learning rate of its own."""
+        return tuple(
+            (s.name if len(s.layers) == 1 else f"{s.name} {number}", layer)
+            for s in self.subnetworks
+            for number, layer in enumerate(s.layers, start=1)
+        )
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names of the adaptive layers: what a learning rate, or freezing, refers to."""
+        return tuple(name for name, _ in self.adaptive_layers)
+
+    @property
+    def single_adaptive_layer(self) -> bool:
+        """Whether no adaptive layer follows another, as PERAL needs (6.2)."""
+        return all(len(subnetwork.layers) == 1 for subnetwork in self.subnetworks)
+
+    @property
+    def linear(self) -> bool:
+        """Whether the sums at the output nodes are linear in the weights, as a CSLC's are."""
+        return self.single_adaptive_layer and all(
+            layer.activation == LINEAR_COMBINER for _, layer in self.adaptive_layers
+        )
+
+    def signals(self, patterns: Any) -> Signals:
+        """Patterns as the layers see them; `patterns` are what `preprocess` takes."""
+        return self.preprocess(patterns)
+
+    def forward(self, weights: Float[Array, " weights"], signals: Signals) -> Passage:
+        """All values of a pass forward, (units, ...)."""
+        passage = Passage([], [], [], jnp.zeros(()))
+        totals: list[Array] = []
+        for subnetwork, inputs, contexts in zip(
+            self.subnetworks, signals.inputs, signals.contexts, strict=True
+        ):
+            given: list[Array] = []
+            sums: list[Array] = []
+            values: list[Array] = []
+            value = inputs
+            for layer in subnetwork.layers:
+                given.append(layer.given(value))
+                sums.append(layer.links.matrix(weights) @ given[-1])
+                value = layer.activation.value(sums[-1])
+            for layer, context in zip(subnetwork.contexts, contexts, strict=True):
+                values.append(value)
+                value = layer.forward(value, context)
+            passage.given.append(given)
+            passage.sums.append(sums)
+            passage.values.append(values)
+            totals.append(value)
+        return passage._replace(total=sum(totals[1:], start=totals[0]))
+
+    def outputs(
+        self, weights: Float[Array, " weights"], patterns: Any
+    ) -> Float[Array, "... outputs"]:
+        """What the network answers to patterns as `preprocess` takes them, (..., o).
+
+        - `weights`: (p,).
+
+        >>> import jax.numpy as jnp
+        >>> from jaxcslc.adaptive import fully_connected
+        >>> network = fully_connected([2, 1], "hard limiter")
+        >>> network.outputs(jnp.asarray([1.0, 1.0, -1.5]), jnp.asarray([[0.0, 1.0], [1.0, 1.0]]))
+        Array([[0.],
+               [1.]], dtype=float64)
+        """
+        total = self.forward(weights, self.signals(patterns)).total
+        return jnp.moveaxis(self.activation.value(total), 0, -1)

@@ -1,0 +1,63 @@
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..adaptive import AdaptiveNetwork, Signals
+from ._rules import AbstractRule, Numbers, Weights, change_of_weights, transposed_product
+
+
+class Backpropagation(AbstractRule):
+    """Gradient descent on half the sum of squared errors (Eqns. 3.4-2 to 3.4-9).
+
+    Through any number of adaptive layers and context-sensitive ones. The change of a shared
+    weight is its gradient, by the chain rule through every link's multiple, divided by how many
+    links share it (5.2.6): at one rate for all layers it vanishes where the gradient does.
+    """
+
+    @property
+    def name(self) -> str:
+        return "backpropagation"
+
+    def refuse(self, network: AdaptiveNetwork) -> str | None:
+        activations = [layer.activation for _, layer in network.adaptive_layers]
+        for activation in (network.activation, *activations):
+            if activation.slope is None:
+                return (
+                    f"backpropagation needs a slope, and a {activation.name} has none; train it"
+                    " by the perceptron rule, or take a sigmoid"
+                )
+        return None
+
+    def change(
+        self,
+        network: AdaptiveNetwork,
+        weights: Weights,
+        signals: Signals,
+        targets: Numbers,
+        counts: Numbers,
+        learning: tuple[bool, ...],
+    ) -> Float[Array, "groups weights"]:
+        passage = network.forward(weights, signals)
+        slope = network.activation.slope
+        assert slope is not None, self.refuse(network)
+        errors = (targets - network.activation.value(passage.total)) * counts
+        at_outputs = errors * slope(passage.total)
+
+        moves: list[Array] = []
+        for at, subnetwork in enumerate(network.subnetworks):
+            delta = at_outputs
+            for layer, context in zip(
+                reversed(subnetwork.contexts), reversed(signals.contexts[at]), strict=True
+            ):
+                delta = layer.backward(delta, context)
+            own: list[Array] = []
+            for number in reversed(range(len(subnetwork.layers))):
+                layer = subnetwork.layers[number]
+                # The linear combiner's slope of one is skipped, as is the output layer's, whose
+                # activation is the network's.
+                if layer.activation.slope not in (None, jnp.ones_like):
+                    delta = delta * layer.activation.slope(passage.sums[at][number])  # pyright: ignore[reportOptionalCall]
+                own.append(transposed_product(delta, passage.given[at][number]))
+                if number > 0:
+                    delta = (layer.links.matrix(weights).T @ delta)[: layer.inputs]
+            moves += reversed(own)
+        return change_of_weights(network, moves, learning)

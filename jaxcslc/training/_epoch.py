@@ -1,0 +1,232 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from ..adaptive import AdaptiveNetwork
+from ._examples import Examples
+from ._plan import Plan
+from ._results import OUTCOMES
+from ._rules import AbstractRule
+from ._schedule import Turn
+
+
+class State(eqx.Module):
+    """Where a training stands: all that the next epoch, or a resumed run, needs."""
+
+    weights: Float[Array, " weights"]
+    rates: Float[Array, "rules groups"]
+    key: Key[Array, ""]
+    epoch: Int[Array, ""]
+    turn: Turn
+    outcome: OUTCOMES
+    # Changes with every epoch:
+    cost: Float[Array, ""]
+    # Set by the first:
+    first_cost: Float[Array, ""]
+    # Changes with a new lowest cost:
+    lowest: Float[Array, ""]
+    lowest_weights: Float[Array, " weights"]
+    since_lowest: Int[Array, ""]
+    # With a stop set only:
+    stop_lowest: Float[Array, ""]
+    stop_weights: Float[Array, " weights"]
+    since_stop: Int[Array, ""]
+
+    @classmethod
+    def first(
+        cls,
+        network: AdaptiveNetwork,
+        plan: Plan,
+        weights: Float[Array, " weights"],
+        key: Key[Array, ""],
+    ) -> "State":
+        infinite, zero = jnp.asarray(jnp.inf, weights.dtype), jnp.zeros((), int)
+        return cls(
+            weights=weights,
+            rates=plan.first_rates(network).astype(weights.dtype),
+            key=key,
+            epoch=zero,
+            turn=Turn.first(),
+            outcome=OUTCOMES.running,
+            cost=infinite,
+            first_cost=infinite,
+            lowest=infinite,
+            lowest_weights=weights,
+            since_lowest=zero,
+            stop_lowest=infinite,
+            stop_weights=weights,
+            since_stop=zero,
+        )
+
+    @property
+    def done(self) -> Bool[Array, ""]:
+        return self.outcome != OUTCOMES.running
+
+
+class Record(eqx.Module):
+    """What an epoch leaves in the history: as it stood before the epoch moved the weights.
+
+    - `rule`: index of the rule that learnt in the epoch, -1 if the training had ended.
+    - `rates`: that it learnt with.
+    """
+
+    cost: Float[Array, ""]
+    measure: Float[Array, ""]
+    stop_cost: Float[Array, ""]
+    rule: Int[Array, ""]
+    rates: Float[Array, " groups"]
+    weights: Float[Array, " weights"] | None
+
+
+def epoch(
+    network: AdaptiveNetwork,
+    plan: Plan,
+    chosen: Examples,
+    stop_set: Examples | None,
+    state: State,
+    keep_weights: bool,
+) -> tuple[State, Record]:
+    """One epoch: assess, decide whether to go on and by which rule, and learn."""
+    errors = chosen.errors(network, state.weights)
+    cost = plan.cost(errors, chosen.counts)
+    measure = cost if plan.measure is None else plan.measure(errors, chosen.counts)
+    stop_cost = jnp.asarray(jnp.nan, cost.dtype)
+    if stop_set is not None:
+        stop_cost = plan.cost(stop_set.errors(network, state.weights), stop_set.counts)
+
+    assessed = _assessed(plan, state, cost, measure, stop_cost, stop_set is not None)
+    weights, rates = _learnt(network, plan, chosen, assessed, cost)
+    moved = eqx.tree_at(
+        lambda s: (s.weights, s.rates, s.epoch),
+        assessed,
+        (weights, assessed.rates.at[assessed.turn.rule].set(rates), assessed.epoch + 1),
+    )
+    next_state = jax.tree.map(lambda old, new: jnp.where(assessed.done, old, new), assessed, moved)
+    # A training that had ended before keeps everything as it was.
+    next_state = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, next_state)
+    record = Record(
+        cost=cost,
+        measure=measure,
+        stop_cost=stop_cost,
+        rule=jnp.where(assessed.done, -1, assessed.turn.rule),
+        rates=rates,
+        weights=state.weights if keep_weights else None,
+    )
+    return next_state, record
+
+
+def _assessed(
+    plan: Plan, state: State, cost: Array, measure: Array, stop_cost: Array, stop_set: bool
+) -> State:
+    """The state with the cost of its weights known, whose turn it is, and whether it ended."""
+    first = state.epoch == 0
+    first_cost = jnp.where(first, cost, state.first_cost)
+    new_lowest = cost < state.lowest
+    since_lowest = jnp.where(new_lowest, 0, state.since_lowest + 1)
+    later = state.turn.next(plan.schedule, cost, state.cost - cost)
+    turn = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.turn, later)
+    stop_new = stop_cost < state.stop_lowest
+    since_stop = jnp.where(stop_new, 0, state.since_stop + 1)
+
+    # The last to apply is the one that counts.
+    outcome = state.outcome
+    outcome = OUTCOMES.where(since_lowest >= plan.patience, OUTCOMES.stalled, outcome)
+    outcome = OUTCOMES.where(turn.ended(plan.schedule), OUTCOMES.no_further_reduction, outcome)
+    if stop_set:
+        outcome = OUTCOMES.where(since_stop >= plan.stop_patience, OUTCOMES.stop_set, outcome)
+    outcome = OUTCOMES.where(measure <= plan.target, OUTCOMES.reached, outcome)
+    beyond = ~jnp.isfinite(cost) | (cost > plan.divergence * jnp.maximum(first_cost, 1e-300))
+    outcome = OUTCOMES.where(beyond, OUTCOMES.diverged, outcome)
+    return State(
+        weights=state.weights,
+        rates=state.rates,
+        key=state.key,
+        epoch=state.epoch,
+        turn=turn,
+        outcome=outcome,
+        cost=cost,
+        first_cost=first_cost,
+        lowest=jnp.where(new_lowest, cost, state.lowest),
+        lowest_weights=jnp.where(new_lowest, state.weights, state.lowest_weights),
+        since_lowest=since_lowest,
+        stop_lowest=jnp.where(stop_new, stop_cost, state.stop_lowest),
+        stop_weights=jnp.where(stop_new, state.weights, state.stop_weights),
+        since_stop=since_stop,
+    )
+
+
+def _learnt(
+    network: AdaptiveNetwork, plan: Plan, chosen: Examples, state: State, cost: Array
+) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
+    """The weights after the epoch, and the rates that led to them."""
+    branches = [
+        lambda weights, rates, number=number: _learn_by(
+            network, plan, chosen, number, weights, rates, state.key, state.epoch, cost
+        )
+        for number in range(len(plan.schedule.rules))
+    ]
+    present = state.rates[state.turn.rule]
+    if len(branches) == 1:
+        return branches[0](state.weights, present)
+    return jax.lax.switch(state.turn.rule, branches, state.weights, present)
+
+
+def _learn_by(
+    network: AdaptiveNetwork,
+    plan: Plan,
+    chosen: Examples,
+    number: int,
+    weights: Array,
+    rates: Array,
+    key: Array,
+    epoch: Array,
+    cost: Array,
+) -> tuple[Array, Array]:
+    """An epoch of one rule at the rates that serve best."""
+    rule, adapting = plan.schedule.rules[number], plan.rates[number]
+    learning = plan.learning(network)
+    if plan.order == "batch":
+        change = rule.change(
+            network, weights, chosen.signals, chosen.targets, chosen.counts, learning
+        )
+        change = change / chosen.patterns
+
+        def after(trial: Array) -> Array:
+            return weights + trial @ change
+    else:
+        sequence = jax.random.permutation(jax.random.fold_in(key, epoch), chosen.targets.shape[-1])
+
+        def after(trial: Array) -> Array:
+            return _one_by_one(network, rule, chosen, weights, trial, sequence, learning)
+
+    trials = adapting.trials(rates)
+    if trials.shape[0] == 1:  # nothing to compare
+        return after(rates), rates
+    candidates = jax.vmap(after)(trials)
+    costs = jax.vmap(lambda w: plan.cost(chosen.errors(network, w), chosen.counts))(candidates)
+    adapted = adapting.adapted(rates, cost, costs)
+    return after(adapted), adapted
+
+
+def _one_by_one(
+    network: AdaptiveNetwork,
+    rule: AbstractRule,
+    chosen: Examples,
+    weights: Array,
+    rates: Array,
+    sequence: Array,
+    learning: tuple[bool, ...],
+) -> Array:
+    """The weights after one pattern at a time, in the given sequence (3.4)."""
+    # Patterns first, so that a step reads one stretch of memory.
+    rows = jax.tree.map(
+        lambda x: jnp.moveaxis(x, -1, 0), (chosen.signals, chosen.targets, chosen.counts)
+    )
+
+    def step(weights: Array, at: Array) -> tuple[Array, None]:
+        signals, targets, counts = jax.tree.map(lambda x: x[at][:, None], rows)
+        change = rule.change(network, weights, signals, targets, counts, learning)
+        return weights + rates @ change, None
+
+    return jax.lax.scan(step, weights, sequence)[0]

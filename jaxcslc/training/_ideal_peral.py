@@ -1,0 +1,88 @@
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..adaptive import AdaptiveNetwork, Signals
+from ._peral import refuse, share
+from ._rules import AbstractRule, Numbers, Weights, change_of_weights, transposed_product
+
+
+class IdealPERAL(AbstractRule):
+    """PERAL with the optimum known (thesis 6.1), to study what the practical form approximates.
+
+    Errors are allocated in proportion to what each link would contribute at the optimum:
+    dw_j = sgn(x_j) |w*_j| e / sum |x_m w*_m|. The scan prints sgn(w_j) in Eqn. 6.1-3; Eqn. 6.1-2,
+    from which it follows, the rank condition on the signs of inputs, and Eqn. 6.2-6 all have
+    sgn(x_j).
+
+    One layer, without context. `check_sign_rank` says whether patterns can lead to the optimum.
+
+    **Attributes**
+
+    - `optimum`: (p,) the optimal weights.
+    """
+
+    optimum: Float[Array, " weights"]
+
+    @property
+    def name(self) -> str:
+        return "ideal PERAL"
+
+    def refuse(self, network: AdaptiveNetwork) -> str | None:
+        if any(subnetwork.contexts for subnetwork in network.subnetworks):
+            return "ideal PERAL is stated for one layer without context-sensitive weights (6.1)"
+        return refuse(network)
+
+    def change(
+        self,
+        network: AdaptiveNetwork,
+        weights: Weights,
+        signals: Signals,
+        targets: Numbers,
+        counts: Numbers,
+        learning: tuple[bool, ...],
+    ) -> Float[Array, "groups weights"]:
+        passage = network.forward(weights, signals)
+        errors = (targets - network.activation.value(passage.total)) * counts
+        wanted = errors if network.activation.increasing else -errors
+        brought = [
+            subnetwork.layers[0].links.matrix(self.optimum, magnitude=True) @ jnp.abs(given[0])
+            for subnetwork, given in zip(network.subnetworks, passage.given, strict=True)
+        ]
+        portion = share(wanted, sum(brought[1:], start=brought[0]))
+        moves = [transposed_product(portion, jnp.sign(given[0])) for given in passage.given]
+        change = change_of_weights(network, moves, learning, by_sign=True)
+        return jnp.abs(self.optimum)[None, :] * change
+
+
+def check_sign_rank(inputs: Float[Array | np.ndarray, "patterns inputs"]) -> None:
+    """The condition under which ideal PERAL can lead to the optimum (thesis 6.1).
+
+    Patterns whose inputs have the same signs act as one. The signs of all patterns' inputs, one
+    row a pattern, must therefore have as many independent rows as there are weights. This is
+    necessary; that the average of the moves contracts is a matter of the patterns as well.
+
+    - `inputs`: (patterns, inputs), the constant of a bias among them.
+
+    **Raises** `ValueError` with the rank found and the inputs that it leaves together.
+
+    >>> import numpy as np
+    >>> from jaxcslc.training import check_sign_rank
+    >>> check_sign_rank(np.asarray([[1.0, -2.0], [3.0, 4.0]]))
+    >>> check_sign_rank(np.asarray([[1.0, 2.0], [3.0, 4.0]]))
+    Traceback (most recent call last):
+    ValueError: input signs have rank 1, expected 2, one a weight: over all patterns, the signs \
+of inputs 1, 2 are not independent (thesis 6.1); record patterns that differ in them
+    """
+    signs = np.sign(np.asarray(inputs, float))
+    if signs.ndim != 2:
+        raise ValueError(f"inputs: expected shape (patterns, inputs), got {signs.shape}")
+    rank = int(np.linalg.matrix_rank(signs)) if signs.size else 0
+    if rank < signs.shape[1]:
+        _, _, right = np.linalg.svd(signs, full_matrices=True)
+        involved = np.flatnonzero(np.abs(right[rank:]).max(axis=0) > 1e-9) + 1
+        raise ValueError(
+            f"input signs have rank {rank}, expected {signs.shape[1]}, one a weight: over all"
+            f" patterns, the signs of inputs {', '.join(map(str, involved))} are not independent"
+            " (thesis 6.1); record patterns that differ in them"
+        )

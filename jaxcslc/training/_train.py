@@ -1,0 +1,245 @@
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+from tqdm import tqdm
+
+from ..adaptive import AdaptiveNetwork
+from ..learning import require_float64
+from ._checkpoint import Checkpoint
+from ._epoch import Record, State, epoch
+from ._examples import Examples
+from ._history import History, Training
+from ._plan import Plan
+from ._results import OUTCOMES
+from ._rules import AbstractRule
+
+
+def train(
+    network: AdaptiveNetwork,
+    chosen: Examples,
+    weights: Float[Array | np.ndarray, "*trainings weights"],
+    plan: Plan | AbstractRule,
+    *,
+    epochs: int = 1000,
+    stop_set: Examples | None = None,
+    key: Key[Array, "..."] | None = None,
+    keep_weights: bool = True,
+    chunk: int = 50,
+    block: int | None = None,
+    checkpoint: str | Path | None = None,
+    progress: bool = False,
+    throw: bool = True,
+) -> Training:
+    """Trains a network, or thousands of copies of it side by side (thesis 3.4, 6.3, 7.5).
+
+    **Arguments**
+
+    - `network`: p weights.
+    - `chosen`: the training patterns, from `examples`; for trainings on a recording each, with a
+      leading axis on every array, as `jax.vmap` of `examples` or `stack` gives.
+    - `weights`: (p,) to start from; (trainings, p) for many.
+    - `plan`: a `Plan`, or one rule for a plan of defaults.
+    - `epochs`: at most.
+    - `stop_set`: patterns that end the training when their cost rises (3.6.1).
+    - `key`: for the order of sequential training; one, or one for each training.
+    - `keep_weights`: whether the history holds the weights of every epoch.
+    - `chunk`: epochs between looks at progress, checkpoints and whether all have ended.
+    - `block`: how many trainings run side by side; what is best for memory and caches by default.
+    - `checkpoint`: a file to save to after every chunk and to go on from if it is there. A run
+      that is interrupted and resumed ends as it would have.
+    - `progress`: show a progress bar on standard error.
+    - `throw`: raise if a single training diverged or stalled. Of many, read `outcome`.
+
+    **Returns** a `Training`.
+
+    **Raises**
+
+    - `ValueError`: if the rule cannot train such a network or from such weights, if shapes
+      differ, numbers are not float64, or `checkpoint` holds another training.
+    - `RuntimeError`: with `throw`, if a single training diverged or stalled.
+
+    `jax.vmap` needs no loop of this kind: see `training_steps`, which this calls chunk by chunk.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxcslc.adaptive import fully_connected
+    >>> from jaxcslc.training import PerceptronRule, Plan, FixedRates, examples, train
+    >>> network = fully_connected([2, 1], "hard limiter")
+    >>> x = jnp.asarray([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    >>> both = examples(network, x, jnp.asarray([[0.0], [0.0], [0.0], [1.0]]))
+    >>> plan = Plan(PerceptronRule(), FixedRates(0.5), order="sequential")
+    >>> training = train(network, both, jnp.zeros(3), plan, epochs=50)
+    >>> network.outputs(training.weights, x)[:, 0].tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    plan = Plan(plan) if isinstance(plan, AbstractRule) else plan
+    start = jnp.asarray(weights)
+    _check(network, chosen, start, plan)
+    many = start.ndim == 2 or chosen.targets.ndim == 3
+    trainings = start.shape[0] if start.ndim == 2 else chosen.targets.shape[0]
+    key = jax.random.key(0) if key is None else key
+    if many:
+        start = jnp.broadcast_to(start, (trainings, network.size))
+        if key.ndim == 0:
+            key = jax.random.split(key, trainings)
+        state = jax.vmap(lambda w, k: State.first(network, plan, w, k))(start, key)
+    else:
+        state = State.first(network, plan, start, key)
+
+    records: list[Record] = []
+    passed, saved = 0, None
+    if checkpoint is not None:
+        made_of = (network, plan, chosen, stop_set, start, key, keep_weights)
+        saved = Checkpoint(Path(checkpoint), made_of)
+        state, records, passed = saved.load(state)
+    block = _block(network, chosen) if block is None else block
+    with tqdm(
+        total=epochs, initial=passed, unit="epoch", disable=None if progress else True
+    ) as bar:
+        while passed < epochs and not bool(jnp.all(state.done)):
+            count = min(chunk, epochs - passed)
+            state, record = _many_steps(
+                network, plan, chosen, stop_set, state, count, keep_weights, block, many
+            )
+            records.append(jax.tree.map(np.asarray, record))
+            passed += count
+            if saved is not None:
+                saved.save(state, records, passed)
+            bar.update(count)
+            lowest = float(jnp.min(state.lowest))
+            bar.set_postfix(cost=f"{lowest:.4g}", ended=int(jnp.sum(state.done)))
+    training = _training(state, records, stop_set is not None, network)
+    if throw and not many:
+        for failure in (OUTCOMES.diverged, OUTCOMES.stalled):
+            if bool(training.outcome == failure):
+                raise RuntimeError(OUTCOMES[failure])
+    return training
+
+
+@eqx.filter_jit
+def training_steps(
+    network: AdaptiveNetwork,
+    plan: Plan,
+    chosen: Examples,
+    stop_set: Examples | None,
+    state: State,
+    epochs: int,
+    keep_weights: bool = False,
+) -> tuple[State, Record]:
+    """So many epochs of one training: a pure function of its state, to be vmapped at will.
+
+    A training that has ended waits, its state unchanged. Returns the state and the records,
+    with a leading axis of epochs.
+    """
+
+    def step(state: State, _: None) -> tuple[State, Record]:
+        return epoch(network, plan, chosen, stop_set, state, keep_weights)
+
+    return jax.lax.scan(step, state, None, length=epochs)
+
+
+@eqx.filter_jit
+def _many_steps(
+    network: AdaptiveNetwork,
+    plan: Plan,
+    chosen: Examples,
+    stop_set: Examples | None,
+    state: State,
+    epochs: int,
+    keep_weights: bool,
+    block: int,
+    many: bool,
+) -> tuple[State, Record]:
+    if not many:
+        return training_steps(network, plan, chosen, stop_set, state, epochs, keep_weights)
+    # What differs between trainings is mapped over; the rest is shared.
+    each_chosen = chosen if chosen.targets.ndim == 3 else None
+    each_stop = stop_set if stop_set is not None and stop_set.targets.ndim == 3 else None
+    numbers = (plan.schedule.hand_over, plan.schedule.least_reduction, plan.target)
+    each_number = tuple(x if jnp.ndim(x) == 1 else None for x in numbers)
+
+    def one(mapped: Any) -> tuple[State, Record]:
+        state, own, own_stop, own_numbers = mapped
+        replaced = tuple(x if y is None else y for x, y in zip(numbers, own_numbers, strict=True))
+        own_plan = eqx.tree_at(
+            lambda p: (p.schedule.hand_over, p.schedule.least_reduction, p.target), plan, replaced
+        )
+        return training_steps(
+            network,
+            own_plan,
+            chosen if own is None else own,
+            stop_set if own_stop is None else own_stop,
+            state,
+            epochs,
+            keep_weights,
+        )
+
+    mapped = (state, each_chosen, each_stop, each_number)
+    return jax.lax.map(one, mapped, batch_size=block)
+
+
+def _block(network: AdaptiveNetwork, chosen: Examples) -> int:
+    """How many trainings side by side: on a CPU what stays near its caches."""
+    if jax.default_backend() != "cpu":
+        # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch
+        # keeps some ten at a time.
+        nodes = sum(layer.links.nodes for _, layer in network.adaptive_layers)
+        return max(1, int(4e8 / (8 * max(nodes, 1) * chosen.targets.shape[-1])))
+    return 8
+
+
+def _training(
+    state: State, records: list[Record], stop_set: bool, network: AdaptiveNetwork
+) -> Training:
+    axis = state.cost.ndim
+    if records:
+        record = jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *records)
+    else:
+        shape = (*state.cost.shape, 0)
+        none = np.zeros(shape)
+        rates = np.zeros((*shape, len(network.groups)))
+        record = Record(none, none, none, none.astype(int), rates, None)  # pyright: ignore[reportArgumentType]
+    diverged = (state.outcome == OUTCOMES.diverged)[..., None]
+    weights = jnp.where(diverged, state.lowest_weights, state.weights)
+    if stop_set:
+        weights = state.stop_weights
+    return Training(
+        weights=weights,
+        rates=state.rates,
+        cost=state.cost,
+        epochs=state.epoch,
+        outcome=state.outcome,
+        history=History(
+            record.cost,
+            record.measure,
+            record.stop_cost,
+            record.rule,
+            record.rates,
+            record.weights,
+        ),
+    )
+
+
+def _check(network: AdaptiveNetwork, chosen: Examples, start: Array, plan: Plan) -> None:
+    require_float64(start, chosen.targets)
+    if start.ndim not in (1, 2) or start.shape[-1] != network.size:
+        raise ValueError(
+            f"weights: expected shape ({network.size},) or (trainings, {network.size}), got"
+            f" {start.shape}"
+        )
+    if chosen.targets.ndim == 3 and start.ndim == 2 and len(start) != len(chosen.targets):
+        raise ValueError(
+            f"weights: {len(start)} starts, but {len(chosen.targets)} sets of patterns"
+        )
+    learning = plan.learning(network)
+    for rule in plan.schedule.rules:
+        reason = rule.refuse(network)
+        if reason is not None:
+            raise ValueError(reason)
+    reason = plan.schedule.rules[0].refuse_start(network, np.asarray(start), learning)
+    if reason is not None:
+        raise ValueError(reason)
