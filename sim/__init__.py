@@ -45,3 +45,5 @@ from ._thesis_machines import (
 from ._trajectories import Trajectory as Trajectory, comparison as comparison, training as training
 from ._transmission import Transmission as Transmission
 from ._truth import SimulatedRecording as SimulatedRecording, Truth as Truth
+from ._ultrasound import Echoes as Echoes, ultrasound as ultrasound
+from ._ultrasound_echo import Sonar as Sonar

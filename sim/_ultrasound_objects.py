@@ -1,0 +1,203 @@
+"""The ten kinds of object: what each is drawn as, and how sound comes back from it.
+
+Each kind is a function of a sonar, a random generator and a number of patterns. Sizes are in metres
+and angles in radians, uniform in the ranges named at the top. Sound that meets two objects, or the
+floor (but for the kerb's), is left out.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from ._ultrasound_echo import EchoPaths, Sonar
+from ._ultrasound_paths import curved, edge, mirrored, plane, scattered, vertical_corner
+
+
+# The detection field: where the nearest point of an object lies. A pulse's end leaves the emitter
+# in 0.5 ms, long before the first echo; at the far end the weakest echoes are near the noise.
+RANGE = (0.6, 2.4)  # m
+BEARING = (-math.radians(15), math.radians(15))
+
+# Pressure reflection coefficient of what is hard: painted or papered wall, wood, stone.
+REFLECTION = (0.7, 1.0)
+# Of the line that halves an edge or corner, off the line of sight: within it, a face of a box is
+# never met squarely, and neither is a face of a corner, which is too short for that.
+SKEW = (-math.radians(25), math.radians(25))
+BOX_FACE = (0.1, 0.4)
+CORNER_FACE = (0.12, 0.25)
+POLE_RADIUS = (0.005, 0.025)  # from a rod to a broomstick and a scaffold tube
+COLUMN_RADIUS = (0.06, 0.25)  # from a drainpipe to a pillar
+BALL_RADIUS = (0.05, 0.2)  # from a small ball to a football's double
+BALL_HEIGHT = (-0.1, 0.1)  # of its centre over the sonar
+PAIR_SPACING = (0.08, 0.3)  # from chair legs to railings
+PAIR_TURN = (-math.radians(60), math.radians(60))  # more, and one would hide the other
+DOORWAY_WIDTH = (0.3, 0.8)
+DOORWAY_TURN = (-math.radians(15), math.radians(15))
+KERB_HEIGHT = (0.08, 0.2)  # from a pavement's to a stair's
+BUSH_LEAVES = 40
+BUSH_WIDTH = (0.15, 0.5)
+BUSH_DEPTH = (0.1, 0.35)
+# A flat leaf of area A that faces the sonar has a strength A / wavelength, 0.1 m for 30 by 30 mm;
+# one that does not, far less. The root mean square of a leaf's strength:
+LEAF_STRENGTH = (0.005, 0.02)
+# Depth over which leaves before take away 8.7 dB there and back, as a share of the bush's depth.
+BUSH_SHADE = 0.7
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+Draw = Callable[[Sonar, np.random.Generator, int], EchoPaths]
+
+
+def _place(rng: np.random.Generator, n: int) -> Float[np.ndarray, "patterns 3"]:
+    distance, bearing = rng.uniform(*RANGE, n), rng.uniform(*BEARING, n)
+    return np.stack([distance * np.cos(bearing), distance * np.sin(bearing), np.zeros(n)], axis=-1)
+
+
+def _unit(vector: Float[np.ndarray, "patterns 3"]) -> Float[np.ndarray, "patterns 3"]:
+    return vector / np.sqrt(np.sum(vector**2, axis=-1, keepdims=True))
+
+
+def _turned(
+    vector: Float[np.ndarray, "patterns 3"], angle: Float[np.ndarray, " patterns"]
+) -> Float[np.ndarray, "patterns 3"]:
+    """About the vertical, to the left."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = vector.T
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+
+
+def _upright(at: Float[np.ndarray, "patterns 3"]) -> Float[np.ndarray, "patterns 3"]:
+    return np.broadcast_to(_UP, at.shape)
+
+
+def wall(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """A plane wall with its ends out of the field."""
+    return plane(sonar, _place(rng, n), rng.uniform(*REFLECTION, n))
+
+
+def corner(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """A concave right-angled corner of two boards: both in turn, and the boards' ends."""
+    at, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    middle = _turned(_unit(-at), rng.uniform(*SKEW, n))
+    paths = vertical_corner(sonar, at, reflection)
+    for side in (1, -1):
+        face = _turned(middle, np.full(n, side * math.pi / 4))
+        inward = _turned(face, np.full(n, -side * math.pi / 2))
+        end = at + rng.uniform(*CORNER_FACE, n)[:, None] * face
+        paths += edge(sonar, end, _upright(at), -face, inward, reflection, exterior=2 * math.pi)
+    return paths
+
+
+def box_edge(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """A convex right-angled edge of a box, and the far edges of the two faces seen."""
+    at, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    middle = _turned(_unit(-at), rng.uniform(*SKEW, n))
+    box = {"exterior": 1.5 * math.pi}
+    left, right = (_turned(middle, np.full(n, side * 0.75 * math.pi)) for side in (1, -1))
+    # A face runs 135° off the middle, and its outward normal is 45° off.
+    normals = [_turned(middle, np.full(n, side * 0.25 * math.pi)) for side in (1, -1)]
+    paths = edge(sonar, at, _upright(at), left, normals[0], reflection, **box)
+    for face, normal in zip((left, right), normals, strict=True):
+        end = at + rng.uniform(*BOX_FACE, n)[:, None] * face
+        paths += edge(sonar, end, _upright(at), -face, normal, reflection, **box)
+    return paths
+
+
+def pole(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """A thin vertical cylinder."""
+    return _cylinder(sonar, _place(rng, n), rng.uniform(*POLE_RADIUS, n), rng)
+
+
+def column(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """A thick vertical cylinder."""
+    return _cylinder(sonar, _place(rng, n), rng.uniform(*COLUMN_RADIUS, n), rng)
+
+
+def _cylinder(
+    sonar: Sonar,
+    nearest: Float[np.ndarray, "patterns 3"],
+    radius: Float[np.ndarray, " patterns"],
+    rng: np.random.Generator,
+) -> EchoPaths:
+    centre = nearest + radius[:, None] * _unit(nearest)
+    return curved(sonar, centre, radius, rng.uniform(*REFLECTION, len(radius)))
+
+
+def ball(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """A sphere."""
+    nearest, radius = _place(rng, n), rng.uniform(*BALL_RADIUS, n)
+    centre = nearest + radius[:, None] * _unit(nearest) + rng.uniform(*BALL_HEIGHT, (n, 1)) * _UP
+    return curved(sonar, centre, radius, rng.uniform(*REFLECTION, n), sphere=True)
+
+
+def pair(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """Two thin vertical cylinders side by side, about equally strong."""
+    middle, radius = _place(rng, n), rng.uniform(*POLE_RADIUS, n)
+    across = _turned(_unit(middle), math.pi / 2 + rng.uniform(*PAIR_TURN, n))
+    half = 0.5 * rng.uniform(*PAIR_SPACING, n)[:, None] * across
+    return _cylinder(sonar, middle + half, radius, rng) + _cylinder(
+        sonar, middle - half, radius, rng
+    )
+
+
+def doorway(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """An opening in a wall: both its edges, and the wall where it is met squarely."""
+    middle, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    normal = _turned(-_unit(middle), rng.uniform(*DOORWAY_TURN, n))
+    across = _turned(normal, np.full(n, -math.pi / 2))
+    half = 0.5 * rng.uniform(*DOORWAY_WIDTH, n)
+    foot = np.sum(middle * normal, axis=-1, keepdims=True) * normal
+    aside = np.abs(np.sum((foot - middle) * across, axis=-1))
+    paths = plane(sonar, foot, np.where(aside > half, reflection, 0.0))
+    for side in (1, -1):
+        face = side * across
+        post = middle + half[:, None] * face
+        paths += edge(sonar, post, _upright(post), face, normal, reflection, exterior=1.5 * math.pi)
+    return paths
+
+
+def kerb(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """A step in the floor: its upper edge, and its riser together with the floor before it."""
+    foot, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    outward = -_unit(foot)
+    below = sonar.height - rng.uniform(*KERB_HEIGHT, n)[:, None]
+    down = np.broadcast_to(-_UP, foot.shape)
+    along = _turned(outward, np.full(n, math.pi / 2))
+    top = edge(sonar, foot - below * _UP, along, down, outward, reflection, exterior=1.5 * math.pi)
+    floor = 2 * sonar.height * _UP
+    before = np.sum((foot[:, None] - sonar.receivers) * -outward[:, None], axis=-1)
+    behind = sonar.receivers - 2 * before[..., None] * outward[:, None]
+    return top + mirrored(sonar, 2 * foot - floor, behind - floor, reflection**2)
+
+
+def bush(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
+    """Leaves throughout a volume, those behind in the shade of those before."""
+    front, size = _place(rng, n)[:, None], (n, BUSH_LEAVES)
+    ahead = front / np.sqrt(np.sum(front**2, axis=-1, keepdims=True))
+    across = np.stack([-ahead[..., 1], ahead[..., 0], ahead[..., 2]], axis=-1)
+    into = rng.uniform(size=size)
+    depth, width = rng.uniform(*BUSH_DEPTH, (n, 1)), rng.uniform(*BUSH_WIDTH, (n, 1))
+    aside, up = width * rng.uniform(-0.5, 0.5, (2, *size))
+    leaves = front + (depth * into)[..., None] * ahead + aside[..., None] * across
+    leaves = leaves + up[..., None] * _UP
+    strength = rng.uniform(*LEAF_STRENGTH, (n, 1)) * rng.rayleigh(math.sqrt(0.5), size)
+    return scattered(sonar, leaves, strength * np.exp(-into / BUSH_SHADE))
+
+
+KINDS: Mapping[str, Draw] = MappingProxyType(
+    {
+        "wall": wall,
+        "corner": corner,
+        "edge": box_edge,
+        "pole": pole,
+        "column": column,
+        "ball": ball,
+        "pair of poles": pair,
+        "doorway": doorway,
+        "kerb": kerb,
+        "bush": bush,
+    }
+)
