@@ -5,7 +5,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Real
 
 from ._activations import Activation, activation_named
 from ._layers import Layer
@@ -13,7 +13,7 @@ from ._links import Links
 from ._network import AdaptiveNetwork, Signals, Subnetwork
 
 
-Inputs = Float[Array | np.ndarray, "... inputs"]
+Inputs = Real[Array | np.ndarray, "... inputs"]
 
 
 class Preprocessed(eqx.Module):

@@ -17,13 +17,26 @@ class InverseDynamicsInputs(eqx.Module):
     """The preprocessing of a CSLC: motion to products of sines and cosines, and contexts.
 
     Takes patterns with `q`, `qd` and `qdd`, (..., n) each, or the three as a tuple.
+
+    **Raises** `ValueError` if they are not of one such shape.
     """
 
     network: CSLC
 
     def __call__(self, patterns: Any) -> Signals:
-        motion = patterns if isinstance(patterns, tuple) else _motion(patterns)
-        q, qd, qdd = (jnp.moveaxis(jnp.asarray(x), -1, 0) for x in motion)
+        given = patterns if isinstance(patterns, tuple) else _motion(patterns)
+        motion = [jnp.asarray(x) for x in given]
+        shapes = [x.shape for x in motion]
+        n = self.network.joint_count
+        if len(motion) != 3 or len(set(shapes)) != 1 or shapes[0][-1:] != (n,):
+            raise ValueError(
+                f"motion: expected q, qd and qdd of one shape (..., {n}), got"
+                f" {', '.join(map(str, shapes))}"
+            )
+        dtype = jnp.result_type(*motion)
+        if not jnp.issubdtype(dtype, jnp.floating):
+            dtype = jnp.result_type(float)
+        q, qd, qdd = (jnp.moveaxis(x.astype(dtype), -1, 0) for x in motion)
         algebra = self.network.algebra
         tables = (algebra.mass, algebra.velocity, algebra.gravity)
         used = tuple(dict.fromkeys(monomial for table in tables for monomial in table.inputs))

@@ -40,15 +40,15 @@ class Layer:
 class ContextLayer:
     """A layer whose weights are inputs of the network (thesis 3.3.5, Fig. 6.2-1).
 
-    A link carries `multiple * context[of the link] * value of its source`, so that data are
-    multiplied by other data. Nothing here is trained.
+    A link carries the value of its source times its context value, so that data are multiplied
+    by other data. Nothing here is trained.
 
     **Attributes**
 
     - `inputs`, `nodes`, `contexts`: how many sources, nodes and context values there are.
     - `source`, `node`, `context`: one index a link.
 
-    **Raises** `ValueError` for an index out of range.
+    **Raises** `ValueError` for an index out of range, or lists of different lengths.
     """
 
     inputs: int

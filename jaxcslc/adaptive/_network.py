@@ -73,13 +73,18 @@ class Passage(NamedTuple):
     - `given`: for every subnetwork, what each adaptive layer's links saw.
     - `sums`: for every subnetwork, each adaptive layer's sums.
     - `values`: for every subnetwork, what each context layer took.
-    - `total`: the sums at the output nodes, (outputs, ...).
+    - `parts`: what every subnetwork brings to the output nodes, (outputs, ...).
     """
 
     given: list[list[Float[Array, "_ ..."]]]
     sums: list[list[Float[Array, "_ ..."]]]
     values: list[list[Float[Array, "_ ..."]]]
-    total: Float[Array, "outputs ..."]
+    parts: list[Float[Array, "outputs ..."]]
+
+    @property
+    def total(self) -> Float[Array, "outputs ..."]:
+        """The sums at the output nodes, where subnetworks are superposed."""
+        return sum(self.parts[1:], start=self.parts[0])
 
 
 class AdaptiveNetwork(eqx.Module):
@@ -161,9 +166,13 @@ class AdaptiveNetwork(eqx.Module):
         return self.preprocess(patterns)
 
     def forward(self, weights: Float[Array, " weights"], signals: Signals) -> Passage:
-        """All values of a pass forward, (units, ...)."""
-        passage = Passage([], [], [], jnp.zeros(()))
-        totals: list[Array] = []
+        """All values of a pass forward, (units, ...).
+
+        **Raises** `ValueError` if there are not p weights.
+        """
+        if weights.shape != (self.size,):
+            raise ValueError(f"weights: expected shape ({self.size},), got {weights.shape}")
+        passage = Passage([], [], [], [])
         for subnetwork, inputs, contexts in zip(
             self.subnetworks, signals.inputs, signals.contexts, strict=True
         ):
@@ -173,7 +182,7 @@ class AdaptiveNetwork(eqx.Module):
             value = inputs
             for layer in subnetwork.layers:
                 given.append(layer.given(value))
-                sums.append(layer.links.matrix(weights) @ given[-1])
+                sums.append(jnp.tensordot(layer.links.matrix(weights), given[-1], 1))
                 value = layer.activation.value(sums[-1])
             for layer, context in zip(subnetwork.contexts, contexts, strict=True):
                 values.append(value)
@@ -181,8 +190,8 @@ class AdaptiveNetwork(eqx.Module):
             passage.given.append(given)
             passage.sums.append(sums)
             passage.values.append(values)
-            totals.append(value)
-        return passage._replace(total=sum(totals[1:], start=totals[0]))
+            passage.parts.append(value)
+        return passage
 
     def outputs(
         self, weights: Float[Array, " weights"], patterns: Any
@@ -190,6 +199,8 @@ class AdaptiveNetwork(eqx.Module):
         """What the network answers to patterns as `preprocess` takes them, (..., o).
 
         - `weights`: (p,).
+
+        **Raises** `ValueError` if weights or patterns are not of the shape that the network takes.
 
         >>> import jax.numpy as jnp
         >>> from jaxcslc.adaptive import fully_connected

@@ -9,9 +9,14 @@ from ._epoch import Record as Record, State as State
 from ._examples import Examples as Examples, examples as examples
 from ._history import History as History, Training as Training
 from ._ideal_peral import IdealPERAL as IdealPERAL, check_sign_rank as check_sign_rank
+from ._normal_equations import (
+    NormalEquations as NormalEquations,
+    normal_equations as normal_equations,
+)
 from ._peral import PERAL as PERAL
 from ._perceptron import PerceptronRule as PerceptronRule
 from ._plan import Plan as Plan
+from ._pruning import LinkEnds as LinkEnds, Pruning as Pruning, prune as prune
 from ._rates import (
     AbstractRates as AbstractRates,
     AdaptedRates as AdaptedRates,

@@ -5,6 +5,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from ..adaptive import AdaptiveNetwork
 from ._examples import Examples
+from ._normal_equations import NormalEquations
 from ._plan import Plan
 from ._results import OUTCOMES
 from ._rules import AbstractRule
@@ -82,18 +83,16 @@ class Record(eqx.Module):
 def epoch(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples,
+    chosen: Examples | NormalEquations,
     stop_set: Examples | None,
     state: State,
     keep_weights: bool,
 ) -> tuple[State, Record]:
     """One epoch: assess, decide whether to go on and by which rule, and learn."""
-    errors = chosen.errors(network, state.weights)
-    cost = plan.cost(errors, chosen.counts)
-    measure = cost if plan.measure is None else plan.measure(errors, chosen.counts)
+    cost, measure = chosen.costs(network, state.weights, plan.cost, plan.measure or plan.cost)
     stop_cost = jnp.asarray(jnp.nan, cost.dtype)
     if stop_set is not None:
-        stop_cost = plan.cost(stop_set.errors(network, state.weights), stop_set.counts)
+        (stop_cost,) = stop_set.costs(network, state.weights, plan.cost)
 
     assessed = _assessed(plan, state, cost, measure, stop_cost, stop_set is not None)
     weights, rates = _learnt(network, plan, chosen, assessed, cost)
@@ -157,7 +156,11 @@ def _assessed(
 
 
 def _learnt(
-    network: AdaptiveNetwork, plan: Plan, chosen: Examples, state: State, cost: Array
+    network: AdaptiveNetwork,
+    plan: Plan,
+    chosen: Examples | NormalEquations,
+    state: State,
+    cost: Array,
 ) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
     """The weights after the epoch, and the rates that led to them."""
     branches = [
@@ -175,7 +178,7 @@ def _learnt(
 def _learn_by(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples,
+    chosen: Examples | NormalEquations,
     number: int,
     weights: Array,
     rates: Array,
@@ -187,14 +190,12 @@ def _learn_by(
     rule, adapting = plan.schedule.rules[number], plan.rates[number]
     learning = plan.learning(network)
     if plan.order == "batch":
-        change = rule.change(
-            network, weights, chosen.signals, chosen.targets, chosen.counts, learning
-        )
-        change = change / chosen.patterns
+        change = chosen.change(network, rule, weights, learning)
 
         def after(trial: Array) -> Array:
             return weights + trial @ change
     else:
+        assert isinstance(chosen, Examples), chosen.refuse(rule, plan.cost, plan.order)
         sequence = jax.random.permutation(jax.random.fold_in(key, epoch), chosen.targets.shape[-1])
 
         def after(trial: Array) -> Array:
@@ -204,7 +205,7 @@ def _learn_by(
     if trials.shape[0] == 1:  # nothing to compare
         return after(rates), rates
     candidates = jax.vmap(after)(trials)
-    costs = jax.vmap(lambda w: plan.cost(chosen.errors(network, w), chosen.counts))(candidates)
+    costs = jax.lax.map(lambda w: chosen.costs(network, w, plan.cost)[0], candidates)
     adapted = adapting.adapted(rates, cost, costs)
     return after(adapted), adapted
 

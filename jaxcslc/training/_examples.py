@@ -8,7 +8,9 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from ..adaptive import AdaptiveNetwork, Signals
+from ._costs import Cost
 from ._reach import covered, reach
+from ._rules import AbstractRule
 
 
 class Examples(eqx.Module):
@@ -36,6 +38,39 @@ class Examples(eqx.Module):
     def patterns(self) -> Float[Array, ""]:
         """How many patterns have an output that counts."""
         return jnp.maximum(jnp.sum(jnp.any(self.counts > 0, axis=0)), 1).astype(self.counts.dtype)
+
+    @property
+    def trainings(self) -> int | None:
+        """How many sets of patterns these are, if there is a leading axis of them."""
+        return self.targets.shape[0] if self.targets.ndim == 3 else None
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """The numbers, to check their precision."""
+        return (*self.signals.inputs, self.targets)
+
+    def refuse(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
+        """Why they cannot be trained with so, in one line; none if they can."""
+        del rule, cost, order
+        return None
+
+    def costs(
+        self, network: AdaptiveNetwork, weights: Float[Array, " weights"], *costs: Cost
+    ) -> tuple[Float[Array, ""], ...]:
+        """Each cost of the network with these weights."""
+        errors = self.errors(network, weights)
+        return tuple(cost(errors, self.counts) for cost in costs)
+
+    def change(
+        self,
+        network: AdaptiveNetwork,
+        rule: AbstractRule,
+        weights: Float[Array, " weights"],
+        learning: tuple[bool, ...],
+    ) -> Float[Array, "groups weights"]:
+        """A batch's move at a rate of one: the mean over patterns."""
+        change = rule.change(network, weights, self.signals, self.targets, self.counts, learning)
+        return change / self.patterns
 
     def totals(
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"]

@@ -32,8 +32,11 @@ class PERAL(AbstractRule):
     def refuse_start(
         self, network: AdaptiveNetwork, weights: np.ndarray, learning: tuple[bool, ...]
     ) -> str | None:
-        del network, learning
-        still = ~np.any(weights, axis=-1)
+        learnt = np.zeros(network.size, bool)
+        for (_, layer), learns in zip(network.adaptive_layers, learning, strict=True):
+            if learns:
+                learnt[layer.links.weight] = True
+        still = ~np.any(weights[..., learnt], axis=-1)
         if np.any(still):
             which = "" if weights.ndim == 1 else f" (training {int(np.argmax(still)) + 1})"
             return (

@@ -12,8 +12,8 @@ from ..adaptive import AdaptiveNetwork, Links, Signals
 
 Weights = Float[Array, " weights"]
 Numbers = Float[Array, "outputs patterns"]
-#: What every adaptive layer's links are moved by.
-Moves = Sequence[Float[Array, "nodes inputs"]]
+#: What every adaptive layer's links are moved by: (nodes, inputs) each, of sizes that differ.
+Moves = Sequence[Float[Array, "_ _"]]
 
 
 class AbstractRule(eqx.Module):

@@ -14,6 +14,7 @@ from ._checkpoint import Checkpoint
 from ._epoch import Record, State, epoch
 from ._examples import Examples
 from ._history import History, Training
+from ._normal_equations import NormalEquations
 from ._plan import Plan
 from ._results import OUTCOMES
 from ._rules import AbstractRule
@@ -21,7 +22,7 @@ from ._rules import AbstractRule
 
 def train(
     network: AdaptiveNetwork,
-    chosen: Examples,
+    chosen: Examples | NormalEquations,
     weights: Float[Array | np.ndarray, "*trainings weights"],
     plan: Plan | AbstractRule,
     *,
@@ -40,8 +41,8 @@ def train(
     **Arguments**
 
     - `network`: p weights.
-    - `chosen`: the training patterns, from `examples`; for trainings on a recording each, with a
-      leading axis on every array, as `jax.vmap` of `examples` or `stack` gives.
+    - `chosen`: the training patterns, from `examples`, or their `normal_equations`; for trainings
+      on a recording each, with a leading axis on every array, as `jax.vmap` of `examples` gives.
     - `weights`: (p,) to start from; (trainings, p) for many.
     - `plan`: a `Plan`, or one rule for a plan of defaults.
     - `epochs`: at most.
@@ -79,10 +80,10 @@ def train(
     plan = Plan(plan) if isinstance(plan, AbstractRule) else plan
     start = jnp.asarray(weights)
     _check(network, chosen, start, plan)
-    many = start.ndim == 2 or chosen.targets.ndim == 3
-    trainings = start.shape[0] if start.ndim == 2 else chosen.targets.shape[0]
+    trainings = start.shape[0] if start.ndim == 2 else chosen.trainings
+    many = trainings is not None
     key = jax.random.key(0) if key is None else key
-    if many:
+    if trainings is not None:
         start = jnp.broadcast_to(start, (trainings, network.size))
         if key.ndim == 0:
             key = jax.random.split(key, trainings)
@@ -124,7 +125,7 @@ def train(
 def training_steps(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples,
+    chosen: Examples | NormalEquations,
     stop_set: Examples | None,
     state: State,
     epochs: int,
@@ -146,7 +147,7 @@ def training_steps(
 def _many_steps(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples,
+    chosen: Examples | NormalEquations,
     stop_set: Examples | None,
     state: State,
     epochs: int,
@@ -157,8 +158,8 @@ def _many_steps(
     if not many:
         return training_steps(network, plan, chosen, stop_set, state, epochs, keep_weights)
     # What differs between trainings is mapped over; the rest is shared.
-    each_chosen = chosen if chosen.targets.ndim == 3 else None
-    each_stop = stop_set if stop_set is not None and stop_set.targets.ndim == 3 else None
+    each_chosen = None if chosen.trainings is None else chosen
+    each_stop = None if stop_set is None or stop_set.trainings is None else stop_set
     numbers = (plan.schedule.hand_over, plan.schedule.least_reduction, plan.target)
     each_number = tuple(x if jnp.ndim(x) == 1 else None for x in numbers)
 
@@ -182,8 +183,10 @@ def _many_steps(
     return jax.lax.map(one, mapped, batch_size=block)
 
 
-def _block(network: AdaptiveNetwork, chosen: Examples) -> int:
+def _block(network: AdaptiveNetwork, chosen: Examples | NormalEquations) -> int:
     """How many trainings side by side: on a CPU what stays near its caches."""
+    if isinstance(chosen, NormalEquations):
+        return 256
     if jax.default_backend() != "cpu":
         # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch
         # keeps some ten at a time.
@@ -224,20 +227,20 @@ def _training(
     )
 
 
-def _check(network: AdaptiveNetwork, chosen: Examples, start: Array, plan: Plan) -> None:
-    require_float64(start, chosen.targets)
+def _check(
+    network: AdaptiveNetwork, chosen: Examples | NormalEquations, start: Array, plan: Plan
+) -> None:
+    require_float64(start, *chosen.arrays)
     if start.ndim not in (1, 2) or start.shape[-1] != network.size:
         raise ValueError(
             f"weights: expected shape ({network.size},) or (trainings, {network.size}), got"
             f" {start.shape}"
         )
-    if chosen.targets.ndim == 3 and start.ndim == 2 and len(start) != len(chosen.targets):
-        raise ValueError(
-            f"weights: {len(start)} starts, but {len(chosen.targets)} sets of patterns"
-        )
+    if chosen.trainings is not None and start.ndim == 2 and len(start) != chosen.trainings:
+        raise ValueError(f"weights: {len(start)} starts, but {chosen.trainings} sets of patterns")
     learning = plan.learning(network)
     for rule in plan.schedule.rules:
-        reason = rule.refuse(network)
+        reason = rule.refuse(network) or chosen.refuse(rule, plan.cost, plan.order)
         if reason is not None:
             raise ValueError(reason)
     reason = plan.schedule.rules[0].refuse_start(network, np.asarray(start), learning)
