@@ -16,10 +16,16 @@ from ._friction_pictures import (
     friction_picture as friction_picture,
     hysteresis_picture as hysteresis_picture,
 )
+from ._generalisation_picture import generalisation_picture as generalisation_picture
 from ._mask_quality import MaskQuality as MaskQuality, mask_quality as mask_quality
 from ._motor_pictures import (
     motor_curve_picture as motor_curve_picture,
     motor_response_picture as motor_response_picture,
+)
+from ._network_pictures import (
+    decision_picture as decision_picture,
+    fitted_curves_picture as fitted_curves_picture,
+    overtraining_picture as overtraining_picture,
 )
 from ._output import (
     all_or_nothing as all_or_nothing,

@@ -1,0 +1,151 @@
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ._look import COLOURS, MEASURED, QUIET, figure_of, legend_below, new_figure, single_axes
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# What a node answers to the points of a plane: its sums over a grid, and the answers to patterns.
+Decision = tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, " patterns"]]
+# A fit of a curve: the points it was fitted to, (points, 2), and the curve.
+Fit = tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " places"]]
+
+
+def decision_picture(
+    x1: Float[np.ndarray, " columns"],
+    x2: Float[np.ndarray, " rows"],
+    decisions: Mapping[str, Decision],
+    patterns: Float[np.ndarray, "patterns 2"],
+    targets: Float[np.ndarray, " patterns"],
+    *,
+    title: str | None = None,
+) -> "Figure":
+    """Where in the plane of its two inputs a hard limiter answers one (Fig. 3.3-4).
+
+    Shaded where it does; the line is where the sum of its weighted inputs is zero. Patterns that
+    it answers wrongly are ringed.
+
+    **Arguments**
+
+    - `x1`, `x2`: the grid.
+    - `decisions`: by name, one panel each: sums (rows, columns), and answers (patterns,).
+    - `patterns`, `targets`: (patterns, 2) and (patterns,), zero or one.
+
+    **Returns** a matplotlib figure.
+    """
+    figure = new_figure(4.3 * len(decisions), 4.9)
+    panels = figure.subplots(1, len(decisions), squeeze=False)[0]
+    for axes, (name, (sums, answers)) in zip(panels, decisions.items(), strict=True):
+        axes.contourf(x1, x2, sums >= 0, levels=[0.5, 1.5], colors=[COLOURS[5]], alpha=0.45)
+        if sums.min() < 0 <= sums.max():
+            axes.contour(x1, x2, sums, levels=[0.0], colors=[COLOURS[1]], linewidths=1.8)
+        for target, face in ((1.0, "black"), (0.0, "white")):
+            of = targets == target
+            dots: dict[str, Any] = {"ls": "", "marker": "o", "ms": 9, "mec": "black", "mfc": face}
+            axes.plot(*patterns[of].T, label=f"target {target:g}", zorder=3, **dots)
+        wrong = answers != targets
+        ring: dict[str, Any] = {
+            "ls": "",
+            "marker": "o",
+            "ms": 19,
+            "mew": 2.0,
+            "mfc": "none",
+            "mec": COLOURS[0],
+        }
+        axes.plot(*patterns[wrong].T, label="answered wrongly", zorder=3, **ring)
+        axes.set_title(f"{name}\n{np.sum(~wrong)} of {len(targets)} right", fontsize="medium")
+        axes.set_aspect("equal")
+        axes.set_xlabel("$x_1$")
+    panels[0].set_ylabel("$x_2$")
+    panels[0].plot([], [], color=COLOURS[1], lw=1.8, label="sum is zero")
+    panels[0].fill([], [], color=COLOURS[5], alpha=0.45, label="output 1")
+    legend_below(panels[0], columns=3)
+    if title:
+        figure.suptitle(title)
+    return figure
+
+
+def overtraining_picture(
+    training: Float[np.ndarray, " epochs"],
+    stop: Float[np.ndarray, " epochs"],
+    *,
+    title: str | None = None,
+    error: str = "root mean square error",
+) -> "Figure":
+    """Errors of the training set and of the stop set, epoch by epoch (Fig. 3.6-1).
+
+    The vertical dashed line is at the lowest error of the stop set, where to cease training.
+
+    **Arguments**
+
+    - `training`, `stop`: (epochs,) before each epoch.
+    - `error`: what is drawn, with its unit.
+
+    **Returns** a matplotlib figure.
+    """
+    axes = single_axes(title)
+    epochs = np.arange(1, len(training) + 1)
+    best = int(np.nanargmin(stop))
+    axes.plot(epochs, training, color=COLOURS[1], lw=1.8, label="training set")
+    axes.plot(epochs, stop, color=COLOURS[0], lw=1.8, ls="-.", label="stop set")
+    axes.axvline(best + 1, color=QUIET, ls="--", lw=1.2, label=f"cease training: epoch {best + 1}")
+    axes.plot(best + 1, stop[best], "o", color=COLOURS[0], mec="black", mew=0.5)
+    axes.set_xscale("log")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.set_xlabel("epoch")
+    axes.set_ylabel(error)
+    legend_below(axes)
+    return figure_of(axes)
+
+
+def fitted_curves_picture(
+    x: Float[np.ndarray, " places"],
+    true: Float[np.ndarray, " places"],
+    fits: Mapping[str, Fit],
+    *,
+    title: str | None = None,
+    height: float = 4.0,
+) -> "Figure":
+    """Curves fitted to a few points each, and the system that the points are of (Fig. 4.3-1).
+
+    **Arguments**
+
+    - `x`, `true`: (places,) the system.
+    - `fits`: by name, the points (points, 2) that a curve was fitted to and the curve (places,).
+      The first is drawn solid with circles, the second dotted with crosses.
+    - `height`: how far the picture reaches up and down, in half ranges of the points; curves
+      that depart further are cut off.
+
+    **Returns** a matplotlib figure.
+    """
+    axes = single_axes(title)
+    axes.plot(x, true, color=MEASURED, lw=4.0, label="the system")
+    looks = (("-", "o"), (":", "x"), ("--", "s"), ("-.", "^"))
+    for i, (name, (points, curve)) in enumerate(fits.items()):
+        style, marker = looks[i % len(looks)]
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(x, curve, color=colour, ls=style, lw=1.8)
+        dots: dict[str, Any] = {
+            "color": colour,
+            "marker": marker,
+            "ms": 7,
+            "mew": 1.6,
+            "mfc": "none",
+        }
+        axes.plot(*points.T, ls="", zorder=3, **dots)
+        axes.plot([], [], ls=style, lw=1.8, label=name, **dots)
+    values = np.concatenate([points for points, _ in fits.values()])[:, 1]
+    middle, half = (values.max() + values.min()) / 2, (values.max() - values.min()) / 2
+    axes.set_ylim(middle - height * half, middle + height * half)
+    axes.margins(x=0.0)
+    axes.set_xlabel("x")
+    axes.set_ylabel("y")
+    legend_below(axes)
+    return figure_of(axes)
