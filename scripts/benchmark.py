@@ -1,4 +1,4 @@
-"""Benchmarks with a committed baseline: derivation, throughput, waiting time, memory.
+"""Benchmarks with a committed baseline: derivation, throughput, training, waiting, memory.
 
 Every figure is a named metric with a unit and a direction. Compile and run times stand apart,
 run times wait for the result, and rates stand beside those of Pinocchio in the same run.
@@ -16,15 +16,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pinocchio
+from benchmark_metrics import Metric, best_of, report
+from training_benchmark import training
 
 import jaxcslc as jc
 import sim
@@ -35,27 +37,6 @@ jax.config.update("jax_enable_x64", True)
 
 _BASELINE = Path(__file__).with_name("benchmark_baseline.json")
 _PATTERNS = 1_000_000
-
-
-@dataclass(frozen=True)
-class Metric:
-    """One figure. `tolerance` is the relative change that counts as one."""
-
-    name: str
-    value: float
-    unit: str
-    better: Literal["lower", "higher"]
-    tolerance: float = 0.25
-
-
-def best_of(function: Callable[[], Any], repeats: int = 5) -> float:
-    """Shortest of several run times [s], each until the result is there."""
-    times: list[float] = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(function())
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def derivation() -> Iterator[Metric]:
@@ -234,26 +215,6 @@ def true_coefficients(network: jc.CSLC) -> jax.Array:
     return network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
 
 
-def report(metrics: list[Metric], baseline: dict[str, Any]) -> int:
-    """Print metrics beside the baseline; how many became worse by more than their tolerance."""
-    worse = 0
-    print(f"{'metric':32} {'value':>10} {'baseline':>10} {'change':>8}  unit")
-    for metric in metrics:
-        line = f"{metric.name:32} {metric.value:10.4g}"
-        before = baseline.get(metric.name, {}).get("value")
-        if before:
-            change = metric.value / before - 1
-            bad = change > metric.tolerance
-            if metric.better == "higher":
-                bad = change < -metric.tolerance / (1 + metric.tolerance)
-            worse += bad
-            line += f" {before:10.4g} {change:+8.1%}{'!' if bad else ' '}"
-        else:
-            line += f" {'-':>10} {'':8} "
-        print(f"{line} {metric.unit}, {metric.better} is better")
-    return worse
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--full", action="store_true", help="with the long runs")
@@ -268,7 +229,13 @@ def main() -> None:
 
     network = jc.derive(jc.puma560())
     k = true_coefficients(network)
-    parts = [derivation(), forward(network, k), direct_solve(network, k), waiting()]
+    parts = [
+        derivation(),
+        forward(network, k),
+        direct_solve(network, k),
+        training(),
+        waiting(),
+    ]
     if arguments.full:
         Path("build").mkdir(exist_ok=True)
         parts.append(memory(arguments.rows))

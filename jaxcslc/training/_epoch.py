@@ -188,26 +188,26 @@ def _learn_by(
 ) -> tuple[Array, Array]:
     """An epoch of one rule at the rates that serve best."""
     rule, adapting = plan.schedule.rules[number], plan.rates[number]
-    learning = plan.learning(network)
+    learning, trials = plan.learning(network), adapting.trials(rates)
+    compares = trials.shape[0] > 1
     if plan.order == "batch":
         change = chosen.change(network, rule, weights, learning)
+        if compares:
+            costs = chosen.trial_costs(network, weights, change, trials, plan.cost)
+            rates = adapting.adapted(rates, cost, costs)
+        return weights + rates @ change, rates
 
-        def after(trial: Array) -> Array:
-            return weights + trial @ change
-    else:
-        assert isinstance(chosen, Examples), chosen.refuse(rule, plan.cost, plan.order)
-        sequence = jax.random.permutation(jax.random.fold_in(key, epoch), chosen.targets.shape[-1])
+    assert isinstance(chosen, Examples), chosen.refuse(rule, plan.cost, plan.order)
+    sequence = jax.random.permutation(jax.random.fold_in(key, epoch), chosen.targets.shape[-1])
 
-        def after(trial: Array) -> Array:
-            return _one_by_one(network, rule, chosen, weights, trial, sequence, learning)
+    def after(trial: Array) -> Array:
+        return _one_by_one(network, rule, chosen, weights, trial, sequence, learning)
 
-    trials = adapting.trials(rates)
-    if trials.shape[0] == 1:  # nothing to compare
-        return after(rates), rates
-    candidates = jax.vmap(after)(trials)
-    costs = jax.lax.map(lambda w: chosen.costs(network, w, plan.cost)[0], candidates)
-    adapted = adapting.adapted(rates, cost, costs)
-    return after(adapted), adapted
+    if compares:
+        candidates = jax.vmap(after)(trials)
+        costs = jax.vmap(lambda w: chosen.costs(network, w, plan.cost)[0])(candidates)
+        rates = adapting.adapted(rates, cost, costs)
+    return after(rates), rates
 
 
 def _one_by_one(

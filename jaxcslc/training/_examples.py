@@ -61,6 +61,34 @@ class Examples(eqx.Module):
         errors = self.errors(network, weights)
         return tuple(cost(errors, self.counts) for cost in costs)
 
+    def trial_costs(
+        self,
+        network: AdaptiveNetwork,
+        weights: Float[Array, " weights"],
+        change: Float[Array, "groups weights"],
+        trials: Float[Array, "trials groups"],
+        cost: Cost,
+    ) -> Float[Array, " trials"]:
+        """The cost after a change of the weights at each of several sets of rates.
+
+        Sums at the output nodes that are linear in the weights are combined from those of one
+        layer's change at a time: five passes for the PUMA 560 and not sixteen.
+        """
+        if not network.linear:
+            return jax.lax.map(
+                lambda trial: self.costs(network, weights + trial @ change, cost)[0], trials
+            )
+        present = self.totals(network, weights)
+        parts = jax.vmap(lambda part: self.totals(network, part))(change)
+
+        def after(trial: Array) -> Array:
+            total = present
+            for group in range(trials.shape[1]):  # written out: a product of matrices stays apart
+                total = total + trial[group] * parts[group]
+            return cost((self.targets - network.activation.value(total)) * self.counts, self.counts)
+
+        return jax.vmap(after)(trials)
+
     def change(
         self,
         network: AdaptiveNetwork,

@@ -31,7 +31,24 @@ class IdealPERAL(AbstractRule):
     def refuse(self, network: AdaptiveNetwork) -> str | None:
         if any(subnetwork.contexts for subnetwork in network.subnetworks):
             return "ideal PERAL is stated for one layer without context-sensitive weights (6.1)"
+        if self.optimum.shape != (network.size,):
+            return (
+                f"ideal PERAL needs the optimum of all {network.size} weights, got shape"
+                f" {self.optimum.shape}"
+            )
         return refuse(network)
+
+    def refuse_start(
+        self, network: AdaptiveNetwork, weights: np.ndarray, learning: tuple[bool, ...]
+    ) -> str | None:
+        del learning
+        stuck = np.atleast_2d(weights).any(axis=0) & (np.asarray(self.optimum) == 0)
+        if stuck.any():
+            return (
+                f"ideal PERAL cannot move {network.names[int(np.argmax(stuck))]}: it is zero at"
+                " the optimum, so that no error is allocated to it (6.1); start it at zero"
+            )
+        return None
 
     def change(
         self,
@@ -60,7 +77,9 @@ def check_sign_rank(inputs: Float[Array | np.ndarray, "patterns inputs"]) -> Non
 
     Patterns whose inputs have the same signs act as one. The signs of all patterns' inputs, one
     row a pattern, must therefore have as many independent rows as there are weights. This is
-    necessary; that the average of the moves contracts is a matter of the patterns as well.
+    necessary. It is sufficient for two weights; for three or more it is not, though 6.1 says so:
+    the patterns (3, 1, 1), (1, 3, -1) and (1, -1, 3) with an optimum of ones lead away from it
+    at any rate. With ten patterns a weight, of independent signs, such cases are rare.
 
     - `inputs`: (patterns, inputs), the constant of a bias among them.
 

@@ -69,6 +69,19 @@ class NormalEquations(eqx.Module):
         square = weights @ (self.gram @ weights) - 2.0 * (moment @ weights) + self.square
         return (0.5 * square,) * len(costs)
 
+    def trial_costs(
+        self,
+        network: AdaptiveNetwork,
+        weights: Float[Array, " weights"],
+        change: Float[Array, "groups weights"],
+        trials: Float[Array, "trials groups"],
+        cost: Cost,
+    ) -> Float[Array, " trials"]:
+        """The cost after a change of the weights at each of several sets of rates."""
+        return jax.vmap(lambda trial: self.costs(network, weights + trial @ change, cost)[0])(
+            trials
+        )
+
     def change(
         self,
         network: AdaptiveNetwork,

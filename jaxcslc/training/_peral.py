@@ -19,7 +19,7 @@ class PERAL(AbstractRule):
     twice. Where subnetworks meet in one output node, the node's error is shared among the links
     of all of them. For a weight that links share, a link asks for the change that moves what it
     passes on as wanted, its multiple notwithstanding, and the average over links is taken
-    (5.2.6).
+    (5.2.6). The scan prints x_j under the sum of Eqn. 6.2-6; Eqn. 6.2-7 has every x_m.
     """
 
     @property

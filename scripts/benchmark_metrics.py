@@ -1,0 +1,49 @@
+"""What benchmarks share: named metrics with unit and direction, timing, and the comparison."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure. `tolerance` is the relative change that counts as one."""
+
+    name: str
+    value: float
+    unit: str
+    better: Literal["lower", "higher"]
+    tolerance: float = 0.25
+
+
+def best_of(function: Callable[[], Any], repeats: int = 5) -> float:
+    """Shortest of several run times [s], each until the result is there."""
+    times: list[float] = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        jax.block_until_ready(function())
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def report(metrics: list[Metric], baseline: dict[str, Any]) -> int:
+    """Print metrics beside the baseline; how many became worse by more than their tolerance."""
+    worse = 0
+    print(f"{'metric':32} {'value':>10} {'baseline':>10} {'change':>8}  unit")
+    for metric in metrics:
+        line = f"{metric.name:32} {metric.value:10.4g}"
+        before = baseline.get(metric.name, {}).get("value")
+        if before:
+            change = metric.value / before - 1
+            bad = change > metric.tolerance
+            if metric.better == "higher":
+                bad = change < -metric.tolerance / (1 + metric.tolerance)
+            worse += bad
+            line += f" {before:10.4g} {change:+8.1%}{'!' if bad else ' '}"
+        else:
+            line += f" {'-':>10} {'':8} "
+        print(f"{line} {metric.unit}, {metric.better} is better")
+    return worse
