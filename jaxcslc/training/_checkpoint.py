@@ -36,7 +36,7 @@ class Checkpoint:
             with np.load(self.path) as file:
                 content = dict(file)
             found, passed = str(content["fingerprint"]), int(content["epochs"])
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             raise ValueError(
                 f"{self.path}: expected a checkpoint of a training, and it is none"
             ) from None
@@ -82,7 +82,7 @@ def _plain(leaf: Any) -> np.ndarray:
 
 def _restored(leaf: Any, saved: np.ndarray) -> Array:
     if isinstance(leaf, Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        return jax.random.wrap_key_data(jnp.asarray(saved))
+        return jax.random.wrap_key_data(jnp.asarray(saved), impl=jax.random.key_impl(leaf))
     return jnp.asarray(saved, leaf.dtype)
 
 
@@ -91,6 +91,9 @@ def _fingerprint(made_of: Any) -> str:
     leaves, structure = jax.tree.flatten(made_of)
     digest = hashlib.sha256(_without_addresses(str(structure)).encode())
     for leaf in leaves:
+        if callable(leaf):  # such as a preprocessing: as a number it would be an address
+            digest.update(_without_addresses(str(leaf)).encode())
+            continue
         values = _plain(leaf)
         digest.update(f"{values.dtype} {values.shape}".encode())
         digest.update(values.tobytes())

@@ -61,7 +61,7 @@ class State(eqx.Module):
         )
 
     @property
-    def done(self) -> Bool[Array, ""]:
+    def done(self) -> Bool[Array, "..."]:
         return self.outcome != OUTCOMES.running
 
 
@@ -104,12 +104,13 @@ def epoch(
     next_state = jax.tree.map(lambda old, new: jnp.where(assessed.done, old, new), assessed, moved)
     # A training that had ended before keeps everything as it was.
     next_state = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, next_state)
+    at_rest = next_state.rates[next_state.turn.rule]
     record = Record(
         cost=cost,
         measure=measure,
         stop_cost=stop_cost,
         rule=jnp.where(assessed.done, -1, assessed.turn.rule),
-        rates=rates,
+        rates=jnp.where(assessed.done, at_rest, rates),
         weights=state.weights if keep_weights else None,
     )
     return next_state, record

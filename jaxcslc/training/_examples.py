@@ -7,7 +7,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from ..adaptive import AdaptiveNetwork, Signals
+from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals
 from ._costs import Cost
 from ._reach import covered, reach
 from ._rules import AbstractRule
@@ -201,8 +201,10 @@ def _check(network: AdaptiveNetwork, chosen: Examples, named: Array) -> None:
             f"targets: output {output + 1} of pattern {pattern + 1} is"
             f" {np.asarray(named)[pattern, output]}, expected a finite number or a mask"
         )
-    for part, inputs in zip(network.subnetworks, chosen.signals.inputs, strict=True):
-        if not np.isfinite(np.asarray(inputs)).all():
+    for part, *seen in zip(
+        network.subnetworks, chosen.signals.inputs, chosen.signals.contexts, strict=True
+    ):
+        if not all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(seen)):
             raise ValueError(f"inputs: subnetwork {part.name!r} is given NaN or infinite numbers")
     activation = network.activation
     values = np.asarray(named)
@@ -213,6 +215,12 @@ def _check(network: AdaptiveNetwork, chosen: Examples, named: Array) -> None:
             f"targets: output {output + 1} of pattern {pattern + 1} is"
             f" {values[pattern, output]:g}, but a {activation.name} answers"
             f" {activation.low:g} to {activation.high:g} only"
+        )
+    if activation == HARD_LIMITER and (between := counted & (values != 0) & (values != 1)).any():
+        pattern, output = np.argwhere(between)[0]
+        raise ValueError(
+            f"targets: output {output + 1} of pattern {pattern + 1} is"
+            f" {values[pattern, output]:g}, but a hard limiter answers 0 or 1 only"
         )
     missing = np.flatnonzero(~np.asarray(covered(network, chosen.signals, chosen.counts)))
     if len(missing):

@@ -15,7 +15,8 @@ class IdealPERAL(AbstractRule):
     from which it follows, the rank condition on the signs of inputs, and Eqn. 6.2-6 all have
     sgn(x_j).
 
-    One layer, without context. `check_sign_rank` says whether patterns can lead to the optimum.
+    One layer, without context. `train` refuses patterns that `check_sign_rank` refuses: they
+    cannot lead to the optimum.
 
     **Attributes**
 
@@ -48,6 +49,25 @@ class IdealPERAL(AbstractRule):
                 f"ideal PERAL cannot move {network.names[int(np.argmax(stuck))]}: it is zero at"
                 " the optimum, so that no error is allocated to it (6.1); start it at zero"
             )
+        return None
+
+    def refuse_patterns(
+        self, network: AdaptiveNetwork, signals: Signals, counts: Numbers
+    ) -> str | None:
+        counted = np.asarray(counts) > 0
+        for subnetwork, inputs in zip(network.subnetworks, signals.inputs, strict=True):
+            layer = subnetwork.layers[0]
+            seen = np.asarray(layer.given(jnp.asarray(inputs)))
+            # Nodes that see the same inputs of the same patterns are looked at once.
+            views = {
+                (tuple(layer.links.source[layer.links.node == node]), taken.tobytes()): taken
+                for node, taken in enumerate(counted)
+            }
+            for (sources, _), taken in views.items():
+                try:
+                    check_sign_rank(seen[list(sources)][:, taken].T)
+                except ValueError as error:
+                    return f"ideal PERAL: {error}"
         return None
 
     def change(

@@ -138,7 +138,7 @@ def _normal_equations(network: AdaptiveNetwork, chosen: Examples) -> NormalEquat
     def sums(part: Any) -> tuple[Array, Array, Array]:
         signals, targets, counts = part
         each = jax.lax.map(lambda unit: jnp.stack(network.forward(unit, signals).parts), units)
-        own = jnp.moveaxis(each * counts, 1, 0)  # (groups, p, outputs, patterns)
+        own = jnp.moveaxis(each, 1, 0) * counts[None, None]  # (groups, p, outputs, patterns)
         whole = jnp.sum(each, axis=1)
         return (
             jnp.einsum("gpok,qok->gpq", own, whole),

@@ -40,6 +40,16 @@ class AbstractRule(eqx.Module):
         del network, weights, learning
         return None
 
+    def refuse_patterns(
+        self,
+        network: AdaptiveNetwork,
+        signals: Signals,
+        counts: Numbers,
+    ) -> str | None:
+        """Why these patterns cannot lead anywhere, in one line; none if they can."""
+        del network, signals, counts
+        return None
+
     @abstractmethod
     def change(
         self,

@@ -17,9 +17,9 @@ class Schedule(eqx.Module):
     - `least_reduction`: a rule whose epochs gain less, `tolerated` times in a row, gives its turn
       away; when every rule has done so one after the other, the training ends. 0.001 N m in 7.5.
       Not before the hand-over, where rates may still be growing.
-    - `tolerated`: epochs, so that rates have the time to follow.
+    - `tolerated`: epochs, so that rates have the time to follow; a shorter bout is all of them.
 
-    **Raises** `ValueError` if there is no rule, or a bout has no epoch.
+    **Raises** `ValueError` if there is no rule, or a bout has no epoch, or none is tolerated.
     """
 
     rules: tuple[AbstractRule, ...]
@@ -33,6 +33,8 @@ class Schedule(eqx.Module):
             raise ValueError("schedule: expected at least one rule")
         if self.bout < 1:
             raise ValueError(f"schedule: a bout must have an epoch at least, got {self.bout}")
+        if self.tolerated < 1:
+            raise ValueError(f"schedule: tolerated must be an epoch at least, got {self.tolerated}")
 
 
 class Turn(eqx.Module):
@@ -66,7 +68,7 @@ class Turn(eqx.Module):
         handed_over = self.handed_over | (cost < schedule.hand_over) | (number == 1)
         gained = reduction >= schedule.least_reduction
         little = jnp.where(gained | ~self.handed_over, 0, self.little + 1)
-        exhausted = little >= schedule.tolerated
+        exhausted = little >= min(schedule.tolerated, schedule.bout)
         spent = jnp.where(exhausted, self.spent + 1, jnp.where(gained, 0, self.spent))
         # The epoch that brings the hand-over is still the first rule's; turns begin behind it.
         over = handed_over & (exhausted | ~self.handed_over | (self.epochs + 1 >= schedule.bout))

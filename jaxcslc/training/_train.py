@@ -83,6 +83,11 @@ def train(
     trainings = start.shape[0] if start.ndim == 2 else chosen.trainings
     many = trainings is not None
     key = jax.random.key(0) if key is None else key
+    _check_numbers(plan, stop_set, key, trainings)
+    if epochs < 0 or chunk < 1 or (block is not None and block < 1):
+        raise ValueError("epochs, chunk, block: expected no less than 0, 1 and 1")
+    # A number that is an array is no part of the compiled function: another compiles nothing.
+    plan = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, plan)
     if trainings is not None:
         start = jnp.broadcast_to(start, (trainings, network.size))
         if key.ndim == 0:
@@ -94,7 +99,10 @@ def train(
     records: list[Record] = []
     passed, saved = 0, None
     if checkpoint is not None:
-        made_of = (network, plan, chosen, stop_set, start, key, keep_weights)
+        # Links print as a summary: their content is told apart here.
+        links = [layer.links for _, layer in network.adaptive_layers]
+        wiring = [(each.source, each.node, each.weight, each.multiple) for each in links]
+        made_of = (network, wiring, plan, chosen, stop_set, start, key, keep_weights)
         saved = Checkpoint(Path(checkpoint), made_of)
         state, records, passed = saved.load(state)
     block = _block(network, chosen) if block is None else block
@@ -227,6 +235,25 @@ def _training(
     )
 
 
+def _check_numbers(
+    plan: Plan, stop_set: Examples | None, key: Array, trainings: int | None
+) -> None:
+    """What there may be one of, or one for each training."""
+    if stop_set is not None:
+        require_float64(*stop_set.arrays)
+    sets = None if stop_set is None or stop_set.trainings is None else (stop_set.trainings,)
+    for name, shape in (
+        ("hand_over", jnp.shape(plan.schedule.hand_over)),
+        ("least_reduction", jnp.shape(plan.schedule.least_reduction)),
+        ("target", jnp.shape(plan.target)),
+        ("key", key.shape),
+        ("stop_set", sets or ()),
+    ):
+        if shape not in ((), (trainings,)):
+            each = "" if trainings is None else f", or for each of {trainings} trainings"
+            raise ValueError(f"{name}: expected one{each}, got shape {shape}")
+
+
 def _check(
     network: AdaptiveNetwork, chosen: Examples | NormalEquations, start: Array, plan: Plan
 ) -> None:
@@ -243,6 +270,10 @@ def _check(
         reason = rule.refuse(network) or chosen.refuse(rule, plan.cost, plan.order)
         if reason is not None:
             raise ValueError(reason)
+        if isinstance(chosen, Examples) and chosen.trainings is None:
+            reason = rule.refuse_patterns(network, chosen.signals, chosen.counts)
+            if reason is not None:
+                raise ValueError(reason)
     reason = plan.schedule.rules[0].refuse_start(network, np.asarray(start), learning)
     if reason is not None:
         raise ValueError(reason)

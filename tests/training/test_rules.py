@@ -1,0 +1,640 @@
+"""Backpropagation and PERAL: each equation against the literal transcription, to rounding."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from jaxcslc import CSLC
+from jaxcslc.adaptive import (
+    HYPERBOLIC_TANGENT,
+    LINEAR_COMBINER,
+    LOGISTIC,
+    Activation,
+    AdaptiveNetwork,
+    ContextLayer,
+    Layer,
+    Links,
+    Signals,
+    Subnetwork,
+    decreasing,
+    fully_connected,
+    inverse_dynamics,
+)
+from jaxcslc.training import PERAL, Backpropagation, PerceptronRule, examples
+from jaxcslc.training._examples import Examples
+from jaxcslc.training._rules import AbstractRule, links_per_weight
+
+from . import _transcription as thesis
+
+
+FUNCTIONS: dict[Activation, thesis.Function] = {
+    LINEAR_COMBINER: thesis.IDENTITY,
+    LOGISTIC: thesis.LOGISTIC,
+    HYPERBOLIC_TANGENT: thesis.TANH,
+    decreasing(HYPERBOLIC_TANGENT): thesis.FALLING_TANH,
+    decreasing(LOGISTIC): thesis.FALLING_LOGISTIC,
+}
+by_name: Any = {"ids": lambda activation: activation.name}
+
+
+@eqx.filter_jit
+def summed(
+    rule: AbstractRule,
+    network: AdaptiveNetwork,
+    k: jax.Array,
+    chosen: Examples,
+    learning: tuple[bool, ...],
+) -> jax.Array:
+    return rule.change(network, k, chosen.signals, chosen.targets, chosen.counts, learning)
+
+
+def change(
+    rule: AbstractRule,
+    network: AdaptiveNetwork,
+    k: Any,
+    chosen: Examples,
+    learning: Sequence[bool] | None = None,
+) -> np.ndarray:
+    """The batch form: divided by the number of patterns, (groups, p)."""
+    takes_part = (True,) * len(network.groups) if learning is None else tuple(learning)
+    found = summed(rule, network, jnp.asarray(k), chosen, takes_part)
+    return np.asarray(found / chosen.patterns)
+
+
+def matrix(change: np.ndarray, inputs: int, nodes: int) -> np.ndarray:
+    """The thesis's matrix, inputs by outputs, of a fully connected layer's change."""
+    return change.reshape(nodes, inputs).T
+
+
+# One fully connected layer: the equations as they are printed.
+
+
+@pytest.mark.parametrize("f", list(FUNCTIONS), **by_name)
+def test_one_layer(f: Activation, rng: np.random.Generator) -> None:
+    network = fully_connected([4, 3], f, bias=False)
+    W, x = rng.normal(size=(4, 3)), rng.normal(size=(6, 4))
+    t = rng.uniform(max(f.low, -1.0), 1.0, size=(6, 3))
+    S, literal = x @ W, FUNCTIONS[f]
+    chosen = examples(network, x, t)
+    expected = np.mean([thesis.eqn_3_4_3(x[p], S[p], t[p], literal) for p in range(6)], axis=0)
+    found = change(Backpropagation(), network, W.T.ravel(), chosen)
+    assert_allclose(matrix(found[0], 4, 3), expected, rtol=1e-11, atol=1e-14)
+
+    each: list[np.ndarray] = []
+    for p in range(6):
+        dS = [thesis.eqn_6_2_1(t[p, l], literal.f(S[p, l]), literal) for l in range(3)]
+        each.append(thesis.eqn_6_2_6(x[p], W, dS))
+        assert_allclose(each[-1], thesis.eqn_6_2_7(x[p], W, np.array(dS)), rtol=1e-13)
+    found = change(PERAL(), network, W.T.ravel(), chosen)
+    assert_allclose(matrix(found[0], 4, 3), np.mean(each, axis=0), rtol=1e-11, atol=1e-14)
+
+
+@pytest.mark.parametrize("f_A", list(FUNCTIONS), **by_name)
+@pytest.mark.parametrize("f_B", [LINEAR_COMBINER, LOGISTIC, HYPERBOLIC_TANGENT], **by_name)
+def test_two_adaptive_layers(f_A: Activation, f_B: Activation, rng: np.random.Generator) -> None:
+    """Eqns. 3.4-3 and 3.4-8, a bias before each layer."""
+    network = fully_connected([3, 4, 2], [f_A, f_B])
+    A, B = FUNCTIONS[f_A], FUNCTIONS[f_B]
+    W_A, W_B, x = rng.normal(size=(4, 4)), rng.normal(size=(5, 2)), rng.normal(size=(5, 3))
+    t = rng.uniform(max(f_B.low, -1.0), 1.0, size=(5, 2))
+    dA, dB = np.zeros((4, 4)), np.zeros((5, 2))
+    for p in range(5):
+        seen = [*x[p], 1.0]
+        S_A = [thesis.eqn_3_3_1(seen, W_A[:, k]) for k in range(4)]
+        hidden = [*(A.f(s) for s in S_A), 1.0]
+        S_B = [thesis.eqn_3_3_1(hidden, W_B[:, l]) for l in range(2)]
+        dB += thesis.eqn_3_4_3(hidden, S_B, t[p], B) / 5
+        dA += thesis.eqn_3_4_8(seen, S_A, S_B, W_B[:4], t[p], A, B) / 5
+    k = np.concatenate([W_A.T.ravel(), W_B.T.ravel()])
+    found = change(Backpropagation(), network, k, examples(network, x, t))
+    close: Any = {"rtol": 1e-11, "atol": 1e-14}
+    assert_allclose(matrix(found[0, :16], 4, 4), dA, **close)
+    assert_allclose(matrix(found[1, 16:], 5, 2), dB, **close)
+    # Every layer moves its own weights only: a rate for each.
+    assert not np.any(found[0, 16:]) and not np.any(found[1, :16])
+
+
+# Any network, beside what the transcription makes of it.
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A network twice over, with patterns."""
+
+    network: AdaptiveNetwork
+    parts: list[thesis.Subnetwork]
+    f: thesis.Function
+    xs: list[np.ndarray]  # (patterns, inputs) for every subnetwork
+    contexts: list[list[np.ndarray]]
+    t: np.ndarray
+    k: np.ndarray
+    patterns: Any = None  # as a user has them
+
+    def chosen(self, counts: np.ndarray | None = None) -> Examples:
+        signals = Signals(
+            tuple(jnp.asarray(x.T) for x in self.xs),
+            tuple(tuple(jnp.asarray(c.T) for c in each) for each in self.contexts),
+        )
+        ones = np.ones(self.t.shape) if counts is None else counts
+        return Examples(signals, jnp.asarray(self.t.T), jnp.asarray(ones.T), None)
+
+    def literally(
+        self,
+        rule: Callable[..., thesis.Moves],
+        learning: Sequence[bool] | None = None,
+        counts: np.ndarray | None = None,
+    ) -> np.ndarray:
+        each: list[thesis.Moves] = []
+        for p in range(len(self.t)):
+            if counts is not None and not counts[p].any():
+                continue
+            xs = [x[p] for x in self.xs]
+            contexts = [[c[p] for c in own] for own in self.contexts]
+            own_counts = None if counts is None else counts[p]
+            each.append(rule(self.parts, self.f, xs, contexts, self.t[p], self.k, own_counts))
+        return thesis.average_over_links(
+            self.parts,
+            thesis.mean_over_patterns(each),
+            len(self.k),
+            by_chain_rule=rule is thesis.backpropagation,
+            learning=learning,
+        )
+
+
+def sparse(
+    rng: np.random.Generator, inputs: int, nodes: int, weights: Sequence[int], doubles: int = 2
+) -> Links:
+    """Two thirds of the links, every node with one, few weights, pairs that are linked twice."""
+    pairs = [(s, n) for n in range(nodes) for s in range(inputs)]
+    kept = [pair for pair in pairs if rng.uniform() < 0.67 or pair[0] == pair[1] % inputs]
+    kept += [kept[i] for i in rng.integers(len(kept), size=doubles)]
+    source, node = zip(*kept, strict=True)
+    multiple = rng.choice([-2.0, -1.0, -0.5, 0.5, 1.0], len(kept))
+    return Links(inputs, nodes, source, node, rng.choice(weights, len(kept)), multiple)
+
+
+def transcribed(part: Subnetwork) -> thesis.Subnetwork:
+    return thesis.Subnetwork(
+        [
+            (
+                layer.links.nodes,
+                [
+                    thesis.Link(int(s), int(n), int(k), float(m))
+                    for s, n, k, m in zip(
+                        layer.links.source,
+                        layer.links.node,
+                        layer.links.weight,
+                        layer.links.multiple,
+                        strict=True,
+                    )
+                ],
+                FUNCTIONS[layer.activation],
+            )
+            for layer in part.layers
+        ],
+        [
+            (
+                layer.nodes,
+                [
+                    thesis.ContextLink(*link)
+                    for link in zip(layer.source, layer.node, layer.context, strict=True)
+                ],
+            )
+            for layer in part.contexts
+        ],
+        bias=part.layers[0].bias,
+    )
+
+
+def problem(
+    rng: np.random.Generator, parts: Sequence[Subnetwork], f: Activation, size: int
+) -> Problem:
+    """Random patterns, weights and contexts; a fifth of inputs and contexts zero."""
+
+    def numbers(columns: int) -> np.ndarray:
+        return rng.normal(size=(7, columns)) * (rng.uniform(size=(7, columns)) < 0.8)
+
+    def signals(patterns: Signals) -> Signals:
+        return patterns
+
+    names = tuple(f"w{index}" for index in range(size))
+    network = AdaptiveNetwork(tuple(parts), signals, f, names)
+    return Problem(
+        network,
+        [transcribed(part) for part in parts],
+        FUNCTIONS[f],
+        [numbers(part.layers[0].inputs) for part in parts],
+        [[numbers(layer.contexts) for layer in part.contexts] for part in parts],
+        rng.uniform(max(f.low, -1.0), 1.0, size=(7, parts[0].outputs)),
+        rng.normal(size=size),
+    )
+
+
+def sparse_context(
+    rng: np.random.Generator, inputs: int, nodes: int, contexts: int
+) -> ContextLayer:
+    """Some sources to one node, some to several, some to the same one twice."""
+    each = [
+        (s, int(n), int(rng.integers(contexts)))
+        for s in range(inputs)
+        for n in rng.integers(nodes, size=1 + s % 3)
+    ]
+    source, node, context = zip(*each, strict=True)
+    return ContextLayer(inputs, nodes, contexts, source, node, context)
+
+
+def one_sparse_layer(rng: np.random.Generator, f: Activation) -> Problem:
+    layer = Layer(sparse(rng, 6, 3, range(4)), bias=True)
+    return problem(rng, [Subnetwork("a", (layer,))], f, 4)
+
+
+def one_context_layer(rng: np.random.Generator, f_A: Activation, f: Activation) -> Problem:
+    layer = Layer(sparse(rng, 4, 5, range(6)), f_A)
+    return problem(rng, [Subnetwork("a", (layer,), (sparse_context(rng, 5, 3, 2),))], f, 6)
+
+
+def five_subnetworks(rng: np.random.Generator, f: Activation) -> Problem:
+    """As in a CSLC: one and two context layers that share weights, and plain layers beside."""
+    parts = [
+        Subnetwork("mass", (Layer(sparse(rng, 4, 5, range(6))),), (sparse_context(rng, 5, 3, 3),)),
+        Subnetwork(
+            "velocity",
+            (Layer(sparse(rng, 3, 6, range(4))),),
+            (sparse_context(rng, 6, 4, 3), sparse_context(rng, 4, 3, 3)),
+        ),
+        Subnetwork("gravity", (Layer(sparse(rng, 4, 3, range(6, 9))),)),
+        Subnetwork("viscous", (Layer(Links(3, 3, range(3), range(3), range(9, 12))),)),
+        Subnetwork("dry", (Layer(Links(3, 3, range(3), range(3), range(12, 15))),)),
+    ]
+    return problem(rng, parts, f, 15)
+
+
+def two_adaptive_and_a_context(rng: np.random.Generator, f: Activation) -> Problem:
+    """Also the deeper network shares weights between its layers, and with another subnetwork."""
+    deep = Subnetwork(
+        "deep",
+        (
+            Layer(sparse(rng, 4, 5, range(4)), HYPERBOLIC_TANGENT),
+            Layer(sparse(rng, 5, 4, range(2, 8)), LOGISTIC),
+        ),
+        (sparse_context(rng, 4, 3, 2),),
+    )
+    flat = Subnetwork("flat", (Layer(sparse(rng, 4, 3, range(6, 10))),))
+    return problem(rng, [deep, flat], f, 10)
+
+
+PROBLEMS: dict[str, Callable[[np.random.Generator], Problem]] = {
+    "sparse, linear": lambda rng: one_sparse_layer(rng, LINEAR_COMBINER),
+    "sparse, tanh": lambda rng: one_sparse_layer(rng, HYPERBOLIC_TANGENT),
+    "sparse, falling": lambda rng: one_sparse_layer(rng, decreasing(HYPERBOLIC_TANGENT)),
+    "context": lambda rng: one_context_layer(rng, LINEAR_COMBINER, LINEAR_COMBINER),
+    "context, tanh inside": lambda rng: one_context_layer(rng, HYPERBOLIC_TANGENT, LOGISTIC),
+    "context, falling inside": lambda rng: one_context_layer(
+        rng, decreasing(LOGISTIC), decreasing(HYPERBOLIC_TANGENT)
+    ),
+    "five subnetworks": lambda rng: five_subnetworks(rng, LINEAR_COMBINER),
+    "five subnetworks, tanh": lambda rng: five_subnetworks(rng, HYPERBOLIC_TANGENT),
+}
+DEEP: dict[str, Callable[[np.random.Generator], Problem]] = {
+    "two adaptive layers and a context layer": lambda rng: two_adaptive_and_a_context(
+        rng, HYPERBOLIC_TANGENT
+    ),
+    **PROBLEMS,
+}
+close: Any = {"rtol": 1e-11, "atol": 1e-13}
+
+
+@pytest.mark.parametrize("name", list(DEEP))
+def test_backpropagation_literally(name: str, rng: np.random.Generator) -> None:
+    """Eqn. 3.4-9, means over patterns (3.4), averages over links (5.2.6)."""
+    given = DEEP[name](rng)
+    found = change(Backpropagation(), given.network, given.k, given.chosen())
+    assert_allclose(found, given.literally(thesis.backpropagation), **close)
+
+
+@pytest.mark.parametrize("name", list(DEEP))
+def test_backpropagation_is_the_gradient_over_the_number_of_links(
+    name: str, rng: np.random.Generator
+) -> None:
+    """Eqn. 3.4-2 through `jax.grad`, which knows nothing of layers."""
+    given = DEEP[name](rng)
+    chosen = given.chosen()
+
+    @jax.jit
+    def gradient(k: jax.Array) -> jax.Array:
+        def cost(k: jax.Array) -> jax.Array:
+            errors = chosen.targets - given.network.activation.value(
+                given.network.forward(k, chosen.signals).total
+            )
+            return 0.5 * jnp.sum(errors**2) / len(given.t)
+
+        return jax.grad(cost)(k)
+
+    links = [layer.links for _, layer in given.network.adaptive_layers]
+    shared = links_per_weight(links, len(given.k), (True,) * len(links))
+    found = change(Backpropagation(), given.network, given.k, chosen).sum(axis=0)
+    assert_allclose(found, -np.asarray(gradient(jnp.asarray(given.k))) / shared, **close)
+
+
+@pytest.mark.parametrize("name", list(PROBLEMS))
+def test_peral_literally(name: str, rng: np.random.Generator) -> None:
+    given = PROBLEMS[name](rng)
+    found = change(PERAL(), given.network, given.k, given.chosen())
+    assert np.any(found != 0, axis=1).all()
+    assert_allclose(found, given.literally(thesis.peral), **close)
+
+
+@pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
+def test_masks(rule: AbstractRule, rng: np.random.Generator) -> None:
+    """Masked pairs move nothing, and patterns without any pair do not count (7.5)."""
+    given = five_subnetworks(rng, LINEAR_COMBINER)
+    counts = (rng.uniform(size=given.t.shape) < 0.6).astype(float)
+    counts[2] = 0.0
+    literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
+    found = change(rule, given.network, given.k, given.chosen(counts))
+    assert_allclose(found, given.literally(literal, counts=counts), **close)
+    # What a masked target says does not matter.
+    given.t[counts == 0] = 1e3
+    again = change(rule, given.network, given.k, given.chosen(counts))
+    assert_array_equal(found, again)
+
+
+@pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
+def test_layers_that_do_not_learn_leave_the_average(
+    rule: AbstractRule, rng: np.random.Generator
+) -> None:
+    """5.2.6: the velocity subnetwork left out, averages are over the mass subnetwork's links."""
+    given = five_subnetworks(rng, LINEAR_COMBINER)
+    learning = (True, False, True, True, False)
+    literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
+    found = change(rule, given.network, given.k, given.chosen(), learning)
+    assert_allclose(found, given.literally(literal, learning), **close)
+    assert not found[1].any() and not found[4].any()
+    assert np.any(np.abs(found[0] - change(rule, given.network, given.k, given.chosen())[0]) > 1e-6)
+
+
+# Eqns. 6.2-2 to 6.2-4 as printed: fully connected, all contexts.
+
+
+@pytest.mark.parametrize("f_A", list(FUNCTIONS), **by_name)
+def test_peral_of_fig_6_2_1(f_A: Activation, rng: np.random.Generator) -> None:
+    i, h, o = 4, 5, 3
+    adaptive = Layer(Links.full(i, h), f_A)
+    full = [(k, l, k * o + l) for k in range(h) for l in range(o)]
+    source, node, context = zip(*full, strict=True)
+    follows = ContextLayer(h, o, h * o, source, node, context)
+    f_B = HYPERBOLIC_TANGENT
+    given = problem(rng, [Subnetwork("a", (adaptive,), (follows,))], f_B, i * h)
+    W_A, A, B = given.k.reshape(h, i).T, FUNCTIONS[f_A], FUNCTIONS[f_B]
+    expected = np.zeros((i, h))
+    for p in range(7):
+        x, W_B = given.xs[0][p], given.contexts[0][0][p].reshape(h, o)
+        hidden = np.array([A.f(s) for s in x @ W_A])
+        dS_B = [thesis.eqn_6_2_1(given.t[p, l], B.f(hidden @ W_B[:, l]), B) for l in range(o)]
+        wanted = thesis.eqn_6_2_3(hidden, W_B, dS_B)
+        if np.abs(W_B).any(axis=0).all():
+            assert_allclose(thesis.eqn_6_2_4(hidden, W_B, np.array(dS_B)), wanted, **close)
+        dS_A = [thesis.eqn_6_2_5(each, A) for each in wanted]
+        expected += thesis.eqn_6_2_6(x, W_A, dS_A) / 7
+    found = change(PERAL(), given.network, given.k, given.chosen())
+    assert_allclose(matrix(found[0], i, h), expected, **close)
+
+
+# The PUMA 560, from Appendix B's tables.
+
+
+def appendix_network(appendix_b: dict[str, Any], names: Sequence[str]) -> list[thesis.Subnetwork]:
+    """Figs. 5.1-1 to 5.1-6 with the links that Appendix B prints."""
+    place = {name: index for index, name in enumerate(names)}
+    columns = {
+        table: {int(at): [i - 1 for i in joints] for at, joints in appendix_b[table].items()}
+        for table in ("mass_columns", "velocity_columns")
+    }
+
+    def links(table: str, node: str) -> list[thesis.Link]:
+        return [
+            thesis.Link(link["input"] - 1, link[node] - 1, place[name], multiple)
+            for link in appendix_b[table]
+            for name, multiple in link["weight"].items()
+        ]
+
+    mass_context: list[thesis.ContextLink] = []
+    for at, (i, j) in columns["mass_columns"].items():
+        mass_context.append(thesis.ContextLink(at - 1, i, j))
+        if i != j:
+            mass_context.append(thesis.ContextLink(at - 1, j, i))
+    inner: list[thesis.ContextLink] = []
+    for at, (i, j, k) in columns["velocity_columns"].items():
+        inner.append(thesis.ContextLink(at - 1, 6 * i + j, k))
+        if j != k:
+            inner.append(thesis.ContextLink(at - 1, 6 * i + k, j))
+    outer = [thesis.ContextLink(6 * i + j, i, j) for i in range(6) for j in range(6)]
+
+    def diagonal(prefix: str) -> list[thesis.Link]:
+        return [thesis.Link(i, i, place[f"{prefix}{i + 1}"]) for i in range(6)]
+
+    identity = thesis.IDENTITY
+    return [
+        thesis.Subnetwork([(21, links("mass_links", "column"), identity)], [(6, mass_context)]),
+        thesis.Subnetwork(
+            [(105, links("velocity_links", "column"), identity)], [(36, inner), (6, outer)]
+        ),
+        thesis.Subnetwork([(6, links("gravity_links", "joint"), identity)]),
+        thesis.Subnetwork([(6, diagonal("kv"), identity)]),
+        thesis.Subnetwork([(6, diagonal("kd"), identity)]),
+    ]
+
+
+def appendix_inputs(appendix_b: dict[str, Any], table: str, q: np.ndarray) -> np.ndarray:
+    """Products of sines and cosines, (patterns, inputs)."""
+    angles = {"2": q[:, 1], "23": q[:, 1] + q[:, 2], "4": q[:, 3], "5": q[:, 4]}
+    columns: list[np.ndarray] = []
+    for at in sorted(appendix_b[table], key=int):
+        value = np.ones(len(q))
+        for factor, power in appendix_b[table][at].items():
+            function = np.cos if factor[0] == "c" else np.sin
+            value = value * function(angles[factor[1:]]) ** power
+        columns.append(value)
+    return np.column_stack(columns)
+
+
+@pytest.fixture
+def puma_problem(puma: CSLC, appendix_b: dict[str, Any], rng: np.random.Generator) -> Problem:
+    q, qd, qdd = rng.uniform(-2, 2, (3, 4, 6))
+    qd[1, 2] = 0.0  # a joint at rest
+    return Problem(
+        inverse_dynamics(puma),
+        appendix_network(appendix_b, puma.names),
+        thesis.IDENTITY,
+        [appendix_inputs(appendix_b, f"{t}_inputs", q) for t in ("mass", "velocity", "gravity")]
+        + [qd, np.sign(qd)],
+        [[qdd], [qd, qd], [], [], []],
+        rng.normal(scale=10, size=(4, 6)),
+        rng.normal(size=puma.size),
+        (q, qd, qdd),
+    )
+
+
+@pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
+@pytest.mark.parametrize("velocity", [True, False])
+def test_the_whole_cslc(puma_problem: Problem, rule: AbstractRule, velocity: bool) -> None:
+    """All five subnetworks, the network as the library derives it, the literal one as printed."""
+    given = puma_problem
+    learning = (True, velocity, True, True, True)
+    literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
+    chosen = examples(given.network, given.patterns, given.t)
+    found = change(rule, given.network, given.k, chosen, learning)
+    expected = given.literally(literal, learning)
+    assert_allclose(found, expected, rtol=1e-10, atol=1e-11)
+    assert velocity == bool(np.any(found[1]))
+
+
+def test_the_whole_cslc_with_masks(puma_problem: Problem, rng: np.random.Generator) -> None:
+    given = puma_problem
+    counts = (rng.uniform(size=given.t.shape) < 0.7).astype(float)
+    chosen = examples(given.network, given.patterns, given.t, counts > 0)
+    found = change(PERAL(), given.network, given.k, chosen)
+    expected = given.literally(thesis.peral, counts=counts)
+    assert_allclose(found, expected, rtol=1e-10, atol=1e-11)
+
+
+# Batch and sequential.
+
+
+@pytest.mark.parametrize(
+    "rule", [Backpropagation(), PERAL(), PerceptronRule()], ids=lambda r: r.name
+)
+def test_batch_is_the_mean_of_the_sequential_steps_from_one_state(
+    rule: AbstractRule, rng: np.random.Generator
+) -> None:
+    if isinstance(rule, PerceptronRule):
+        network = fully_connected([5, 3], "hard limiter")
+        x, t = rng.normal(size=(9, 5)), rng.integers(2, size=(9, 3)).astype(float)
+        chosen, k = examples(network, x, t), rng.normal(size=network.size)
+    else:
+        given = five_subnetworks(rng, HYPERBOLIC_TANGENT)
+        network, chosen, k = given.network, given.chosen(), given.k
+    patterns = chosen.targets.shape[1]
+    learning = (True,) * len(network.groups)
+    steps = [
+        summed(rule, network, jnp.asarray(k), only, learning)
+        for only in (jax.tree.map(lambda x, p=p: x[:, p : p + 1], chosen) for p in range(patterns))
+    ]
+    assert_allclose(
+        change(rule, network, k, chosen), np.mean(steps, axis=0), rtol=1e-12, atol=1e-14
+    )
+
+
+# Where PERAL divides by nothing.
+
+
+def test_peral_without_anything_to_divide_among(rng: np.random.Generator) -> None:
+    """Zero inputs, zero contexts, zero weights: no move, and no NaN."""
+    given = five_subnetworks(rng, LINEAR_COMBINER)
+    for x in given.xs:
+        x[0] = 0.0
+    for own in given.contexts:
+        for context in own:
+            context[1] = 0.0
+    given.k[:6] = 0.0
+    found = change(PERAL(), given.network, given.k, given.chosen())
+    assert np.isfinite(found).all()
+    assert_allclose(found, given.literally(thesis.peral), **close)
+    assert not found[:, :6].any()  # a weight of zero stays
+    nothing = given.chosen(np.zeros(given.t.shape))
+    assert not change(PERAL(), given.network, given.k, nothing).any()
+    assert not change(PERAL(), given.network, np.zeros(15), given.chosen()).any()
+
+
+def test_peral_meets_a_single_pattern_at_once(rng: np.random.Generator) -> None:
+    """One linear layer, a rate of one: the shares add up to the error (Eqn. 6.1-2)."""
+    network = fully_connected([5, 3], "linear combiner")
+    x, t, k = rng.normal(size=(1, 5)), rng.normal(size=(1, 3)), rng.normal(size=network.size)
+    moved = k + change(PERAL(), network, k, examples(network, x, t)).sum(axis=0)
+    assert_allclose(network.outputs(jnp.asarray(moved), x), t, rtol=1e-12, atol=1e-14)
+
+
+def test_peral_keeps_signs_below_a_share_of_one(rng: np.random.Generator) -> None:
+    """A change is in proportion to the modulus of the weight."""
+    network = fully_connected([4, 1], "linear combiner", bias=False)
+    x, k = rng.normal(size=(8, 4)), rng.normal(size=4)
+    chosen = examples(network, x, rng.normal(size=(8, 1)))
+    found = change(PERAL(), network, k, chosen)[0] / np.abs(k)
+    scaled = change(PERAL(), network, 2 * k, examples(network, x / 2, chosen.targets.T))[0]
+    assert_allclose(scaled / np.abs(2 * k), found, rtol=1e-12)
+
+
+# Transforms.
+
+
+@pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
+def test_transforms(rule: AbstractRule, rng: np.random.Generator) -> None:
+    given = five_subnetworks(rng, HYPERBOLIC_TANGENT)
+    chosen, learning = given.chosen(), (True,) * 5
+    k = jnp.asarray(rng.normal(size=(3, 15)))
+
+    def one(k: jax.Array, chosen: Examples = chosen) -> jax.Array:
+        return rule.change(
+            given.network, k, chosen.signals, chosen.targets, chosen.counts, learning
+        )
+
+    eager = jnp.stack([one(each) for each in k])
+    close: Any = {"rtol": 1e-11, "atol": 1e-13}
+    assert_allclose(jnp.stack([jax.jit(one)(each) for each in k]), eager, **close)
+    assert_allclose(jax.vmap(one)(k), eager, **close)
+    stacked = jax.tree.map(lambda x: jnp.stack([x, 0.5 * x, 0 * x]), chosen)
+    mapped = jax.jit(jax.vmap(one))(k, stacked)
+    assert_allclose(mapped[0], eager[0], **close)
+    assert bool(jnp.all(jnp.isfinite(mapped)))
+
+
+# What rules refuse.
+
+
+def test_peral_refuses_what_it_cannot_train() -> None:
+    two = fully_connected([2, 3, 1], "hyperbolic tangent")
+    assert PERAL().refuse(two) == (
+        "PERAL trains one adaptive layer only: it has no estimate of the error of a node that"
+        " precedes another (6.2)"
+    )
+    hard = fully_connected([2, 1], "hard limiter")
+    assert PERAL().refuse(hard) == (
+        "PERAL needs continuous activations (6.2), and a hard limiter is not"
+    )
+    assert PERAL().refuse(fully_connected([2, 1], "logistic")) is None
+
+
+def test_peral_refuses_to_start_from_nothing() -> None:
+    network = fully_connected([2, 1], "linear combiner")
+    said = "PERAL cannot start from weights that are all zero"
+    one = PERAL().refuse_start(network, np.zeros(3), (True,))
+    assert one is not None and one.startswith(f"{said}: a link's share of the error")
+    many = PERAL().refuse_start(network, np.array([[1.0, 0, 0], [0, 0, 0]]), (True,))
+    assert many is not None and many.startswith(f"{said} (training 2):")
+    assert PERAL().refuse_start(network, np.array([0.0, 0.0, 1e-9]), (True,)) is None
+
+
+def test_peral_refuses_to_start_where_what_learns_is_zero(rng: np.random.Generator) -> None:
+    given = five_subnetworks(rng, LINEAR_COMBINER)
+    k = np.zeros(15)
+    k[12:] = 1.0  # dry friction only
+    assert PERAL().refuse_start(given.network, k, (True,) * 5) is None
+    frozen = PERAL().refuse_start(given.network, k, (True, True, True, True, False))
+    assert frozen is not None and frozen.startswith("PERAL cannot start from weights that are all")
+
+
+def test_backpropagation_refuses_a_hard_limiter() -> None:
+    expected = (
+        "backpropagation needs a slope, and a hard limiter has none; train it by the perceptron"
+        " rule, or take a sigmoid"
+    )
+    for kinds in (["logistic", "hard limiter"], ["hard limiter", "logistic"]):
+        assert Backpropagation().refuse(fully_connected([2, 2, 1], kinds)) == expected
+    assert Backpropagation().refuse(fully_connected([2, 2, 1], "logistic")) is None
