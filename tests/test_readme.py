@@ -1,4 +1,4 @@
-"""The README's example runs as it stands."""
+"""The examples of the README, and those of pages that promise to run, run as they stand."""
 
 import re
 from pathlib import Path
@@ -6,10 +6,32 @@ from pathlib import Path
 import pytest
 
 
+ROOT = Path(__file__).parents[1]
+
+
+def examples_of(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
+
+
 def test_the_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (example,) = examples_of("README.md")
     exec(compile(example, "README.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 43
     assert lines[25].startswith("kM26 = ") and lines[25].endswith("kg m²")
+
+
+def test_the_examples_of_networks_run_one_after_the_other(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    known: dict[str, object] = {}
+    printed: list[str] = []
+    for example in examples_of("docs/networks.md"):
+        exec(compile(example, "docs/networks.md", "exec"), known)
+        printed.append(capsys.readouterr().out)
+    own, size, relearnt, several, pruned = printed
+    assert "stop set" in own or "not ended" in own
+    assert size == "25 21 ('network 1', 'network 2')\n"
+    assert float(relearnt) < 1e-3
+    assert "8 of 25 weights" in several
+    assert re.search(r"of 25 weights removed", pruned)

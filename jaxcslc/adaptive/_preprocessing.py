@@ -11,6 +11,8 @@ class PolynomialTerms(eqx.Module):
     With degree 2 and two inputs, x1, x2, x1², x1 x2 and x2²: what lets a single hard limiter
     tell the exclusive or (Fig. 3.3-3).
 
+    **Raises** `ValueError` for a degree below one.
+
     >>> import jax.numpy as jnp
     >>> from jaxcslc.adaptive import PolynomialTerms
     >>> PolynomialTerms(2)(jnp.asarray([2.0, 3.0])).tolist()
@@ -18,6 +20,10 @@ class PolynomialTerms(eqx.Module):
     """
 
     degree: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if self.degree < 1:
+            raise ValueError(f"polynomial terms: expected a degree of 1 or more, got {self.degree}")
 
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch terms"]:
         products: list[Array] = []

@@ -39,7 +39,7 @@ def decision_picture(
 
     **Returns** a matplotlib figure.
     """
-    figure = new_figure(4.3 * len(decisions), 4.9)
+    figure = new_figure(4.3 * len(decisions), 5.3)
     panels = figure.subplots(1, len(decisions), squeeze=False)[0]
     for axes, (name, (sums, answers)) in zip(panels, decisions.items(), strict=True):
         axes.contourf(x1, x2, sums >= 0, levels=[0.5, 1.5], colors=[COLOURS[5]], alpha=0.45)
@@ -60,7 +60,7 @@ def decision_picture(
         }
         axes.plot(*patterns[wrong].T, label="answered wrongly", zorder=3, **ring)
         axes.set_title(f"{name}\n{np.sum(~wrong)} of {len(targets)} right", fontsize="medium")
-        axes.set_aspect("equal")
+        axes.set_box_aspect(np.ptp(x2) / np.ptp(x1))  # equal units, in a box that layouts respect
         axes.set_xlabel("$x_1$")
     panels[0].set_ylabel("$x_2$")
     panels[0].plot([], [], color=COLOURS[1], lw=1.8, label="sum is zero")

@@ -1,0 +1,291 @@
+"""Three small problems that show what networks can learn, and what they should not.
+
+- **Exclusive or** (Figs. 3.3-3 and 3.3-4): one hard limiter, trained by the perceptron rule in
+  sequential order from many random starts, with its inputs preprocessed (x1, x2, x1², x1 x2, x2²)
+  and without. Drawn is the first that ended with an ellipse, as the thesis's did; most end with a
+  hyperbola. Without preprocessing, drawn is the best of all epochs of that start.
+- **Overtraining** (Fig. 3.6-1): a two-layer hyperbolic-tangent network learns ten noisy samples of
+  one period of a sine by backpropagation, and a stop set of a hundred others tells when to cease.
+- **Quintics** (Fig. 4.3-1): a linear combiner on x, ..., x⁵ is fitted to two sets of six noisy
+  points of one cubic, by the direct solve that training tends to (Eqn. 4.1-4). Inside is from the
+  lowest to the highest x of the points; outside is half as far again to either side.
+
+The first draw of each problem makes its picture; `network_figures.json` has all of them.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxcslc.adaptive import AdaptiveNetwork, PolynomialTerms, fully_connected
+from jaxcslc.assessment import (
+    all_or_nothing,
+    decision_picture,
+    fitted_curves_picture,
+    overtraining_picture,
+    save_picture,
+    write_json,
+)
+from jaxcslc.training import (
+    Backpropagation,
+    FixedRates,
+    PerceptronRule,
+    Plan,
+    Training,
+    examples,
+    half_square,
+    mean_modulus,
+    train,
+)
+
+
+jax.config.update("jax_enable_x64", True)
+
+CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+EXCLUSIVE_OR = np.array([0.0, 1.0, 1.0, 0.0])
+
+SAMPLES, STOP_SET, HIDDEN = 10, 100, 12
+SINE_NOISE = 0.3
+RATE = 0.05
+# Steep hidden nodes, so that the network can bend between samples, and small outputs.
+HIDDEN_SPREAD, OUTPUT_SPREAD = 3.0, 0.3
+
+POINTS = 6
+REACH = 1.5  # points lie within ± this
+CUBIC_NOISE = 0.15
+
+
+def learn_exclusive_or(
+    network: AdaptiveNetwork, starts: int, epochs: int, seed: int
+) -> tuple[Training, np.ndarray]:
+    """Trainings from normally distributed weights, and each one's lowest share of wrong answers."""
+    chosen = examples(network, CORNERS, EXCLUSIVE_OR[:, None])
+    plan = Plan(
+        PerceptronRule(), FixedRates(0.5), cost=mean_modulus, order="sequential", patience=epochs
+    )
+    start, order = jax.random.split(jax.random.key(seed))
+    weights = jax.random.normal(start, (starts, network.size))
+    training = train(network, chosen, weights, plan, epochs=epochs, key=order)
+    return training, np.asarray(training.history.cost).min(axis=1)
+
+
+def conic(weights: np.ndarray) -> str:
+    """What the curve of zero sum is, by the discriminant of its quadratic part."""
+    _, _, a, b, c, _ = weights
+    discriminant = b * b - 4 * a * c
+    return "ellipse" if discriminant < 0 else "hyperbola" if discriminant > 0 else "parabola"
+
+
+def exclusive_or(starts: int, epochs: int, seed: int) -> tuple[Figure, dict[str, Any]]:
+    processed = fully_connected([2, 1], "hard limiter", preprocess=PolynomialTerms(2))
+    plain = fully_connected([2, 1], "hard limiter")
+    training, wrong = learn_exclusive_or(processed, starts, epochs, seed)
+    failing, least_wrong = learn_exclusive_or(plain, starts, epochs, seed)
+    curves = [conic(weights) for weights in np.asarray(training.weights)]
+    drawn = curves.index("ellipse") if "ellipse" in curves else 0
+    history = failing.history
+    assert history.weights is not None
+    best = jnp.asarray(history.weights[drawn, int(np.argmin(history.cost[drawn]))])
+
+    grid = np.linspace(-1.25, 2.25, 401)
+    plane = np.stack(np.meshgrid(grid, grid), axis=-1)
+
+    def decision(network: AdaptiveNetwork, weights: jax.Array) -> tuple[np.ndarray, np.ndarray]:
+        signals = network.signals(plane.reshape(-1, 2))
+        sums = np.asarray(network.forward(weights, signals).total)[0].reshape(plane.shape[:2])
+        return sums, np.asarray(network.outputs(weights, CORNERS))[:, 0]
+
+    names = ("with preprocessed inputs", "without: the best of all epochs")
+    decisions = {
+        names[0]: decision(processed, training.weights[drawn]),
+        names[1]: decision(plain, best),
+    }
+    moved = np.asarray(training.epochs)
+    document = {
+        "starts": starts,
+        "epochs at most": epochs,
+        "with preprocessing": {
+            "ended without an error": int(np.sum(wrong == 0)),
+            "epochs until then, median": float(np.median(moved)),
+            "epochs until then, most": int(moved.max()),
+            "curves of zero sum": {kind: curves.count(kind) for kind in sorted(set(curves))},
+            "drawn": {
+                "start": drawn,
+                "curve": curves[drawn],
+                "weights": training.weights[drawn],
+                "answers": decisions[names[0]][1],
+            },
+        },
+        "without preprocessing": {
+            "ended without an error": int(np.sum(least_wrong == 0)),
+            "least wrong answers of 4": round(4 * float(least_wrong.min())),
+            "drawn": {"weights": best, "answers": decisions[names[1]][1]},
+        },
+    }
+    title = "Exclusive or by a single hard limiter"
+    return decision_picture(grid, grid, decisions, CORNERS, EXCLUSIVE_OR, title=title), document
+
+
+def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, Any]]:
+    network = fully_connected([1, HIDDEN, 1], ["hyperbolic tangent", "linear combiner"])
+    spread = np.full(network.size, HIDDEN_SPREAD)
+    spread[2 * HIDDEN :] = OUTPUT_SPREAD
+    generators = [np.random.default_rng((seed, draw)) for draw in range(draws)]
+
+    def sampled(rng: np.random.Generator, number: int) -> np.ndarray:
+        x = rng.uniform(-1.0, 1.0, number)
+        return np.stack([x, np.sin(np.pi * x) + SINE_NOISE * rng.standard_normal(number)])
+
+    def many(samples: np.ndarray) -> Any:
+        x, y = samples[:, 0, :, None], samples[:, 1, :, None]
+        return jax.vmap(lambda x, y: examples(network, x, y))(x, y)
+
+    learnt = np.stack([sampled(rng, SAMPLES) for rng in generators])
+    watched = np.stack([sampled(rng, STOP_SET) for rng in generators])
+    starts = np.stack([spread * rng.standard_normal(network.size) for rng in generators])
+    # The stop set is watched to the end here: the training is to go on behind the optimal point.
+    plan = Plan(
+        Backpropagation(),
+        FixedRates(RATE),
+        cost=half_square,
+        patience=epochs,
+        stop_patience=epochs,
+    )
+    training = train(
+        network,
+        many(learnt),
+        starts,
+        plan,
+        epochs=epochs,
+        stop_set=many(watched),
+        keep_weights=False,
+        chunk=epochs,
+    )
+    errors = np.sqrt(2.0 * np.asarray(training.history.cost))
+    stop = np.sqrt(2.0 * np.asarray(training.history.stop_cost))
+    best = np.argmin(stop, axis=1)
+    rise = stop[:, -1] / stop.min(axis=1)
+    document = {
+        "samples": SAMPLES,
+        "stop set": STOP_SET,
+        "weights": network.size,
+        "noise": SINE_NOISE,
+        "epochs": epochs,
+        "drawn": {
+            "epoch to cease at": int(best[0]) + 1,
+            "training error there": errors[0, best[0]],
+            "training error at the end": errors[0, -1],
+            "stop-set error there": stop[0, best[0]],
+            "stop-set error at the end": stop[0, -1],
+        },
+        "all draws": {
+            "draws": draws,
+            "epochs to cease at": best + 1,
+            "stop-set error at the end over the least": rise,
+            "of these, median": float(np.median(rise)),
+        },
+    }
+    title = f"{SAMPLES} noisy samples of a sine, {network.size} weights"
+    return overtraining_picture(errors[0], stop[0], title=title), document
+
+
+def cubic(x: np.ndarray) -> np.ndarray:
+    return x**3 - 2.0 * x
+
+
+def quintics(draws: int, seed: int) -> tuple[Figure, dict[str, Any]]:
+    network = fully_connected([1, 1], "linear combiner", bias=False, preprocess=PolynomialTerms(5))
+    rng = np.random.default_rng(seed)
+    # One point in each sixth of the region, somewhere.
+    edges = np.linspace(-REACH, REACH, POINTS + 1)
+    x = edges[:-1] + np.diff(edges) * rng.uniform(size=(draws, 2, POINTS))
+    y = cubic(x) + CUBIC_NOISE * rng.standard_normal(x.shape)
+    powers = np.asarray(network.signals(x[..., None]).inputs[0])  # (5, draws, 2, points)
+    weights = np.stack(
+        [
+            [np.linalg.lstsq(powers[:, i, j].T, y[i, j], rcond=None)[0] for j in range(2)]
+            for i in range(draws)
+        ]
+    )
+
+    def curves(weights: np.ndarray, at: np.ndarray) -> np.ndarray:
+        return np.asarray(network.outputs(jnp.asarray(weights), at[:, None]))[:, 0]
+
+    departures: list[list[list[float]]] = []
+    for i in range(draws):
+        low, high = x[i].min(), x[i].max()
+        inside = np.linspace(low, high, 200)
+        beyond = np.linspace(0.0, (high - low) / 2, 101)[1:]
+        outside = np.concatenate([low - beyond, high + beyond])
+        departures.append(
+            [
+                [float(np.sqrt(np.mean((curves(w, at) - cubic(at)) ** 2))) for w in weights[i]]
+                for at in (inside, outside)
+            ]
+        )
+    rms = np.array(departures)  # (draws, inside or outside, quintic)
+    document = {
+        "cubic": "y = x³ - 2 x",
+        "noise": CUBIC_NOISE,
+        "points": POINTS,
+        "drawn": {
+            "x": x[0],
+            "y": y[0],
+            "weights of x, ..., x⁵": weights[0],
+            "RMS departure from the cubic inside": rms[0, 0],
+            "RMS departure from the cubic outside": rms[0, 1],
+        },
+        "all draws": {
+            "draws": draws,
+            "RMS departure inside, median": float(np.median(rms[:, 0])),
+            "RMS departure outside, median": float(np.median(rms[:, 1])),
+            "outside over inside, median": float(np.median(rms[:, 1] / rms[:, 0])),
+        },
+    }
+    places = np.linspace(-2 * REACH, 2 * REACH, 400)
+    names = ("quintic fitted to circles", "quintic fitted to crosses")
+    fits = {
+        name: (np.stack([x[0, j], y[0, j]], axis=1), curves(weights[0, j], places))
+        for j, name in enumerate(names)
+    }
+    title = "Two quintics, each of six noisy points of one cubic"
+    return fitted_curves_picture(places, cubic(places), fits, title=title), document
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("build/network_figures"))
+    parser.add_argument("--seed", type=int, default=0, help="of every random number")
+    parser.add_argument(
+        "--draws", type=int, default=40, help="how often to repeat each problem; one is drawn"
+    )
+    parser.add_argument("--epochs", type=int, default=20_000, help="of the overtrained networks")
+    given = parser.parse_args(arguments)
+    for name, least in (("seed", 0), ("draws", 1), ("epochs", 2)):
+        if getattr(given, name) < least:
+            parser.error(f"--{name} is {getattr(given, name)}; expected {least} or more")
+
+    made = {
+        "exclusive_or": exclusive_or(given.draws, 1000, given.seed),
+        "overtraining": overtraining(given.draws, given.epochs, given.seed),
+        "quintics": quintics(given.draws, given.seed),
+    }
+    with all_or_nothing(given.output) as folder:
+        for name, (figure, _) in made.items():
+            save_picture(figure, folder / f"{name}.png")
+        document = {"seed": given.seed} | {name: numbers for name, (_, numbers) in made.items()}
+        write_json(folder / "network_figures.json", document)
+    print(
+        f"wrote {', '.join(f'{name}.png' for name in made)} and network_figures.json into"
+        f" {given.output}"
+    )
+
+
+if __name__ == "__main__":
+    main()

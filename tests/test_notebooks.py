@@ -1,0 +1,116 @@
+"""Every notebook runs from top to bottom, and what is stored of it is fit to be read by others."""
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import nbformat
+import pytest
+
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+LARGEST = 300_000  # bytes: what a reader on a slow line can wait for
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    path = ROOT / "scripts" / "execute_notebooks.py"
+    spec = importlib.util.spec_from_file_location("execute_notebooks", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def read(path: Path) -> nbformat.NotebookNode:
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    return notebook
+
+
+def code(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def kinds(notebook: nbformat.NotebookNode) -> list[list[tuple[str, ...]]]:
+    """What every cell answers: text on which stream, pictures, values."""
+    return [
+        [
+            (out.output_type, out.get("name", ""), *sorted(out.get("data", {})))
+            for out in cell.outputs
+        ]
+        for cell in code(notebook)
+    ]
+
+
+def test_there_are_notebooks() -> None:
+    assert [path.name for path in NOTEBOOKS] == ["learning_networks.ipynb"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_it_runs_from_top_to_bottom(
+    path: Path, script: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The kernel keeps what it compiled where the other tests do.
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+    executed = script.execute(path)
+    assert kinds(executed) == kinds(read(path)), "renew it: scripts/execute_notebooks.py"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_what_is_stored_is_whole_and_of_no_machine(path: Path) -> None:
+    notebook, text = read(path), path.read_text("utf-8")
+    cells = code(notebook)
+    assert len(text) < LARGEST
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    assert any(cell.outputs for cell in cells)
+    assert all(not cell.metadata for cell in notebook.cells)
+    assert notebook.metadata.keys() <= {"kernelspec", "language_info"}
+    assert notebook.metadata.language_info == {"name": "python"}
+    streams = {out.name for cell in cells for out in cell.outputs if out.output_type == "stream"}
+    assert streams <= {"stdout"}, "a cell warns"
+    written = "".join(
+        str(out.get("text", "")) + str(out.get("data", {}).get("text/plain", ""))
+        for cell in cells
+        for out in cell.outputs
+    )
+    assert not re.search(r"(?<!\w)/(work|home|root|tmp|Users|usr|opt)/|0x[0-9a-f]{6}", written)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_its_first_code_switches_float64_on(path: Path) -> None:
+    assert 'jax.config.update("jax_enable_x64", True)' in code(read(path))[0].source
+
+
+def test_a_cell_that_fails_is_named(tmp_path: Path, script: ModuleType) -> None:
+    broken = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("1 / 0")])
+    path = tmp_path / "broken.ipynb"
+    nbformat.write(broken, path)
+    with pytest.raises(script.CellExecutionError, match="ZeroDivisionError"):
+        script.execute(path)
+
+
+def test_pictures_are_drawn_whatever_the_environment_says(
+    tmp_path: Path, script: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    lines = (
+        "%matplotlib inline",
+        "import matplotlib.pyplot as plt",
+        "plt.plot([0, 1])",
+        "plt.show()",
+    )
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("\n".join(lines))])
+    path = tmp_path / "picture.ipynb"
+    nbformat.write(notebook, path)
+    (outputs,) = kinds(script.execute(path))
+    assert ("display_data", "", "image/png", "text/plain") in outputs
+
+
+def test_no_such_notebook(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        script.main(["nowhere.ipynb"])
+    assert "nowhere.ipynb: no such notebook" in capsys.readouterr().err
