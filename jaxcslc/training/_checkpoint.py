@@ -33,8 +33,8 @@ class Checkpoint:
         if not self.path.exists():
             return state, [], 0
         try:
-            with np.load(self.path) as file:
-                content = dict(file)
+            with self.path.open("rb") as file, np.load(file) as archive:
+                content = dict(archive)
             found, passed = str(content["fingerprint"]), int(content["epochs"])
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             raise ValueError(

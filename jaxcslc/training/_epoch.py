@@ -1,6 +1,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from ..adaptive import AdaptiveNetwork
@@ -68,16 +69,18 @@ class State(eqx.Module):
 class Record(eqx.Module):
     """What an epoch leaves in the history: as it stood before the epoch moved the weights.
 
+    Of several epochs, and of many trainings, with axes of them in front.
+
     - `rule`: index of the rule that learnt in the epoch, -1 if the training had ended.
     - `rates`: that it learnt with.
     """
 
-    cost: Float[Array, ""]
-    measure: Float[Array, ""]
-    stop_cost: Float[Array, ""]
-    rule: Int[Array, ""]
-    rates: Float[Array, " groups"]
-    weights: Float[Array, " weights"] | None
+    cost: Float[Array | np.ndarray, "..."]
+    measure: Float[Array | np.ndarray, "..."]
+    stop_cost: Float[Array | np.ndarray, "..."]
+    rule: Int[Array | np.ndarray, "..."]
+    rates: Float[Array | np.ndarray, "... groups"]
+    weights: Float[Array | np.ndarray, "... weights"] | None
 
 
 def epoch(
@@ -95,7 +98,7 @@ def epoch(
         (stop_cost,) = stop_set.costs(network, state.weights, plan.cost)
 
     assessed = _assessed(plan, state, cost, measure, stop_cost, stop_set is not None)
-    weights, rates = _learnt(network, plan, chosen, assessed, cost)
+    weights, rates = _learnt(network, plan, chosen, assessed, assessed.cost)
     moved = eqx.tree_at(
         lambda s: (s.weights, s.rates, s.epoch),
         assessed,
@@ -126,6 +129,11 @@ def _assessed(
     since_lowest = jnp.where(new_lowest, 0, state.since_lowest + 1)
     later = state.turn.next(plan.schedule, cost, state.cost - cost)
     turn = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.turn, later)
+    lowest_cost = jnp.where(new_lowest, cost, state.lowest)
+    lowest_weights = jnp.where(new_lowest, state.weights, state.lowest_weights)
+    # A rule takes over where the best so far was: PERAL, which follows no gradient, may have lost
+    # in its bout what the one before had gained.
+    takes_over = ~first & (later.rule != state.turn.rule)
     stop_new = stop_cost < state.stop_lowest
     since_stop = jnp.where(stop_new, 0, state.since_stop + 1)
 
@@ -139,16 +147,16 @@ def _assessed(
     beyond = ~jnp.isfinite(cost) | (cost > plan.divergence * jnp.maximum(first_cost, 1e-300))
     outcome = OUTCOMES.where(beyond, OUTCOMES.diverged, outcome)
     return State(
-        weights=state.weights,
+        weights=jnp.where(takes_over, lowest_weights, state.weights),
         rates=state.rates,
         key=state.key,
         epoch=state.epoch,
         turn=turn,
         outcome=outcome,
-        cost=cost,
+        cost=jnp.where(takes_over, lowest_cost, cost),
         first_cost=first_cost,
-        lowest=jnp.where(new_lowest, cost, state.lowest),
-        lowest_weights=jnp.where(new_lowest, state.weights, state.lowest_weights),
+        lowest=lowest_cost,
+        lowest_weights=lowest_weights,
         since_lowest=since_lowest,
         stop_lowest=jnp.where(stop_new, stop_cost, state.stop_lowest),
         stop_weights=jnp.where(stop_new, state.weights, state.stop_weights),
@@ -190,25 +198,32 @@ def _learn_by(
     """An epoch of one rule at the rates that serve best."""
     rule, adapting = plan.schedule.rules[number], plan.rates[number]
     learning, trials = plan.learning(network), adapting.trials(rates)
-    compares = trials.shape[0] > 1
     if plan.order == "batch":
         change = chosen.change(network, rule, weights, learning)
-        if compares:
-            costs = chosen.trial_costs(network, weights, change, trials, plan.cost)
-            rates = adapting.adapted(rates, cost, costs)
-        return weights + rates @ change, rates
 
-    assert isinstance(chosen, Examples), chosen.refuse(rule, plan.cost, plan.order)
-    sequence = jax.random.permutation(jax.random.fold_in(key, epoch), chosen.targets.shape[-1])
+        def after(trial: Array) -> Array:
+            return weights + trial @ change
 
-    def after(trial: Array) -> Array:
-        return _one_by_one(network, rule, chosen, weights, trial, sequence, learning)
+        def costs_after(trials: Array) -> Array:
+            return chosen.trial_costs(network, weights, change, trials, plan.cost)
+    else:
+        assert isinstance(chosen, Examples), chosen.refuse(rule, plan.cost, plan.order)
+        sequence = jax.random.permutation(jax.random.fold_in(key, epoch), chosen.targets.shape[-1])
 
-    if compares:
-        candidates = jax.vmap(after)(trials)
-        costs = jax.vmap(lambda w: chosen.costs(network, w, plan.cost)[0])(candidates)
-        rates = adapting.adapted(rates, cost, costs)
-    return after(rates), rates
+        def after(trial: Array) -> Array:
+            return _one_by_one(network, rule, chosen, weights, trial, sequence, learning)
+
+        def costs_after(trials: Array) -> Array:
+            candidates = jax.vmap(after)(trials)
+            return jax.vmap(lambda w: chosen.costs(network, w, plan.cost)[0])(candidates)
+
+    if trials.shape[0] == 1:  # nothing to compare
+        return after(rates), rates
+    costs = costs_after(trials)
+    adapted = adapting.adapted(rates, cost, costs)
+    (jointly,) = costs_after(adapted[None])
+    settled, moves = adapting.settled(rates, adapted, cost, costs[0], jointly)
+    return jnp.where(moves, after(settled), weights), settled
 
 
 def _one_by_one(

@@ -13,10 +13,12 @@ class Schedule(eqx.Module):
     - `rules`: the first alone until the cost falls below `hand_over`, then all by turns.
     - `hand_over`: cost below which turns begin; a number, or one for each of many trainings.
       In 7.5, what the coefficients of direct measurement leave on the same patterns.
-    - `bout`: epochs that a rule has before it is the next one's turn.
-    - `least_reduction`: a rule whose epochs gain less, `tolerated` times in a row, gives its turn
-      away; when every rule has done so one after the other, the training ends. 0.001 N m in 7.5.
-      Not before the hand-over, where rates may still be growing.
+    - `bout`: epochs that a rule has before it is the next one's turn. The next one begins at the
+      weights of the lowest cost so far.
+    - `least_reduction`: a rule whose epochs gain less, `tolerated` times in a row or all through
+      its bout, gives its turn away; when every rule has done so one after the other, the training
+      ends. 0.001 N m in 7.5. Not before the hand-over, where rates may still be growing; and
+      epochs that move nothing, because rates that are too high are coming down, are not counted.
     - `tolerated`: epochs, so that rates have the time to follow; a shorter bout is all of them.
 
     **Raises** `ValueError` if there is no rule, or a bout has no epoch, or none is tolerated.
@@ -45,6 +47,7 @@ class Turn(eqx.Module):
     - `rule`: index into the schedule's rules.
     - `epochs`: of the present bout.
     - `little`: epochs in a row that gained too little.
+    - `fruitful`: whether an epoch of the bout gained enough.
     - `spent`: rules in a row that gave their turn away for it.
     - `handed_over`: whether turns have begun.
     """
@@ -52,13 +55,14 @@ class Turn(eqx.Module):
     rule: Int[Array, ""]
     epochs: Int[Array, ""]
     little: Int[Array, ""]
+    fruitful: Bool[Array, ""]
     spent: Int[Array, ""]
     handed_over: Bool[Array, ""]
 
     @classmethod
     def first(cls) -> "Turn":
-        zero = jnp.zeros((), int)
-        return cls(zero, zero, zero, zero, jnp.zeros((), bool))
+        zero, no = jnp.zeros((), int), jnp.zeros((), bool)
+        return cls(zero, zero, zero, no, zero, no)
 
     def next(
         self, schedule: Schedule, cost: Float[Array, ""], reduction: Float[Array, ""]
@@ -67,15 +71,19 @@ class Turn(eqx.Module):
         number = len(schedule.rules)
         handed_over = self.handed_over | (cost < schedule.hand_over) | (number == 1)
         gained = reduction >= schedule.least_reduction
-        little = jnp.where(gained | ~self.handed_over, 0, self.little + 1)
-        exhausted = little >= min(schedule.tolerated, schedule.bout)
+        fruitful = self.fruitful | gained
+        further = jnp.where(reduction == 0, self.little, self.little + 1)
+        little = jnp.where(gained | ~self.handed_over, 0, further)
+        passed = self.epochs + 1 >= schedule.bout
+        exhausted = self.handed_over & ((little >= schedule.tolerated) | (passed & ~fruitful))
         spent = jnp.where(exhausted, self.spent + 1, jnp.where(gained, 0, self.spent))
         # The epoch that brings the hand-over is still the first rule's; turns begin behind it.
-        over = handed_over & (exhausted | ~self.handed_over | (self.epochs + 1 >= schedule.bout))
+        over = handed_over & (exhausted | ~self.handed_over | passed)
         return Turn(
             jnp.where(over, (self.rule + 1) % number, self.rule),
             jnp.where(over, 0, self.epochs + 1),
             jnp.where(over, 0, little),
+            fruitful & ~over,
             spent,
             handed_over,
         )

@@ -86,8 +86,7 @@ def train(
     _check_numbers(plan, stop_set, key, trainings)
     if epochs < 0 or chunk < 1 or (block is not None and block < 1):
         raise ValueError("epochs, chunk, block: expected no less than 0, 1 and 1")
-    # A number that is an array is no part of the compiled function: another compiles nothing.
-    plan = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, plan)
+    plan = _of_arrays(plan)
     if trainings is not None:
         start = jnp.broadcast_to(start, (trainings, network.size))
         if key.ndim == 0:
@@ -209,11 +208,11 @@ def _training(
     axis = state.cost.ndim
     if records:
         record = jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *records)
+        history = History(**{name: getattr(record, name) for name in Record.__annotations__})
     else:
-        shape = (*state.cost.shape, 0)
-        none = np.zeros(shape)
-        rates = np.zeros((*shape, len(network.groups)))
-        record = Record(none, none, none, none.astype(int), rates, None)  # pyright: ignore[reportArgumentType]
+        none = np.zeros((*state.cost.shape, 0))
+        rates = np.zeros((*none.shape, len(network.groups)))
+        history = History(none, none, none, none.astype(int), rates, None)
     diverged = (state.outcome == OUTCOMES.diverged)[..., None]
     weights = jnp.where(diverged, state.lowest_weights, state.weights)
     if stop_set:
@@ -224,15 +223,13 @@ def _training(
         cost=state.cost,
         epochs=state.epoch,
         outcome=state.outcome,
-        history=History(
-            record.cost,
-            record.measure,
-            record.stop_cost,
-            record.rule,
-            record.rates,
-            record.weights,
-        ),
+        history=history,
     )
+
+
+def _of_arrays(plan: Plan) -> Plan:
+    """Its numbers as arrays, which are no part of a compiled function: others compile nothing."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, plan)
 
 
 def _check_numbers(
