@@ -1,5 +1,6 @@
 from importlib.metadata import version as _version
 
+from . import adaptive as adaptive, training as training
 from .assessment import (
     ErrorTable as ErrorTable,
     compare as compare,

@@ -1,6 +1,6 @@
 """Every notebook runs from top to bottom, and what is stored of it is fit to be read by others."""
 
-import importlib.util
+import importlib
 import re
 from pathlib import Path
 from types import ModuleType
@@ -16,12 +16,7 @@ LARGEST = 300_000  # bytes: what a reader on a slow line can wait for
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = ROOT / "scripts" / "execute_notebooks.py"
-    spec = importlib.util.spec_from_file_location("execute_notebooks", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("execute_notebooks")
 
 
 def read(path: Path) -> nbformat.NotebookNode:

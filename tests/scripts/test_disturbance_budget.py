@@ -1,9 +1,8 @@
 """The disturbance budget: which measures a case has, a tiny run, and one that goes on."""
 
 import csv
-import importlib.util
+import importlib
 import json
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -15,14 +14,7 @@ import sim
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = Path(__file__).parents[2] / "scripts" / "disturbance_budget.py"
-    spec = importlib.util.spec_from_file_location("disturbance_budget", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Its dataclasses look their own module up.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("disturbance_budget")
 
 
 def test_every_disturbance_has_a_measure_that_is_switched_off_alone(script: ModuleType) -> None:

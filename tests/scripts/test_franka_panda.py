@@ -1,6 +1,6 @@
 """A real recording: the Panda's, where its data lie beside the project."""
 
-import importlib.util
+import importlib
 from pathlib import Path
 from types import ModuleType
 
@@ -16,12 +16,7 @@ _DATA = _ROOT.parent / "shared" / "data" / "franka_panda"
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = _ROOT / "scripts" / "franka_panda.py"
-    spec = importlib.util.spec_from_file_location("franka_panda", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("franka_panda")
 
 
 def test_a_folder_without_the_recording(

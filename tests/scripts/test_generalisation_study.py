@@ -1,9 +1,8 @@
 """The study of generalisation: its networks, its figures of merit, and a tiny run."""
 
 import csv
-import importlib.util
+import importlib
 import json
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,26 +19,14 @@ import jaxcslc as jc
 from jaxcslc.training import LinkEnds
 
 
-def load(name: str) -> ModuleType:
-    path = Path(__file__).parents[2] / "scripts" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # The study imports its networks by name, and dataclasses look their own module up.
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def networks() -> ModuleType:
-    return load("generalisation_networks")
+    return importlib.import_module("generalisation_networks")
 
 
 @pytest.fixture(scope="module")
-def script(networks: ModuleType) -> ModuleType:
-    assert networks is sys.modules["generalisation_networks"]
-    return load("generalisation_study")
+def script() -> ModuleType:
+    return importlib.import_module("generalisation_study")
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """The motor linearity script: what it says and what it leaves behind."""
 
 import csv
-import importlib.util
+import importlib
 from pathlib import Path
 from types import ModuleType
 
@@ -10,12 +10,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = Path(__file__).parents[2] / "scripts" / "motor_linearity.py"
-    spec = importlib.util.spec_from_file_location("motor_linearity", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("motor_linearity")
 
 
 def test_tables_and_pictures_of_both_machines(

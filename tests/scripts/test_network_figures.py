@@ -1,6 +1,6 @@
 """The figures of Chapters 3 and 4: what they claim, from small runs."""
 
-import importlib.util
+import importlib
 import json
 from pathlib import Path
 from types import ModuleType
@@ -14,12 +14,7 @@ from jaxcslc.assessment import decision_picture, fitted_curves_picture, overtrai
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = Path(__file__).parents[2] / "scripts" / "network_figures.py"
-    spec = importlib.util.spec_from_file_location("network_figures", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("network_figures")
 
 
 @pytest.mark.parametrize("seed", [0, 5])

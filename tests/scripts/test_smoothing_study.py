@@ -1,8 +1,7 @@
 """The study of smoothings: its targets, its regions, and a tiny run."""
 
 import csv
-import importlib.util
-import sys
+import importlib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -16,14 +15,7 @@ import sim
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = Path(__file__).parents[2] / "scripts" / "smoothing_study.py"
-    spec = importlib.util.spec_from_file_location("smoothing_study", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Its dataclasses look their own module up.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("smoothing_study")
 
 
 def test_the_target_is_the_mean_of_the_intervals_that_meet(

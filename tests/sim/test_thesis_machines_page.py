@@ -1,6 +1,6 @@
 """docs/puma_a_b.md says what the code does."""
 
-import importlib.util
+import importlib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -24,12 +24,7 @@ _ABSOLUTE = 2e-5
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = _ROOT / "scripts" / "thesis_machines_page.py"
-    spec = importlib.util.spec_from_file_location("thesis_machines_page", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("thesis_machines_page")
 
 
 def test_the_page_is_what_the_code_computes(
