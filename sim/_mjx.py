@@ -83,16 +83,7 @@ def perform_mjx(
     reading, demand = host.pop("reading"), host.pop("demand")
     if advanced is not None:
         advanced(len(machines) * trajectory.samples)
-    return [
-        assembled(
-            machine,
-            trajectory,
-            reading[:, i],
-            demand[:, i],
-            {name: values[:, i] for name, values in host.items()},
-        )
-        for i, machine in enumerate(machines)
-    ]
+    return assembled(machines, trajectory, reading, demand, host)
 
 
 class _Parts(NamedTuple):

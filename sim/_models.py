@@ -96,7 +96,7 @@ def check_time_step(
         joint = int(np.argmax(np.abs(shapes[:n, -1]))) + 1
         raise MachineError(
             f"time_step is {model.opt.timestep:.3g} s; expected no more than"
-            f" {_LARGEST_PHASE / quickest:.2g} s for the transmission of joint {joint}"
+            f" {_LARGEST_PHASE / quickest:.3g} s for the transmission of joint {joint}"
         )
 
 

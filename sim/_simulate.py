@@ -1,4 +1,4 @@
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -125,8 +125,24 @@ def perform(
             plant.advance()
         if advanced is not None:
             advanced(shape[0])
+    return assembled(machines, trajectory, reading, demand, told)
+
+
+def sample_times(trajectory: Trajectory) -> Float[np.ndarray, " samples"]:
+    """When a trajectory's samples are taken [s]."""
+    return trajectory.sample_interval * np.arange(trajectory.samples)
+
+
+def assembled(
+    machines: Sequence[Machine],
+    trajectory: Trajectory,
+    reading: Float[np.ndarray, "samples machines joints"],
+    demand: Float[np.ndarray, "samples machines joints"],
+    told: Mapping[str, np.ndarray],
+) -> list[SimulatedRecording | SimulationError]:
+    """What each machine has to say, from arrays over samples, machines and joints."""
     return [
-        assembled(
+        _assembled(
             machine,
             trajectory,
             reading[:, i],
@@ -137,12 +153,7 @@ def perform(
     ]
 
 
-def sample_times(trajectory: Trajectory) -> Float[np.ndarray, " samples"]:
-    """When a trajectory's samples are taken [s]."""
-    return trajectory.sample_interval * np.arange(trajectory.samples)
-
-
-def assembled(
+def _assembled(
     machine: Machine,
     trajectory: Trajectory,
     reading: Float[np.ndarray, "samples joints"],
