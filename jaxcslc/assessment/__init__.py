@@ -17,6 +17,7 @@ from ._friction_pictures import (
     hysteresis_picture as hysteresis_picture,
 )
 from ._generalisation_picture import generalisation_picture as generalisation_picture
+from ._learning_pictures import Learning as Learning, learning_picture as learning_picture
 from ._mask_quality import MaskQuality as MaskQuality, mask_quality as mask_quality
 from ._motor_pictures import (
     motor_curve_picture as motor_curve_picture,

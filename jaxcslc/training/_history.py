@@ -37,7 +37,7 @@ class Training(eqx.Module):
     - `weights`: (..., p): at the end; with a stop set, where that had its lowest cost (3.6.1);
       of a training that diverged, those of the lowest cost.
     - `rates`: (..., rules, groups) at the end.
-    - `cost`: (...,) of the last epoch's weights.
+    - `cost`: (...,) as the last epoch found it, before it moved the weights.
     - `epochs`: (...,) how many moved the weights.
     - `outcome`: a member of `OUTCOMES` for each.
     - `history`: epoch by epoch.

@@ -63,7 +63,11 @@ class NormalEquations(eqx.Module):
     def costs(
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"], *costs: Cost
     ) -> tuple[Float[Array, ""], ...]:
-        """Half the mean of the summed squared errors (Eqn. 3.4-2), once for each of `costs`."""
+        """Half the mean of the summed squared errors (Eqn. 3.4-2), once for each of `costs`.
+
+        A difference of large numbers where it is small: of a cost below a millionth of a
+        millionth of that of zero weights nothing is left but rounding, and it may be negative.
+        """
         del network
         moment = jnp.sum(self.moment, axis=0)
         square = weights @ (self.gram @ weights) - 2.0 * (moment @ weights) + self.square
@@ -119,6 +123,8 @@ def normal_equations(network: AdaptiveNetwork, chosen: Examples) -> NormalEquati
             "normal equations need outputs that are linear in the weights: one layer of linear"
             " combiners, without or with context-sensitive layers"
         )
+    if chosen.trainings is not None:
+        raise ValueError("normal equations: for many sets of patterns, jax.vmap this function")
     return _normal_equations(network, chosen)
 
 

@@ -52,7 +52,7 @@ class Plan(eqx.Module):
         *,
         cost: Cost = half_rms,
         order: Literal["batch", "sequential"] = "batch",
-        frozen: Sequence[str] = (),
+        frozen: str | Sequence[str] = (),
         target: Float[Array, "..."] | float = 0.0,
         measure: Cost | None = None,
         stop_patience: int = 50,
@@ -61,6 +61,8 @@ class Plan(eqx.Module):
     ) -> None:
         self.schedule = Schedule((schedule,)) if isinstance(schedule, AbstractRule) else schedule
         number = len(self.schedule.rules)
+        if isinstance(rates, float | int):
+            raise ValueError(f"rates: expected FixedRates({rates}) or AdaptedRates({rates})")
         rates = AdaptedRates(1e-3) if rates is None else rates
         each = (rates,) * number if isinstance(rates, AbstractRates) else tuple(rates)
         if len(each) != number:
@@ -69,8 +71,9 @@ class Plan(eqx.Module):
             raise ValueError(f"order: expected 'batch' or 'sequential', got {order!r}")
         if patience < 1 or stop_patience < 1:
             raise ValueError("patience, stop_patience: expected at least one epoch")
+        names = (frozen,) if isinstance(frozen, str) else tuple(frozen)
         self.rates = each
-        self.cost, self.order, self.frozen = cost, order, tuple(frozen)
+        self.cost, self.order, self.frozen = cost, order, names
         self.target, self.measure = target, measure
         self.stop_patience, self.patience, self.divergence = stop_patience, patience, divergence
 

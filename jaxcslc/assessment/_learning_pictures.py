@@ -1,0 +1,89 @@
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ._look import COLOURS, QUIET, STYLES, new_figure
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Learning(NamedTuple):
+    """Epochs of one rule, and from a hand-over on those of others.
+
+    - `first`: a name and its values, (epochs,), from the first epoch on; index `hand_over` is
+      where the others begin.
+    - `others`: names and their values, (epochs,), from the hand-over on.
+    - `hand_over`: an epoch.
+    - `levels`: names and values of horizontal lines: goals, and what could be had at best.
+    """
+
+    first: tuple[str, Float[np.ndarray, " epochs"]]
+    others: Mapping[str, Float[np.ndarray, " epochs"]]
+    hand_over: int
+    levels: Mapping[str, float]
+
+
+def learning_picture(
+    panels: Mapping[str, Learning],
+    label: str,
+    *,
+    title: str | None = None,
+    limits: tuple[float, float] | None = None,
+) -> "Figure":
+    """Rules that set out from one state side by side (Figs. 6.3-3 and 6.3-4).
+
+    **Arguments**
+
+    - `panels`: by title, side by side; lines of the same name look the same in all of them.
+    - `label`: of the vertical axes, with its unit.
+    - `limits`: of the vertical axes; by default, each panel's from its levels to a little above
+      its hand-over, where the rules part.
+
+    **Returns** a matplotlib figure.
+    """
+    figure = new_figure(4.6 * max(len(panels), 1) + 0.6, 4.4)
+    axes_of = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (name, learning) in zip(axes_of, panels.items(), strict=True):
+        rule, values = learning.first
+        axes.plot(values, color=COLOURS[1], ls=STYLES[0], lw=1.6, label=rule)
+        for i, (other, epochs) in enumerate(learning.others.items()):
+            at = learning.hand_over + np.arange(len(epochs))
+            look = COLOURS[2 * i % len(COLOURS)]
+            axes.plot(at, epochs, color=look, ls=STYLES[(i + 1) % len(STYLES)], lw=1.8, label=other)
+        axes.axvline(
+            learning.hand_over, color=QUIET, lw=1.0, ls=(0, (2, 2)), label="hand-over", zorder=0.5
+        )
+        for i, (level, height) in enumerate(learning.levels.items()):
+            axes.axhline(
+                height,
+                color=QUIET,
+                lw=1.0,
+                ls=STYLES[(i + 2) % len(STYLES)],
+                label=level,
+                zorder=0.5,
+            )
+        axes.set_ylim(*(_limits(learning) if limits is None else limits))
+        axes.set_xlim(left=0)
+        axes.set_xlabel("epochs")
+        axes.set_title(name, fontsize="medium")
+        axes.grid(alpha=0.25)
+    axes_of[0].set_ylabel(label)
+    handles, labels = axes_of[0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=min(len(labels), 5), frameon=False
+    )
+    if title:
+        figure.suptitle(title)
+    return figure
+
+
+def _limits(learning: Learning) -> tuple[float, float]:
+    at = float(learning.first[1][min(learning.hand_over, len(learning.first[1]) - 1)])
+    values = [at, *learning.levels.values(), float(np.nanmin(learning.first[1]))]
+    low, high = min(values), max(values)
+    room = max(high - low, 1e-12)
+    return low - 0.1 * room, high + 1.0 * room

@@ -1,0 +1,184 @@
+"""Normal equations: what all patterns say of a linear network, beside the patterns themselves."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc import CSLC
+from jaxcslc.adaptive import (
+    LINEAR_COMBINER,
+    AdaptiveNetwork,
+    Layer,
+    Links,
+    Signals,
+    Subnetwork,
+    fully_connected,
+    inverse_dynamics,
+)
+from jaxcslc.training import (
+    PERAL,
+    AdaptedRates,
+    Backpropagation,
+    Examples,
+    Plan,
+    _normal_equations as module,
+    examples,
+    half_rms,
+    half_square,
+    normal_equations,
+    train,
+)
+
+
+RULE = Backpropagation()
+#: Sums over patterns in another order.
+ROUNDING: Any = {"rtol": 1e-11, "atol": 1e-12}
+
+
+def sharing() -> AdaptiveNetwork:
+    """Two subnetworks of three weights in all, shared within and between, by known multiples."""
+
+    def signals(patterns: Any) -> Signals:
+        x = jnp.asarray(patterns).T
+        return Signals((x[:2], x[2:]), ((), ()))
+
+    first = Links(2, 2, [0, 1, 1], [0, 0, 1], [0, 1, 0], [1.0, -2.0, 0.5])
+    second = Links(2, 2, [0, 1, 1], [0, 1, 1], [1, 2, 0], [3.0, 1.0, -1.0])
+    parts = (Subnetwork("a", (Layer(first),)), Subnetwork("b", (Layer(second),)))
+    return AdaptiveNetwork(parts, signals, LINEAR_COMBINER, ("w0", "w1", "w2"))
+
+
+def patterns(rng: np.random.Generator, network: AdaptiveNetwork, samples: int) -> Examples:
+    """With masks, a pattern without any output that counts among them."""
+    x, t = rng.normal(size=(samples, 4)), rng.normal(size=(samples, 2))
+    counts = rng.uniform(size=t.shape) < 0.7
+    counts[1] = False
+    return examples(network, x, t, counts)
+
+
+def assert_says_the_same(network: AdaptiveNetwork, chosen: Examples, w: Any) -> None:
+    made = normal_equations(network, chosen)
+    (cost,) = chosen.costs(network, w, half_square)
+    assert_allclose(made.costs(network, w, half_square)[0], cost, **ROUNDING)
+    learns = len(network.groups)
+    for learning in {(True,) * learns, (True,) + (False,) * (learns - 1)}:
+        change = chosen.change(network, RULE, w, learning)
+        assert_allclose(made.change(network, RULE, w, learning), change, **ROUNDING)
+
+
+def test_cost_and_change_are_the_patterns(rng: np.random.Generator) -> None:
+    for network in (sharing(), fully_connected([4, 2], "linear combiner")):
+        chosen = patterns(rng, network, 40)
+        w = jnp.asarray(rng.normal(size=network.size))
+        assert_says_the_same(network, chosen, w)
+
+
+def test_trials_cost_what_the_patterns_say(rng: np.random.Generator) -> None:
+    network = sharing()
+    chosen = patterns(rng, network, 40)
+    made, w = normal_equations(network, chosen), jnp.asarray(rng.normal(size=3))
+    change = chosen.change(network, RULE, w, (True, True))
+    trials = jnp.asarray(rng.uniform(0, 1, (5, 2)))
+    expected = chosen.trial_costs(network, w, change, trials, half_square)
+    assert_allclose(made.trial_costs(network, w, change, trials, half_square), expected, **ROUNDING)
+
+
+@pytest.mark.parametrize("samples", [21, 22, 28])
+def test_in_blocks(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, samples: int) -> None:
+    """Three blocks of seven patterns, or four of which the last is filled up."""
+    monkeypatch.setattr(module, "_BLOCK", 7)
+    network = sharing()
+    assert_says_the_same(network, patterns(rng, network, samples), jnp.asarray([0.3, -0.8, 0.5]))
+
+
+def test_the_gram_matrix_is_the_regressor_s(rng: np.random.Generator) -> None:
+    """Gradient and Hessian of the half square, by `jax`: the right side and the matrix."""
+    network = sharing()
+    chosen = patterns(rng, network, 40)
+    made = normal_equations(network, chosen)
+
+    def cost(w: jax.Array) -> jax.Array:
+        return chosen.costs(network, w, half_square)[0]
+
+    assert_allclose(made.gram, jax.hessian(cost)(jnp.zeros(3)), **ROUNDING)
+    assert_allclose(jnp.sum(made.moment, axis=0), -jax.grad(cost)(jnp.zeros(3)), **ROUNDING)
+    assert_allclose(jnp.sum(made.layered, axis=0), made.gram, **ROUNDING)
+
+
+def test_trained_as_on_the_patterns(rng: np.random.Generator) -> None:
+    """History and all, one layer frozen; the end is the least squares' solution."""
+    network = sharing()
+    chosen, start = patterns(rng, network, 40), np.array([1.0, -1.0, 0.5])
+    made = normal_equations(network, chosen)
+    for frozen in ((), ("b",)):
+        plan = Plan(RULE, AdaptedRates(0.05), cost=half_square, frozen=frozen)
+        one, other = (train(network, x, start, plan, epochs=30, chunk=30) for x in (made, chosen))
+        assert_allclose(one.history.cost, other.history.cost, rtol=1e-9)
+        assert_allclose(one.history.rates, other.history.rates, rtol=1e-9)
+        assert_allclose(one.weights, other.weights, rtol=1e-7, atol=1e-9)
+
+
+def test_the_minimum_is_the_direct_solve_s(puma: CSLC, rng: np.random.Generator) -> None:
+    """The PUMA 560, sixty samples, noise, a fifth masked."""
+    q, qd, qdd = rng.uniform(-2, 2, (3, 60, 6))
+    k = jnp.asarray(rng.normal(size=puma.size))
+    torque = np.asarray(puma.torque(k, q, qd, qdd)) + rng.normal(size=(60, 6))
+    counts = rng.uniform(size=(60, 6)) < 0.8
+    network = inverse_dynamics(puma)
+    chosen = examples(network, (q, qd, qdd), torque, counts)
+    made = normal_equations(network, chosen)
+    everything = np.ones(counts.shape, bool)
+    recording = jc.Patterns(np.arange(60.0), q, qd, qdd, torque, counts, everything)
+    solved = jc.least_squares(puma, recording, joint_weights="equal").k
+    minimum = jnp.linalg.solve(made.gram, jnp.sum(made.moment, axis=0))
+    # The Gram matrix squares the condition number.
+    assert_allclose(minimum, solved, rtol=1e-6, atol=1e-8)
+    move = made.change(network, RULE, solved, (True,) * 5)
+    first = made.change(network, RULE, jnp.zeros(puma.size), (True,) * 5)
+    total, start = np.abs(np.sum(move, axis=0)), np.abs(np.sum(first, axis=0))
+    assert np.max(total) < 1e-10 * np.max(start)  # no layer's move but the others undo it
+    assert_allclose(
+        made.costs(network, solved, half_square), chosen.costs(network, solved, half_square)
+    )
+
+
+def test_vmap_over_recordings(rng: np.random.Generator) -> None:
+    network = sharing()
+    each = [patterns(rng, network, 40) for _ in range(3)]
+    recordings: Examples = jax.tree.map(lambda *parts: jnp.stack(parts), *each)
+    made = jax.jit(jax.vmap(lambda chosen: normal_equations(network, chosen)))(recordings)
+    assert made.trainings == 3
+    for at, chosen in enumerate(each):
+        single = normal_equations(network, chosen)
+        for name in ("gram", "layered", "moment", "square"):
+            assert_allclose(getattr(made, name)[at], getattr(single, name), **ROUNDING)
+
+
+def test_refused(rng: np.random.Generator) -> None:
+    network = fully_connected([4, 2], "linear combiner")
+    made = normal_equations(network, patterns(rng, network, 40))
+    for plan, message in (
+        (Plan(PERAL(), cost=half_square), r"^normal equations serve backpropagation only: PERAL"),
+        (Plan(RULE, cost=half_square, order="sequential"), r"know no single patterns"),
+        (Plan(RULE, cost=half_rms), r"know the cost `half_square` only"),
+    ):
+        with pytest.raises(ValueError, match=message) as raised:
+            train(network, made, np.ones(10), plan)
+        assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("sizes", [[4, 2], [4, 3, 2]])
+def test_networks_that_are_not_linear_are_refused(
+    rng: np.random.Generator, sizes: list[int]
+) -> None:
+    """Two layers of linear combiners are not linear in their weights either."""
+    kind = "logistic" if len(sizes) == 2 else "linear combiner"
+    network = fully_connected(sizes, kind)
+    chosen = examples(network, rng.normal(size=(9, 4)), rng.uniform(0, 1, (9, 2)))
+    with pytest.raises(ValueError, match=r"^normal equations need outputs that are linear"):
+        normal_equations(network, chosen)

@@ -1,0 +1,480 @@
+"""One training: its history beside a literal loop, the order of patterns, ends, frozen layers."""
+
+import io
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from jaxcslc import CSLC
+from jaxcslc.adaptive import (
+    LINEAR_COMBINER,
+    AdaptiveNetwork,
+    Layer,
+    Links,
+    Signals,
+    Subnetwork,
+    fully_connected,
+    inverse_dynamics,
+)
+from jaxcslc.training import (
+    OUTCOMES,
+    PERAL,
+    AbstractRates,
+    AbstractRule,
+    AdaptedRates,
+    Backpropagation,
+    Examples,
+    FixedRates,
+    Plan,
+    Schedule,
+    examples,
+    half_rms,
+    half_square,
+    mean_modulus,
+    normal_equations,
+    train,
+)
+
+
+class Problem(NamedTuple):
+    network: AdaptiveNetwork
+    chosen: Examples
+    start: np.ndarray
+
+
+def side_by_side(name: str, inputs: int, nodes: int, first: int) -> Subnetwork:
+    return Subnetwork(name, (Layer(Links.full(inputs, nodes, first)),))
+
+
+@pytest.fixture
+def two_parts(rng: np.random.Generator) -> Problem:
+    """Two linear combiners superposed, of two and three inputs, a rate for each; some masked."""
+
+    def signals(patterns: Any) -> Signals:
+        x = jnp.asarray(patterns).T
+        return Signals((x[:2], x[2:]), ((), ()))
+
+    parts = (side_by_side("a", 2, 2, 0), side_by_side("b", 3, 2, 4))
+    network = AdaptiveNetwork(parts, signals, LINEAR_COMBINER, tuple("abcdefghij"))
+    x = rng.normal(size=(30, 5)) * [1.0, 0.5, 2.0, 1.0, 0.3]
+    t = network.outputs(jnp.asarray(rng.normal(size=10)), x) + 0.2 * rng.normal(size=(30, 2))
+    counts = rng.uniform(size=(30, 2)) < 0.85
+    return Problem(network, examples(network, x, t, counts), rng.normal(size=10))
+
+
+@pytest.fixture
+def line(rng: np.random.Generator) -> Problem:
+    """A linear combiner, three inputs and a bias to one node, and noise."""
+    network = fully_connected([3, 1], "linear combiner")
+    x = rng.normal(size=(20, 3))
+    t = x @ [[1.0], [-2.0], [0.5]] + 0.3 + 0.1 * rng.normal(size=(20, 1))
+    return Problem(network, examples(network, x, t), np.array([0.1, -0.1, 0.2, 0.1]))
+
+
+def numpy_cost(name: str, errors: np.ndarray, counts: np.ndarray) -> float:
+    """Costs pattern by pattern, from (outputs, patterns)."""
+    each: list[float] = []
+    for e, c in zip(errors.T, counts.T > 0, strict=True):
+        if c.any():
+            squares = e[c] ** 2
+            each.append(
+                0.5 * np.sqrt(np.mean(squares)) if name == "half_rms" else 0.5 * np.sum(squares)
+            )
+    if name == "mean_modulus":
+        return float(np.mean(np.abs(errors[counts > 0])))
+    return float(np.mean(each))
+
+
+def literally(
+    problem: Problem,
+    rule: AbstractRule,
+    rates: AbstractRates,
+    cost_name: str,
+    epochs: int,
+    sequences: list[np.ndarray] | None = None,
+) -> tuple[list[float], list[np.ndarray], list[np.ndarray]]:
+    """Costs, rates and weights of a loop over `rule.change`; in turn if there are sequences."""
+    network, chosen, start = problem
+    learning = (True,) * len(network.groups)
+    moves = jax.jit(lambda w, signals, t, c: rule.change(network, w, signals, t, c, learning))
+    counts, targets = np.asarray(chosen.counts), np.asarray(chosen.targets)
+    signals = [np.asarray(x) for x in chosen.signals.inputs]
+    bias = np.ones((1, targets.shape[1]))
+
+    def cost(weights: np.ndarray) -> float:
+        total = np.zeros(targets.shape)
+        for (_, layer), x in zip(network.adaptive_layers, signals, strict=True):
+            seen = np.concatenate([x, bias]) if layer.bias else x
+            total += np.asarray(layer.links.matrix(jnp.asarray(weights))) @ seen
+        return numpy_cost(cost_name, targets - total, counts)
+
+    def after(weights: np.ndarray, at: np.ndarray, epoch: int) -> np.ndarray:
+        if sequences is None:
+            whole = moves(weights, chosen.signals, chosen.targets, chosen.counts)
+            return weights + at @ np.asarray(whole) / np.sum((counts > 0).any(axis=0))
+        for pattern in sequences[epoch]:
+            one: Any = jax.tree.map(
+                lambda x, p=pattern: x[:, p : p + 1],
+                (chosen.signals, chosen.targets, chosen.counts),
+            )
+            weights = weights + at @ np.asarray(moves(weights, *one))
+        return weights
+
+    weights = start
+    now = np.broadcast_to(np.asarray(rates.start), (len(network.groups),)).astype(float)
+    costs, each_rates, each_weights = list[float](), list[np.ndarray](), list[np.ndarray]()
+    for epoch in range(epochs):
+        costs.append(cost(weights))
+        each_weights.append(weights)
+        trials = np.asarray(rates.trials(jnp.asarray(now)))
+        stable = True
+        if len(trials) > 1:
+            reached = [cost(after(weights, trial, epoch)) for trial in trials]
+            found = np.asarray(
+                rates.adapted(jnp.asarray(now), jnp.asarray(costs[-1]), jnp.asarray(reached))
+            )
+            if cost(after(weights, found, epoch)) <= costs[-1]:
+                now = found
+            elif reached[0] > costs[-1]:  # neither those nor the present ones are stable
+                now, stable = 0.9 * np.minimum(now, found), False
+        each_rates.append(now)
+        weights = after(weights, now, epoch) if stable else weights
+    return costs, each_rates, each_weights
+
+
+@pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
+@pytest.mark.parametrize("cost", [half_rms, mean_modulus, half_square])
+def test_history_is_the_literal_loop_s(
+    two_parts: Problem, rule: AbstractRule, cost: Callable[..., jax.Array]
+) -> None:
+    network, chosen, start = two_parts
+    rates = AdaptedRates(np.array([0.05, 0.2]))
+    history = train(network, chosen, start, Plan(rule, rates, cost=cost), epochs=25).history
+    costs, each_rates, each_weights = literally(two_parts, rule, rates, cost.__name__, 25)
+    assert_allclose(history.cost, costs, rtol=1e-8)
+    assert_array_equal(history.measure, history.cost)
+    assert_allclose(history.rates, each_rates, rtol=1e-9)
+    assert_allclose(np.asarray(history.weights), each_weights, rtol=1e-7, atol=1e-9)
+    assert np.isnan(history.stop_cost).all()
+    if isinstance(rule, Backpropagation):  # each for itself
+        assert len(np.unique(np.round(history.rates[:, 0] / history.rates[:, 1], 9))) > 1
+
+
+# One pattern after the other.
+
+
+def shuffled(key: jax.Array, patterns: int, epochs: int) -> list[np.ndarray]:
+    each = [jax.random.permutation(jax.random.fold_in(key, n), patterns) for n in range(epochs)]
+    return [np.asarray(sequence) for sequence in each]
+
+
+@pytest.mark.parametrize("rates", [FixedRates(0.03), AdaptedRates(0.02)], ids=["fixed", "adapted"])
+def test_sequential_is_the_literal_loop_s(line: Problem, rates: AbstractRates) -> None:
+    key, rule = jax.random.key(7), Backpropagation()
+    plan = Plan(rule, rates, order="sequential")
+    found = train(line.network, line.chosen, line.start, plan, epochs=6, key=key)
+    sequences = shuffled(key, 20, 6)
+    costs, each_rates, each_weights = literally(line, rule, rates, "half_rms", 6, sequences)
+    assert_allclose(found.history.cost, costs, rtol=1e-10)
+    assert_allclose(found.history.rates, each_rates, rtol=1e-10)
+    assert_allclose(np.asarray(found.history.weights), each_weights, rtol=1e-9)
+
+
+def test_the_order_is_the_key_s_alone(line: Problem) -> None:
+    network, chosen, start = line
+    plan = Plan(Backpropagation(), FixedRates(0.03), order="sequential")
+
+    def weights(seed: int | None, start: np.ndarray = start, chunk: int = 6) -> np.ndarray:
+        key = None if seed is None else jax.random.key(seed)
+        found = train(network, chosen, start, plan, epochs=6, key=key, chunk=chunk)
+        return np.asarray(found.history.weights)
+
+    first = weights(1)
+    assert_array_equal(weights(1), first)
+    assert_allclose(weights(1, chunk=3), first, rtol=1e-12)  # not how epochs are cut up
+    assert not np.allclose(weights(2)[1:], first[1:])
+    assert_array_equal(weights(None), weights(0))
+    # Every epoch's sequence is another one: from one state they lead to different places.
+    sequences = shuffled(jax.random.key(1), 20, 6)
+    assert len({tuple(sequence) for sequence in sequences}) == 6
+    assert all(sorted(sequence) == list(range(20)) for sequence in sequences)
+
+
+# Ends.
+
+
+def test_target(line: Problem) -> None:
+    """Ends at the first weights whose measure is at most the target, and keeps them."""
+    network, chosen, start = line
+    free = train(network, chosen, start, Plan(Backpropagation(), FixedRates(0.2)), epochs=50)
+    errors = [
+        np.abs(chosen.errors(network, jnp.asarray(w))) for w in np.asarray(free.history.weights)
+    ]
+    modulus = np.mean(np.reshape(errors, (50, -1)), axis=1)
+    for target in (1.5 * modulus[0], modulus[9] * (1 + 1e-9), 0.5 * (modulus[9] + modulus[10])):
+        plan = Plan(Backpropagation(), FixedRates(0.2), target=target, measure=mean_modulus)
+        found = train(network, chosen, start, plan, epochs=50)
+        at = int(np.argmax(modulus <= target))
+        assert bool(found.outcome == OUTCOMES.reached)
+        assert int(found.epochs) == at
+        assert_array_equal(found.weights, np.asarray(free.history.weights)[at])
+        assert_allclose(found.history.measure[: at + 1], modulus[: at + 1], rtol=1e-10)
+        assert_array_equal(found.history.cost[: at + 1], free.history.cost[: at + 1])
+        # From there on, entries repeat.
+        assert_array_equal(found.history.rule, np.where(np.arange(50) < at, 0, -1))
+        for name in ("cost", "measure", "rates", "weights"):
+            entries = getattr(found.history, name)[at:]
+            assert_array_equal(entries, np.broadcast_to(entries[0], entries.shape))
+        assert float(found.cost) == found.history.cost[at]
+
+
+def test_entries_repeat_also_where_a_turn_would_change(line: Problem) -> None:
+    schedule = Schedule((Backpropagation(), PERAL()), 1e9, 1, 10.0, 1)
+    rates = (AdaptedRates(0.01), AdaptedRates(0.3))
+    found = train(*line[:2], line.start, Plan(schedule, rates), epochs=12)
+    assert bool(found.outcome == OUTCOMES.no_further_reduction)
+    at = int(found.epochs)
+    assert at == 3
+    assert_array_equal(
+        found.history.rates[at:], np.repeat(found.history.rates[at:][:1], 12 - at, 0)
+    )
+
+
+def overtrained(rng: np.random.Generator) -> tuple[Problem, Examples]:
+    """Ten weights, twelve noisy patterns, and others to tell by: their cost falls, then rises."""
+    network = fully_connected([9, 1], "linear combiner")
+    w = rng.normal(size=(9, 1))
+    x, other = rng.normal(size=(12, 9)), rng.normal(size=(40, 9))
+    chosen = examples(network, x, x @ w + 2.0 * rng.normal(size=(12, 1)))
+    return Problem(network, chosen, np.zeros(10)), examples(network, other, other @ w)
+
+
+def test_stop_set(rng: np.random.Generator) -> None:
+    """The weights of its lowest cost, and `stop_patience` epochs spent beyond (3.6.1)."""
+    problem, stop_set = overtrained(rng)
+    network, chosen, start = problem
+    rates = FixedRates(0.05)
+    for patience in (1, 20):
+        plan = Plan(Backpropagation(), rates, stop_patience=patience)
+        found = train(network, chosen, start, plan, epochs=300, chunk=300, stop_set=stop_set)
+        assert bool(found.outcome == OUTCOMES.stop_set)
+        end = int(found.epochs)
+        costs = found.history.stop_cost[: end + 1]
+        best = int(np.argmin(costs))
+        assert 0 < best == end - patience
+        assert_array_equal(found.weights, np.asarray(found.history.weights)[best])
+        (again,) = stop_set.costs(network, found.weights, half_rms)
+        assert_allclose(costs[best], again, rtol=1e-12)
+        assert_array_equal(found.history.rule[end:], -1)
+        # It is the training patterns' cost that is shown as the cost, and it still falls.
+        assert found.history.cost[end] < found.history.cost[best]
+
+
+def test_diverges_by_name(line: Problem) -> None:
+    network, chosen, start = line
+    plan = Plan(Backpropagation(), FixedRates(5.0))
+    with pytest.raises(RuntimeError, match="diverged: the cost grew beyond all bounds") as raised:
+        train(network, chosen, start, plan, epochs=50)
+    assert "\n" not in str(raised.value)
+    found = train(network, chosen, start, plan, epochs=50, throw=False)
+    assert bool(found.outcome == OUTCOMES.diverged)
+    assert found.outcomes() == {"diverged": 1}
+    costs = found.history.cost[: int(found.epochs) + 1]
+    assert costs[-1] > 1e3 * costs[0]
+    assert np.all(costs[:-1] <= 1e3 * costs[0])
+    assert_array_equal(found.weights, np.asarray(found.history.weights)[int(np.argmin(costs))])
+    assert np.all(np.isfinite(found.weights))
+
+
+def test_an_infinite_cost_diverges_at_once(line: Problem) -> None:
+    network, chosen, start = line
+    plan = Plan(Backpropagation(), FixedRates(1e200))
+    found = train(network, chosen, start, plan, epochs=50, throw=False)
+    assert bool(found.outcome == OUTCOMES.diverged)
+    assert int(found.epochs) == 1
+    assert_array_equal(found.weights, start)
+
+
+def test_stalls_by_name(line: Problem) -> None:
+    """At a rate of zero nothing moves; too large a rate, within bounds, goes back and forth."""
+    network, chosen, start = line
+    plan = Plan(Backpropagation(), FixedRates(0.0), patience=7)
+    with pytest.raises(RuntimeError, match="stalled: no new lowest cost"):
+        train(network, chosen, start, plan, epochs=50)
+    found = train(network, chosen, start, plan, epochs=50, throw=False)
+    assert bool(found.outcome == OUTCOMES.stalled)
+    assert int(found.epochs) == 7
+    assert_array_equal(found.weights, start)
+
+
+def test_adapted_rates_settle_where_fixed_ones_diverge(line: Problem) -> None:
+    network, chosen, start = line
+    plan = Plan(Backpropagation(), AdaptedRates(5.0), divergence=1e9)
+    found = train(network, chosen, start, plan, epochs=200, throw=False)
+    assert found.history.cost[-1] < 0.2 * found.history.cost[0]
+
+
+def test_no_epochs_and_no_weights_kept(line: Problem) -> None:
+    network, chosen, start = line
+    plan = Plan(Backpropagation(), FixedRates(0.2))
+    none = train(network, chosen, start, plan, epochs=0)
+    assert_array_equal(none.weights, start)
+    assert none.history.cost.shape == (0,)
+    assert none.outcomes() == {"not ended": 1}
+    kept = train(network, chosen, start, plan, epochs=50)
+    other = train(network, chosen, start, plan, epochs=50, keep_weights=False)
+    assert other.history.weights is None
+    assert_array_equal(other.history.cost, kept.history.cost)
+    assert_array_equal(other.weights, kept.weights)
+    assert repr(other) == "Training(1 of 4 weights: 1 not ended)"
+
+
+# Frozen layers (5.2.4).
+
+
+def test_frozen_weights_stay_bit_for_bit(two_parts: Problem) -> None:
+    network, chosen, start = two_parts
+    for rule in (Backpropagation(), PERAL()):
+        plan = Plan(rule, AdaptedRates(0.05), frozen=["a"])
+        found = train(network, chosen, start, plan, epochs=30)
+        assert_array_equal(np.asarray(found.history.weights)[:, :4], np.tile(start[:4], (30, 1)))
+        assert_array_equal(found.history.rates[:, 0], 0.0)
+        assert found.history.cost[-1] < found.history.cost[0]
+
+
+def test_frozen_layers_do_not_count_in_averages(rng: np.random.Generator) -> None:
+    """5.2.6: 'the average of the relevant elements of dW^M, rather than of both'."""
+
+    def signals(patterns: Any) -> Signals:
+        x = jnp.asarray(patterns).T
+        return Signals((x[:2], x[2:]), ((), ()))
+
+    parts = (side_by_side("mass", 2, 1, 0), side_by_side("velocity", 2, 1, 0))
+    network = AdaptiveNetwork(parts, signals, LINEAR_COMBINER, ("a", "b"))
+    x, w = rng.normal(size=(25, 4)), np.array([0.4, -0.7])
+    chosen = examples(network, x, x[:, :2] @ w[:, None] + x[:, 2:] @ w[:, None])
+    plan = Plan(Backpropagation(), FixedRates(0.3), frozen=["velocity"])
+    start = np.array([1.0, 1.0])
+    history = train(network, chosen, start, plan, epochs=2).history
+    errors = np.asarray(chosen.errors(network, jnp.asarray(start)))[0]
+    assert_allclose(np.asarray(history.weights)[1], start + 0.3 * x[:, :2].T @ errors / 25)
+
+
+def test_friction_alone_is_relearnt(
+    puma: CSLC, puma_k: jax.Array, rng: np.random.Generator
+) -> None:
+    """Bearings cleaned: other friction, learnt with the rest as it was (5.2.4)."""
+    network = inverse_dynamics(puma)
+    patterns = tuple(rng.uniform(-2, 2, (3, 60, 6)))
+    k = np.asarray(puma_k)
+    friction = np.array([name.startswith(("kv", "kd")) for name in puma.names])
+    cleaned = np.where(friction, k * rng.uniform(0.3, 0.8, k.size), k)
+    targets = puma.torque(jnp.asarray(cleaned), *patterns)
+    chosen = examples(network, patterns, targets)
+    plan = Plan(
+        Backpropagation(),
+        FixedRates(0.5),
+        cost=half_square,
+        frozen=("mass", "velocity", "gravity"),
+        target=1e-16,
+    )
+    found = train(network, normal_equations(network, chosen), k, plan, epochs=400, chunk=400)
+    assert_array_equal(np.asarray(found.weights)[~friction], k[~friction])
+    assert_allclose(np.asarray(found.weights)[friction], cleaned[friction], rtol=1e-6)
+    assert_array_equal(found.history.rates[:, :3], 0.0)
+
+
+# Seen from outside.
+
+
+class Screen(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_goes_to_standard_error_alone(
+    line: Problem, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    network, chosen, start = line
+    plan = Plan(Backpropagation(), FixedRates(0.2))
+    train(network, chosen, start, plan, epochs=50)
+    assert capfd.readouterr() == ("", "")
+    screen, page = Screen(), Screen()
+    monkeypatch.setattr("sys.stderr", screen)
+    monkeypatch.setattr("sys.stdout", page)
+    train(network, chosen, start, plan, epochs=50)
+    assert (screen.getvalue(), page.getvalue()) == ("", "")
+    train(network, chosen, start, plan, epochs=50, progress=True)
+    assert "50/50" in screen.getvalue()
+    assert "cost=" in screen.getvalue()
+    assert page.getvalue() == ""
+
+
+# Failures, one line each.
+
+
+B = Backpropagation()
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"weights": np.zeros(5)}, r"^weights: expected shape \(4,\) or \(trainings, 4\), got \(5,\)"),
+    ({"weights": np.zeros((2, 3))}, r"^weights: expected shape .*, got \(2, 3\)"),
+    ({"weights": np.zeros(4, np.float32)}, r"needs float64"),
+    ({"plan": Plan(B, frozen=["x"])}, r"^frozen: expected some of network, got 'x'"),
+    ({"plan": Plan(B, frozen=["network"])}, r"^frozen: every layer is; nothing is left to learn"),
+    (
+        {"plan": Plan(B, FixedRates(np.ones(2)))},
+        r"^rates: expected one number, or one for each of network, got shape \(2,\)",
+    ),
+    ({"plan": PERAL(), "weights": np.zeros(4)}, r"PERAL cannot start from weights .* all zero"),
+    ({"plan": Plan(B, target=jnp.ones(3))}, r"^target: expected one, got shape \(3,\)"),
+    (
+        {"plan": Plan(Schedule((B,), jnp.ones(3))), "weights": np.ones((2, 4))},
+        r"^hand_over: expected one, or for each of 2 trainings, got shape \(3,\)",
+    ),
+    ({"key": jax.random.split(jax.random.key(0), 2)}, r"^key: expected one, got shape \(2,\)"),
+    ({"chunk": 0}, r"^epochs, chunk, block: expected no less than 0, 1 and 1"),
+    ({"block": 0}, r"^epochs, chunk, block"),
+    ({"epochs": -1}, r"^epochs, chunk, block"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG)
+def test_refused(line: Problem, change: dict[str, Any], message: str) -> None:
+    given: dict[str, Any] = {"weights": line.start, "plan": Backpropagation(), **change}
+    weights, plan = given.pop("weights"), given.pop("plan")
+    with pytest.raises(ValueError, match=message) as raised:
+        train(line.network, line.chosen, weights, plan, **given)
+    assert "\n" not in str(raised.value)
+
+
+def test_patterns_in_single_precision_are_refused(line: Problem) -> None:
+    chosen: Examples = jax.tree.map(lambda x: x.astype(jnp.float32), line.chosen)
+    for patterns, stop_set in ((chosen, None), (line.chosen, chosen)):
+        with pytest.raises(ValueError, match="needs float64"):
+            train(line.network, patterns, line.start, Backpropagation(), stop_set=stop_set)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"patience": 0}, "^patience, stop_patience: expected at least one epoch"),
+        ({"stop_patience": 0}, "^patience, stop_patience: expected at least one epoch"),
+        ({"rates": [FixedRates(0.1)] * 2}, "^rates: expected one for each of 1 rules, got 2"),
+    ],
+)
+def test_plans_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Plan(Backpropagation(), **options)
+
+
+def test_an_unknown_order_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As users see it, to whom annotations are not checked."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    unknown: Any = "random"
+    with pytest.raises(ValueError, match=r"^order: expected 'batch' or 'sequential', got 'random'"):
+        Plan(Backpropagation(), order=unknown)
