@@ -174,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, default=Path("build/peral_study"))
     parser.add_argument("--seeds", type=int, default=100, help="starts, and noises on the PUMA")
     parser.add_argument(
-        "--other-seeds", type=int, default=25, help="at other noises than the first"
+        "--other-seeds", type=int, default=10, help="at other noises than the first"
     )
     parser.add_argument("--starts", type=int, default=100, help="towards the one minimum")
     parser.add_argument("--ultrasound-patterns", type=int, default=1050, help="of at most 3150")
@@ -182,8 +182,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--noise", type=float, nargs="+", default=[0.1, 0.05, 0.2])
     parser.add_argument("--before", type=int, default=300, help="epochs at most to the 30 %% mark")
     parser.add_argument("--hand-over", type=int, default=500, help="epochs before it, on the PUMA")
-    parser.add_argument("--further", type=int, default=1000, help="epochs of backpropagation after")
-    parser.add_argument("--tuning", type=int, default=400, help="epochs of PERAL at most")
+    parser.add_argument("--further", type=int, default=700, help="epochs of backpropagation after")
+    parser.add_argument("--tuning", type=int, default=300, help="epochs of PERAL at most")
     parser.add_argument("--minimum-epochs", type=int, default=200_000)
     parser.add_argument("--minimum-gain", type=float, default=0.01, help="in place of the 8 %%")
     parser.add_argument("--quick", action="store_true", help="few seeds, patterns and epochs")

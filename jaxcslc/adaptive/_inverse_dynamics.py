@@ -3,6 +3,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..derivation import Table
@@ -106,7 +107,7 @@ def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
     )
 
 
-def _motion(patterns: Any) -> tuple[Float[Array, "..."], ...]:
+def _motion(patterns: Any) -> tuple[Float[Array | np.ndarray, "..."], ...]:
     return tuple(getattr(patterns, name) for name in ("q", "qd", "qdd"))
 
 
