@@ -133,7 +133,7 @@ def _assessed(
     lowest_weights = jnp.where(new_lowest, state.weights, state.lowest_weights)
     # A rule takes over where the best so far was: PERAL, which follows no gradient, may have lost
     # in its bout what the one before had gained.
-    takes_over = ~first & (later.rule != state.turn.rule)
+    takes_over = ~first & (later.rule != state.turn.rule) & (measure > plan.target)
     stop_new = stop_cost < state.stop_lowest
     since_stop = jnp.where(stop_new, 0, state.since_stop + 1)
 
@@ -197,7 +197,7 @@ def _learn_by(
 ) -> tuple[Array, Array]:
     """An epoch of one rule at the rates that serve best."""
     rule, adapting = plan.schedule.rules[number], plan.rates[number]
-    learning, trials = plan.learning(network), adapting.trials(rates)
+    learning = plan.learning(network)
     if plan.order == "batch":
         change = chosen.change(network, rule, weights, learning)
 
@@ -217,13 +217,8 @@ def _learn_by(
             candidates = jax.vmap(after)(trials)
             return jax.vmap(lambda w: chosen.costs(network, w, plan.cost)[0])(candidates)
 
-    if trials.shape[0] == 1:  # nothing to compare
-        return after(rates), rates
-    costs = costs_after(trials)
-    adapted = adapting.adapted(rates, cost, costs)
-    (jointly,) = costs_after(adapted[None])
-    settled, moves = adapting.settled(rates, adapted, cost, costs[0], jointly)
-    return jnp.where(moves, after(settled), weights), settled
+    at, moves = adapting.choose(rates, cost, costs_after)
+    return jnp.where(moves, after(at), weights), at
 
 
 def _one_by_one(

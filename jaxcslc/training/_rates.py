@@ -1,9 +1,14 @@
 from abc import abstractmethod
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+
+
+Rates = Float[Array, " groups"]
+CostsAfter = Callable[[Float[Array, "trials groups"]], Float[Array, " trials"]]
 
 
 class AbstractRates(eqx.Module):
@@ -17,28 +22,15 @@ class AbstractRates(eqx.Module):
     start: eqx.AbstractVar[Float[Array | np.ndarray, "..."] | float]
 
     @abstractmethod
-    def trials(self, rates: Float[Array, " groups"]) -> Float[Array, "trials groups"]:
-        """Which rates to try out in an epoch, the present ones first."""
+    def choose(
+        self, rates: Rates, before: Float[Array, ""], costs_after: CostsAfter
+    ) -> tuple[Rates, Bool[Array, ""]]:
+        """The rates for an epoch, (groups,), and whether it moves the weights at them.
 
-    @abstractmethod
-    def adapted(
-        self,
-        rates: Float[Array, " groups"],
-        before: Float[Array, ""],
-        after: Float[Array, " trials"],
-    ) -> Float[Array, " groups"]:
-        """The rates for this epoch, given the cost before it and after every trial."""
-
-    @abstractmethod
-    def settled(
-        self,
-        present: Float[Array, " groups"],
-        adapted: Float[Array, " groups"],
-        before: Float[Array, ""],
-        after_present: Float[Array, ""],
-        after_adapted: Float[Array, ""],
-    ) -> tuple[Float[Array, " groups"], Bool[Array, ""]]:
-        """The rates in the end, and whether the epoch moves the weights at them."""
+        - `rates`: those of the epoch before.
+        - `before`: the cost as it stands.
+        - `costs_after`: from (trials, groups) rates to the (trials,) costs that they would lead to.
+        """
 
 
 class FixedRates(AbstractRates):
@@ -46,28 +38,11 @@ class FixedRates(AbstractRates):
 
     start: Float[Array | np.ndarray, "..."] | float
 
-    def trials(self, rates: Float[Array, " groups"]) -> Float[Array, "trials groups"]:
-        return rates[None, :]
-
-    def adapted(
-        self,
-        rates: Float[Array, " groups"],
-        before: Float[Array, ""],
-        after: Float[Array, " trials"],
-    ) -> Float[Array, " groups"]:
-        del before, after
-        return rates
-
-    def settled(
-        self,
-        present: Float[Array, " groups"],
-        adapted: Float[Array, " groups"],
-        before: Float[Array, ""],
-        after_present: Float[Array, ""],
-        after_adapted: Float[Array, ""],
-    ) -> tuple[Float[Array, " groups"], Bool[Array, ""]]:
-        del adapted, before, after_present, after_adapted
-        return present, jnp.ones((), bool)
+    def choose(
+        self, rates: Rates, before: Float[Array, ""], costs_after: CostsAfter
+    ) -> tuple[Rates, Bool[Array, ""]]:
+        del before, costs_after
+        return rates, jnp.ones((), bool)
 
 
 class AdaptedRates(AbstractRates):
@@ -105,19 +80,31 @@ class AdaptedRates(AbstractRates):
     gain: float = 0.08
     floor: float = 1e-4
 
-    def trials(self, rates: Float[Array, " groups"]) -> Float[Array, "trials groups"]:
+    def choose(
+        self, rates: Rates, before: Float[Array, ""], costs_after: CostsAfter
+    ) -> tuple[Rates, Bool[Array, ""]]:
+        after = costs_after(self.trials(rates))
+        adapted = self.adapted(rates, before, after)
+        if rates.shape[0] == 1:
+            return adapted, jnp.ones((), bool)
+        (jointly,) = costs_after(adapted[None])
+        # False for a cost that is not finite.
+        good, bearable = jointly <= before, after[0] <= before
+        lower = jnp.maximum((1.0 - self.step) * jnp.minimum(rates, adapted), self._least(rates))
+        return jnp.where(good, adapted, jnp.where(bearable, rates, lower)), good | bearable
+
+    def trials(self, rates: Rates) -> Float[Array, "trials groups"]:
+        """Which rates to compare: the present ones, then each higher, lower and at nothing."""
         steps, present = self.step * jnp.diag(rates), rates[None]
         trials = [present, present + steps, present - steps]
-        if rates.shape[0] > 1:  # each without its own part
+        if rates.shape[0] > 1:  # of a single one, at nothing is the cost before
             trials.append(present - jnp.diag(rates))
         return jnp.concatenate(trials)
 
     def adapted(
-        self,
-        rates: Float[Array, " groups"],
-        before: Float[Array, ""],
-        after: Float[Array, " trials"],
-    ) -> Float[Array, " groups"]:
+        self, rates: Rates, before: Float[Array, ""], after: Float[Array, " trials"]
+    ) -> Rates:
+        """Each rate by itself, (groups,), given the cost after every trial."""
         groups = rates.shape[0]
         present, higher, lower = after[0], after[1 : 1 + groups], after[1 + groups : 1 + 2 * groups]
         without = after[1 + 2 * groups :] if groups > 1 else before[None]
@@ -128,21 +115,6 @@ class AdaptedRates(AbstractRates):
         factor = jnp.where(up, 1.0 + self.step, jnp.where(down, 1.0 - self.step, 1.0))
         return jnp.maximum(rates * factor, self._least(rates))
 
-    def settled(
-        self,
-        present: Float[Array, " groups"],
-        adapted: Float[Array, " groups"],
-        before: Float[Array, ""],
-        after_present: Float[Array, ""],
-        after_adapted: Float[Array, ""],
-    ) -> tuple[Float[Array, " groups"], Bool[Array, ""]]:
-        if present.shape[0] == 1:
-            return adapted, jnp.ones((), bool)
-        # False for a cost that is not finite.
-        good, bearable = after_adapted <= before, after_present <= before
-        lower = jnp.maximum((1.0 - self.step) * jnp.minimum(present, adapted), self._least(present))
-        return jnp.where(good, adapted, jnp.where(bearable, present, lower)), good | bearable
-
-    def _least(self, rates: Float[Array, " groups"]) -> Float[Array, " groups"]:
+    def _least(self, rates: Rates) -> Rates:
         """The floor; layers that are frozen stay at zero."""
         return jnp.where(rates > 0, self.floor * jnp.asarray(self.start, rates.dtype), 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.training import AbstractRates, AdaptedRates, Backpropagation, FixedRates, Plan
+from jaxcslc.training import AdaptedRates, Backpropagation, FixedRates, Plan
 
 
 NAN, INF = float("nan"), float("inf")
@@ -39,7 +39,7 @@ def literally(
     return adapted
 
 
-def adapted(rates: AbstractRates, cost: CostAt, now: Sequence[float]) -> np.ndarray:
+def adapted(rates: AdaptedRates, cost: CostAt, now: Sequence[float]) -> np.ndarray:
     """The library's, given the costs of the trials that it asks for."""
     present = jnp.asarray(now)
     after = [cost(np.asarray(trial)) for trial in rates.trials(present)]
@@ -148,42 +148,61 @@ def test_a_layer_that_does_not_learn_keeps_its_zero(rng: np.random.Generator) ->
 
 
 @pytest.mark.parametrize(
-    ("with_present", "with_adapted", "expected", "moves"),
+    ("with_present", "jointly", "expected", "moves"),
     [
         (1.5, 1.9, [1.1, 0.9], True),  # gains at once: as adapted
         (1.5, 2.0, [1.1, 0.9], True),
         (1.5, 2.1, [1.0, 1.0], True),  # each for itself would gain, all at once not
         (1.5, NAN, [1.0, 1.0], True),
         (2.1, 2.1, [0.9, 0.81], False),  # neither: wait until rates are lower
-        (NAN, INF, [0.9, 0.81], False),
     ],
 )
 def test_rates_that_are_stable_together(
-    with_present: float, with_adapted: float, expected: list[float], moves: bool
+    with_present: float, jointly: float, expected: list[float], moves: bool
 ) -> None:
-    settled, moved = AdaptedRates(1.0).settled(
-        jnp.ones(2),
-        jnp.asarray([1.1, 0.9]),
-        jnp.asarray(2.0),
-        jnp.asarray(with_present),
-        jnp.asarray(with_adapted),
-    )
-    assert_allclose(settled, expected)
+    def costs_after(trials: jax.Array) -> jax.Array:
+        if len(trials) == 1:
+            assert_allclose(trials, [[1.1, 0.9]])
+            return jnp.asarray([jointly])
+        # The first rate gains by going up, the second by going down; both gain as they are.
+        return with_present + jnp.asarray([0.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+
+    at, moved = AdaptedRates(1.0).choose(jnp.ones(2), jnp.asarray(2.0), costs_after)
+    assert_allclose(at, expected)
     assert bool(moved) == moves
+
+
+@pytest.mark.parametrize("nothing", [NAN, INF])
+def test_rates_without_a_cost_wait_lower(nothing: float) -> None:
+    at, moved = AdaptedRates(1.0).choose(
+        jnp.ones(2), jnp.asarray(2.0), lambda trials: jnp.full(len(trials), nothing)
+    )
+    assert_allclose(at, [0.81, 0.81])  # down for their own sake and down together
+    assert not bool(moved)
+
+
+def test_one_rate_moves_in_any_case() -> None:
+    """PERAL does not follow the slope of the cost and may raise it."""
+    at, moved = AdaptedRates(1.0).choose(
+        jnp.ones(1), jnp.asarray(2.0), lambda trials: 3.0 + jnp.arange(float(len(trials)))
+    )
+    assert_allclose(at, [1.0])
+    assert bool(moved)
 
 
 def test_no_rate_falls_below_its_floor() -> None:
     rates, now = AdaptedRates(np.array([1.0, 2.0]), floor=0.01), jnp.asarray([0.01, 0.0202])
     adapted = rates.adapted(now, jnp.asarray(1.0), jnp.full(7, NAN))
     assert_allclose(adapted, [0.01, 0.02])
-    three = (jnp.asarray(x) for x in (1.0, 2.0, 2.0))
-    assert_allclose(rates.settled(now, adapted, *three)[0], [0.01, 0.02])
+    waiting, _ = rates.choose(now, jnp.asarray(1.0), lambda trials: jnp.full(len(trials), 2.0))
+    assert_allclose(waiting, [0.01, 0.02])
 
 
 def test_fixed_rates() -> None:
     rates, present = FixedRates(0.3), jnp.asarray([0.3, 0.4])
-    assert_array_equal(rates.trials(present), [[0.3, 0.4]])
-    assert_array_equal(rates.adapted(present, jnp.asarray(1.0), jnp.asarray([NAN])), present)
+    chosen, moves = rates.choose(present, jnp.asarray(1.0), lambda trials: trials[:, 0] * NAN)
+    assert_array_equal(chosen, present)
+    assert bool(moves)
 
 
 def test_transforms(rng: np.random.Generator) -> None:

@@ -132,9 +132,9 @@ def literally(
     for epoch in range(epochs):
         costs.append(cost(weights))
         each_weights.append(weights)
-        trials = np.asarray(rates.trials(jnp.asarray(now)))
         stable = True
-        if len(trials) > 1:
+        if isinstance(rates, AdaptedRates):
+            trials = np.asarray(rates.trials(jnp.asarray(now)))
             reached = [cost(after(weights, trial, epoch)) for trial in trials]
             found = np.asarray(
                 rates.adapted(jnp.asarray(now), jnp.asarray(costs[-1]), jnp.asarray(reached))
