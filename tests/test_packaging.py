@@ -240,7 +240,7 @@ def test_only_the_command_line_configures_jax() -> None:
         for path in sources(ROOT / "jaxcslc")
         if configures_jax(path.read_text())
     }
-    assert touching <= {"jaxcslc/cli.py"}
+    assert touching <= {"jaxcslc/cli/_app.py"}
 
 
 @pytest.mark.parametrize(

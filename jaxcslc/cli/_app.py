@@ -1,0 +1,47 @@
+import os
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import typer
+
+from .. import __version__
+from ._derive import derive_command
+from ._identify import identify_command
+
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Derive a robot's inverse dynamics, and identify its coefficients from recordings.",
+)
+app.command("derive")(derive_command)
+app.command("identify")(identify_command)
+
+
+def main() -> None:
+    """Run the command; wrong input ends it with one line and exit code 2."""
+    jax.config.update("jax_enable_x64", True)  # identification is float64 work
+    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "jaxcslc" / "jax"))
+    # Keep even the quickest compilations: there are dozens of them, and a second run has none.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    app()
+
+
+def _version(asked: bool) -> bool:
+    if asked:
+        typer.echo(__version__)
+        raise typer.Exit
+    return asked
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")
+    ] = False,
+) -> None:
+    del version

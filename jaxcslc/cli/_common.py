@@ -1,0 +1,62 @@
+import contextlib
+import sys
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.console import Console
+
+from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560
+from ..motion import RecordingError
+from ..network import CSLC, derive
+
+
+_BUNDLED = {"puma560": puma560, "panda": panda}
+
+Lengths = Literal["auto", "symbolic", "numeric"]
+RobotArgument = Annotated[
+    str, typer.Argument(metavar="ROBOT", help="A robot file (.toml), or puma560 or panda.")
+]
+LengthsOption = Annotated[
+    Lengths,
+    typer.Option(
+        help="Keep lengths as symbols or put their values in; auto: symbols up to 6 joints."
+    ),
+]
+
+
+def robot_named(name: str) -> Manipulator:
+    return _BUNDLED[name]() if name in _BUNDLED else load_robot(name)
+
+
+def network_of(robot: Manipulator, lengths: Lengths) -> CSLC:
+    if lengths == "auto":
+        lengths = "symbolic" if robot.joint_count <= 6 else "numeric"
+    return derive(robot, lengths=lengths)
+
+
+def usable(output: Path) -> None:
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"{output}: expected a folder for the results, this is a file")
+
+
+@contextlib.contextmanager
+def one_line_errors() -> Generator[None]:
+    """What a user can set right is one line on standard error, and exit code 2."""
+    try:
+        yield
+    except BrokenPipeError:  # the reader has seen enough, as `head` has; typer ends quietly
+        raise
+    except (RobotError, RecordingError, ValueError, RuntimeError, OSError) as error:
+        message = " ".join(str(error).split()) or type(error).__name__
+        print(f"jaxcslc: {message}", file=sys.stderr)
+        raise typer.Exit(2) from None
+
+
+@contextlib.contextmanager
+def progress(first: str) -> Generator[Callable[[str], None]]:
+    """A line on standard error that says what is being done, on a terminal only."""
+    console = Console(stderr=True)
+    with console.status(first) as status:
+        yield lambda text: status.update(text)

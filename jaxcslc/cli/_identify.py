@@ -1,0 +1,86 @@
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..assessment import (
+    all_or_nothing,
+    coefficient_rows,
+    coefficient_text,
+    compare,
+    identification_report,
+)
+from ..learning import Settings, choose_settings, settings_from
+from ..motion import load_recording
+from ._common import (
+    LengthsOption,
+    RobotArgument,
+    network_of,
+    one_line_errors,
+    progress,
+    robot_named,
+    usable,
+)
+
+
+def identify_command(
+    robot: RobotArgument,
+    train: Annotated[Path, typer.Argument(metavar="TRAIN", help="Recording to learn from.")],
+    validate: Annotated[
+        Path | None, typer.Option(help="Recording to judge on; nothing is learnt from it.")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
+        "identified"
+    ),
+    lengths: LengthsOption = "auto",
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            help="Settings from an earlier run's identification.json, or written by hand;"
+            " chosen by cross-validation within TRAIN if omitted."
+        ),
+    ] = None,
+) -> None:
+    """Identify a robot's coefficients from a recording of positions and torques."""
+    with one_line_errors(), progress("reading") as step:
+        usable(output)
+        network = network_of(robot_named(robot), lengths)
+        recording = load_recording(train, joints=network.joint_count)
+        held_out = None if validate is None else load_recording(validate, network.joint_count)
+        if settings is None:
+            step("choosing smoothing and masks by cross-validation")
+            chosen = choose_settings(network, recording).settings
+        else:
+            chosen = _settings(settings)
+        step("preparing patterns")
+        patterns = {"training": chosen.patterns(recording)}
+        if held_out is not None:
+            patterns["validation"] = chosen.patterns(held_out)
+        step("solving")
+        fit = chosen.fit(network, patterns["training"])
+        step("writing")
+        errors = {name: compare(network, p, {"fit": fit.k}) for name, p in patterns.items()}
+        with all_or_nothing(output) as folder:
+            written = identification_report(folder, network, fit, patterns, errors, chosen)
+    typer.echo(f"{network}\nsettings: {chosen}\n")
+    typer.echo(coefficient_text(coefficient_rows(network, fit)))
+    for sentence in fit.unidentifiable:
+        typer.echo(f"not determined: {sentence}")
+    typer.echo(f"\nrank {int(fit.rank)} of {network.size}, condition {float(fit.condition):.4g}")
+    for name, table in errors.items():
+        typer.echo(f"\ntorque error, {name} recording\n{table}")
+    typer.echo("\nwrote " + ", ".join(str(output / path.name) for path in written))
+
+
+def _settings(path: Path) -> Settings:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise ValueError(f"{path}: expected settings as a JSON object")
+    try:
+        return settings_from(document.get("settings", document))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
