@@ -30,6 +30,8 @@ LAYERS = {
     "training": {"adaptive", "learning"},
     "assessment": {"learning"},
     "control": {"network"},
+    "export": {"learning"},
+    "cli": {"assessment", "training", "control", "export"},
 }
 
 

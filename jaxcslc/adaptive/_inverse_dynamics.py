@@ -48,10 +48,8 @@ class InverseDynamicsInputs(eqx.Module):
             else jnp.zeros((0, *q.shape[1:]), q.dtype)
             for table in tables
         )
-        friction = [
-            jnp.moveaxis(term, -1, 0)
-            for term in self.network.friction_inputs(jnp.moveaxis(qd, 0, -1))
-        ]
+        last = (jnp.moveaxis(x, 0, -1) for x in (q, qd, qdd))
+        friction = [jnp.stack(values) for values in self.network.term_inputs(*last)]
         present = [(mass, (qdd,)), (velocity, (qd, qd)), (gravity, ())]
         parts = [part for part, table in zip(present, tables, strict=True) if table.links]
         parts += [(term, ()) for term in friction]
@@ -61,11 +59,12 @@ class InverseDynamicsInputs(eqx.Module):
 def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
     """The CSLC as the adaptive network that the thesis draws (5.1, Figs. 5.1-1 to 5.1-6).
 
-    Five subnetworks, superposed: mass, velocity, gravity, viscous and dry friction (and torque
-    offsets, where the robot has them). The mass subnetwork's linear combiners are the elements
-    of M(q), and accelerations weigh them; the velocity subnetwork's are the Christoffel symbols,
-    which velocities weigh twice, over the velocity matrix C (Eqns. 5.1-5, 5.1-6). Mass and
-    velocity share their coefficients. The weights are the coefficients `k`, in their order.
+    Five subnetworks, superposed: mass, velocity, gravity, viscous and dry friction (and one for
+    each other term of the robot's friction model, two where it tells directions apart). The mass
+    subnetwork's linear combiners are the elements of M(q), and accelerations weigh them; the
+    velocity subnetwork's are the Christoffel symbols, which velocities weigh twice, over the
+    velocity matrix C (Eqns. 5.1-5, 5.1-6). Mass and velocity share their coefficients. The
+    weights are the coefficients `k`, in their order.
 
     A subnetwork without links, such as the gravity of a robot that lies flat, is left out.
 
@@ -98,10 +97,12 @@ def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
             links.multiple,
         )
         parts.append(Subnetwork("gravity", (Layer(joints),)))
-    first = network.size - n * len(network.robot.friction)
-    for at, term in enumerate(network.robot.friction):
-        own = Links(n, n, range(n), range(n), range(first + at * n, first + (at + 1) * n))
-        parts.append(Subnetwork(term, (Layer(own),)))
+    first = len(algebra.coefficients)
+    for term in network.terms:
+        m = len(term.joints)
+        own = Links(m, n, range(m), term.joints, [first + place for place in term.places])
+        parts.append(Subnetwork(f"{term.word}{term.part}", (Layer(own),)))
+        first += term.size
     return AdaptiveNetwork(
         tuple(parts), InverseDynamicsInputs(network), LINEAR_COMBINER, network.names
     )

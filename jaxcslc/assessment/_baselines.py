@@ -2,6 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..learning import regressor_of
 from ..motion import Patterns
 from ..network import CSLC
 from ._errors import torque_errors
@@ -38,16 +39,14 @@ def regress_friction(
     >>> bool(np.allclose(jc.regress_friction(network, patterns, wrong), k))
     True
     """
-    n, terms = network.joint_count, len(network.robot.friction)
-    start = network.size - n * terms
-    rigid = jnp.asarray(k).at[start:].set(0.0)
-    left = np.asarray(torque_errors(network, patterns, rigid))
+    friction = np.zeros(network.size, bool)
+    start = len(network.algebra.coefficients)
+    for term in network.terms:
+        friction[start : start + term.size] = term.word not in ("coupled_inertia", "spring")
+        start += term.size
+    rigid = np.where(friction, 0.0, np.asarray(k))
+    left = np.asarray(torque_errors(network, patterns, jnp.asarray(rigid)))
     counts = np.asarray(patterns.counts_in)
-    inputs = [np.asarray(x) for x in network.friction_inputs(jnp.asarray(patterns.qd))]
-    result = np.array(rigid)
-    for joint in range(n):
-        rows = counts[:, joint]
-        columns = np.stack([x[rows, joint] for x in inputs], axis=1)
-        found = np.linalg.lstsq(columns, left[rows, joint], rcond=None)[0]
-        result[start + np.arange(terms) * n + joint] = found
-    return jnp.asarray(result)
+    columns = np.asarray(regressor_of(network, patterns))[:, :, friction]
+    rigid[friction] = np.linalg.lstsq(columns[counts], left[counts], rcond=None)[0]
+    return jnp.asarray(rigid)

@@ -16,23 +16,36 @@ _BUNDLED = {"puma560": puma560, "panda": panda}
 
 Lengths = Literal["auto", "symbolic", "numeric"]
 RobotArgument = Annotated[
-    str, typer.Argument(metavar="ROBOT", help="A robot file (.toml), or puma560 or panda.")
+    str,
+    typer.Argument(metavar="ROBOT", help="A robot file (.toml, .urdf, .xml), or puma560 or panda."),
 ]
 LengthsOption = Annotated[
     Lengths,
     typer.Option(
-        help="Keep lengths as symbols or put their values in; auto: symbols up to 6 joints."
+        help="Keep lengths as symbols or put their values in; auto: symbols up to 6 joints, and"
+        " values for URDF and MJCF files."
     ),
+]
+BaseOption = Annotated[
+    str | None, typer.Option(help="Body of a URDF or MJCF file that the robot stands on.")
+]
+TipOption = Annotated[
+    str | None, typer.Option(help="Body of a URDF or MJCF file that the robot ends with.")
 ]
 
 
-def robot_named(name: str) -> Manipulator:
-    return _BUNDLED[name]() if name in _BUNDLED else load_robot(name)
+def robot_named(name: str, base: str | None = None, tip: str | None = None) -> Manipulator:
+    if name not in _BUNDLED:
+        return load_robot(name, base=base, tip=tip)
+    if base is not None or tip is not None:
+        raise RobotError(f"{name}: base and tip choose a part of a file; {name} is one robot")
+    return _BUNDLED[name]()
 
 
 def network_of(robot: Manipulator, lengths: Lengths) -> CSLC:
     if lengths == "auto":
-        lengths = "symbolic" if robot.joint_count <= 6 else "numeric"
+        drawn = robot.source is not None and robot.source.format != "toml"
+        lengths = "numeric" if drawn or robot.joint_count > 6 else "symbolic"
     return derive(robot, lengths=lengths)
 
 

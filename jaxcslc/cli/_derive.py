@@ -12,8 +12,10 @@ from ..assessment import (
     write_json,
 )
 from ._common import (
+    BaseOption,
     LengthsOption,
     RobotArgument,
+    TipOption,
     network_of,
     one_line_errors,
     robot_named,
@@ -24,13 +26,15 @@ from ._common import (
 def derive_command(
     robot: RobotArgument,
     lengths: LengthsOption = "auto",
+    base: BaseOption = None,
+    tip: TipOption = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for the tables, as files.")
     ] = None,
 ) -> None:
     """Derive a robot's inverse dynamics: its inputs, links and named coefficients."""
     with one_line_errors():
-        network = network_of(robot_named(robot), lengths)
+        network = network_of(robot_named(robot, base, tip), lengths)
         typer.echo(network)
         counts = network.counts
         for name in ("mass", "velocity", "gravity"):

@@ -14,8 +14,10 @@ from ..assessment import (
 from ..learning import Settings, choose_settings, settings_from
 from ..motion import load_recording
 from ._common import (
+    BaseOption,
     LengthsOption,
     RobotArgument,
+    TipOption,
     network_of,
     one_line_errors,
     progress,
@@ -34,6 +36,8 @@ def identify_command(
         "identified"
     ),
     lengths: LengthsOption = "auto",
+    base: BaseOption = None,
+    tip: TipOption = None,
     settings: Annotated[
         Path | None,
         typer.Option(
@@ -45,7 +49,7 @@ def identify_command(
     """Identify a robot's coefficients from a recording of positions and torques."""
     with one_line_errors(), progress("reading") as step:
         usable(output)
-        network = network_of(robot_named(robot), lengths)
+        network = network_of(robot_named(robot, base, tip), lengths)
         recording = load_recording(train, joints=network.joint_count)
         held_out = None if validate is None else load_recording(validate, network.joint_count)
         if settings is None:

@@ -223,13 +223,12 @@ def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
 def _twists(
     robot: Manipulator, ring: PositionRing, number: Callable[[Length, str], Any]
 ) -> tuple[LinkTwists, ...]:
-    a: list[Any] = []
-    d: list[Any] = []
-    for i, joint in enumerate(robot.joints):
-        a.append(0 if joint.a.is_zero else number(joint.a, f"a{i}"))
-        d.append(0 if joint.d.is_zero else number(joint.d, f"d{i + 1}"))
+    of: dict[str, list[Any]] = {letter: [] for letter in "adb"}
+    for i, joint in enumerate(robot.joints, start=1):
+        for letter, shift, length in joint.lengths:
+            of[letter].append(0 if length.is_zero else number(length, f"{letter}{i + shift}"))
         if joint.kind == "P":
-            d[i] = d[i] + ring.joint_variable(i)
+            of["d"][-1] = of["d"][-1] + ring.joint_variable(i - 1)
     if ring.constants:
         gravity = tuple(
             sign * ring.constant(symbol) if symbol else 0
@@ -241,8 +240,9 @@ def _twists(
         ring.chain,
         cosines=ring.cosines,
         sines=ring.sines,
-        a=a,
-        d=d,
+        a=of["a"],
+        d=of["d"],
+        b=of["b"],
         gravity=gravity,  # type: ignore[arg-type]
         reduce=ring.normal_form,
     )

@@ -1,9 +1,11 @@
+import dataclasses
+import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from flint import arb, arb_mat, ctx, fmpz_mod_ctx, fmpz_mod_mat
 from sympy import QQ
-from sympy.polys.matrices import DomainMatrix
 
 from ..manipulator import Manipulator
 from ._chain import Chain, link_twists
@@ -15,6 +17,12 @@ from ._inertial_terms import BODY, InertialTerm, gravity_factors, kinetic_factor
 # literature does (Gautier and Khalil 1990): mass, then the third first moment, then one moment.
 _REGROUPED_LAST = {"Iyy": 1, "hz": 2, "m": 3}
 _SEED = 1990
+# A Mersenne prime for exact arithmetic and another to test its result under.
+_PRIME, _CHECK = 2**521 - 1, 2**607 - 1
+_POSITIONS, _BITS = 8, 1024  # of ball arithmetic, where fractions are longer than the prime
+
+
+Row = list[Any]
 
 
 def base_parameters(
@@ -27,8 +35,14 @@ def base_parameters(
     is one term plus a rational combination of terms that are in no other way visible. That
     makes it canonical: it depends on the order of the terms alone.
 
-    The span is built from the forms at rational positions (every cosine and sine a rational
-    point of the unit circle), in exact arithmetic, until three further positions add nothing.
+    The span is built from the forms at random positions until three further ones add nothing,
+    in arithmetic modulo a large prime: it is as exact as that of rationals and does not swell.
+    (Rationals of arbitrary angles grow to thousands of digits in elimination: 8 s for a tree of
+    7 joints where this takes a fraction of one.) The combinations are then read back as the
+    simplest fractions of their residues and put to the test at one more position, under another
+    prime. Where angles are arbitrary the fractions are longer than that; then they are computed
+    as numbers, in ball arithmetic that bounds its own rounding, and rounded once.
+
     Positions are drawn from a fixed seed; a set that misses part of the span is a zero of a
     polynomial that does not vanish identically. Building it from the coefficients of the
     expanded tables gives the same echelon form (tested) but needs the tables, which have tens
@@ -38,22 +52,107 @@ def base_parameters(
     for, as {index: rational}.
     """
     order = sorted(range(len(terms)), key=lambda index: _preference(terms[index], index))
-    draw = random.Random(_SEED)
-    rows = DomainMatrix([], (0, len(terms)), QQ)
-    rank, idle, pivots = 0, 0, ()
-    while idle < 3:
-        sample = _forms_at_random_position(robot, chain, terms, order, draw)
-        rows, pivots = rows.vstack(DomainMatrix(sample, (len(sample), len(terms)), QQ)).rref()
-        rows = rows[: len(pivots), :]
-        idle = idle + 1 if len(pivots) == rank else 0
-        rank = len(pivots)
+    forms = _Forms(robot, chain, terms, order)
+    rows, pivots = _echelon_form(forms, _PRIME)
+    fractions = [
+        {column: _fraction(int(x), _PRIME) for column, x in enumerate(row) if x != 0}
+        for row in rows
+    ]
+    if not _explains(forms, pivots, fractions):
+        fractions = _in_balls(forms, pivots, fractions)
     combinations = [
-        {order[column]: row[column] for column in range(len(terms)) if row[column]}
-        for row in rows.to_ddm().to_list()
+        {order[column]: QQ(*fraction) for column, fraction in row.items()} for row in fractions
     ]
     chosen = [order[column] for column in pivots]
-    by_link = sorted(range(rank), key=lambda i: (terms[chosen[i]].link, order.index(chosen[i])))
+    by_link = sorted(
+        range(len(chosen)), key=lambda i: (terms[chosen[i]].link, order.index(chosen[i]))
+    )
     return tuple(chosen[i] for i in by_link), [combinations[i] for i in by_link]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Forms:
+    """Elements of M and G as linear forms in the terms, whose columns are in `order`."""
+
+    robot: Manipulator
+    chain: Chain
+    terms: Sequence[InertialTerm]
+    order: Sequence[int]
+
+    def at_random_position(self, draw: random.Random, field: Callable[[int], Any]) -> list[Row]:
+        """The forms' coefficients at one position, as numbers of a field."""
+        return _forms_at_random_position(
+            self.robot, self.chain, self.terms, self.order, draw, field
+        )
+
+
+def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int]]:
+    """The span's reduced row echelon form modulo a prime: its rows, and their pivot columns."""
+    draw, field = random.Random(_SEED), fmpz_mod_ctx(prime)
+    rows: list[Row] = []
+    rank, idle = 0, 0
+    while idle < 3:
+        rows += forms.at_random_position(draw, field)
+        matrix, found = fmpz_mod_mat(rows, field).rref()
+        rows = matrix.tolist()[:found]  # behind them are rows of zeros
+        idle = idle + 1 if found == rank else 0
+        rank = found
+    return rows, [next(column for column, x in enumerate(row) if x != 0) for row in rows]
+
+
+def _explains(
+    forms: _Forms, pivots: Sequence[int], fractions: Sequence[dict[int, tuple[int, int]]]
+) -> bool:
+    """Whether the combinations span the forms at a new position, modulo another prime."""
+    field = fmpz_mod_ctx(_CHECK)
+    combinations = [
+        {column: field(top) / field(bottom) for column, (top, bottom) in row.items()}
+        for row in fractions
+    ]
+    for form in forms.at_random_position(random.Random(_SEED + 1), field):
+        rest = list(form)
+        for pivot, combination in zip(pivots, combinations, strict=True):
+            if form[pivot] != 0:
+                for column, x in combination.items():
+                    rest[column] = rest[column] - form[pivot] * x
+        if any(x != 0 for x in rest):
+            return False
+    return True
+
+
+def _in_balls(
+    forms: _Forms, pivots: Sequence[int], known: Sequence[dict[int, Any]]
+) -> list[dict[int, tuple[int, int]]]:
+    """The combinations as numbers: those that are not zero are in `known`.
+
+    Every form is the sum of the combinations, weighted by its own entries at the pivots.
+    """
+    draw = random.Random(_SEED)
+    with ctx.workprec(_BITS):
+        rows = [row for _ in range(_POSITIONS) for row in forms.at_random_position(draw, arb)]
+        at_pivots = arb_mat([[row[pivot] for pivot in pivots] for row in rows])
+        # Normal equations square the condition, which a thousand bits can bear.
+        solution = (at_pivots.transpose() * at_pivots).solve(at_pivots.transpose() * arb_mat(rows))
+        return [
+            {
+                column: (1, 1)
+                if column == pivot
+                else float(solution[row, column]).as_integer_ratio()
+                for column in known[row]
+            }
+            for row, pivot in enumerate(pivots)
+        ]
+
+
+def _fraction(residue: int, prime: int) -> tuple[int, int]:
+    """The fraction of smallest numerator and denominator that leaves this residue (Wang 1981)."""
+    bound = math.isqrt(prime // 2)
+    before, now, factor_before, factor = prime, residue, 0, 1
+    while now > bound:
+        quotient = before // now
+        before, now = now, before - quotient * now
+        factor_before, factor = factor, factor_before - quotient * factor
+    return (now, factor) if factor > 0 else (-now, -factor)
 
 
 def _preference(term: InertialTerm, index: int) -> tuple[int, int]:
@@ -69,30 +168,48 @@ def _forms_at_random_position(
     terms: Sequence[InertialTerm],
     order: Sequence[int],
     draw: random.Random,
+    field: Any,
 ) -> list[list[Any]]:
     """Coefficients of `terms`, in `order`, in every element of M and G at one position."""
 
-    def rational() -> Any:
-        return QQ(draw.randint(-9, 9), draw.randint(1, 9))
+    def number(x: Any) -> Any:
+        return field(int(x.numerator)) / field(int(x.denominator))
+
+    def anywhere() -> Any:
+        return field(draw.randrange(1, 2**20)) / field(2**19)
 
     cosines: list[Any] = []
     sines: list[Any] = []
     for _ in chain.angles:
-        t = rational()
+        t = anywhere()
         cosines.append((1 - t * t) / (1 + t * t))
         sines.append(2 * t / (1 + t * t))
-    zero = QQ(0)
-    d = [exact_number(joint.d.value or 0.0) for joint in robot.joints]
+    zero = field(0)
+    a, d, b = (
+        [number(exact_number(getattr(joint, letter).value or 0.0)) for joint in robot.joints]
+        for letter in "adb"
+    )
+    turned = [
+        dataclasses.replace(
+            link,
+            **{
+                name: tuple(number(x) for x in getattr(link, name))
+                for name in ("branch", "twist", "offset")
+            },
+        )
+        for link in chain.links
+    ]
     twists = link_twists(
-        chain,
+        dataclasses.replace(chain, links=tuple(turned)),
         cosines=cosines,
         sines=sines,
-        a=[exact_number(joint.a.value or 0.0) for joint in robot.joints],
+        a=a,
         d=[
-            offset + rational() if joint.kind == "P" else offset
+            offset + anywhere() if joint.kind == "P" else offset
             for joint, offset in zip(robot.joints, d, strict=True)
         ],
-        gravity=tuple(exact_number(g) for g in robot.gravity),  # type: ignore[arg-type]
+        b=b,
+        gravity=tuple(number(exact_number(g)) for g in robot.gravity),  # type: ignore[arg-type]
     )
     n, needed = len(twists), set[str](BODY)
     place = {index: column for column, index in enumerate(order)}
@@ -106,7 +223,7 @@ def _forms_at_random_position(
                 factors = cache.setdefault(term.link, {}) or factors_of(twists[term.link])
                 cache[term.link] = factors
                 total = sum(
-                    (multiple * QQ(factors.get(entry, 0)) for entry, multiple in term.body), zero
+                    (multiple * factors.get(entry, 0) for entry, multiple in term.body), zero
                 )
                 entries[place[index]] = total
         return entries
@@ -117,7 +234,7 @@ def _forms_at_random_position(
             if j == k:
                 for index, term in enumerate(terms):
                     if term.factors == ("motor",) and term.link == j:
-                        entries[place[index]] = QQ(1)
+                        entries[place[index]] = field(1)
             rows.append(entries)
         rows.append(row(j, lambda twist, j=j: gravity_factors(twist, j, needed)))
     return rows

@@ -35,9 +35,11 @@ class Angle:
 
 @dataclass(frozen=True)
 class ChainLink:
-    """How a link's frame follows from the one before, with exact constant rotations."""
+    """How a link's frame follows from its parent's, with exact constant rotations."""
 
+    parent: int  # -1: the base
     prismatic: bool
+    branch: tuple[Any, Any]  # cos, sin of gamma
     twist: tuple[Any, Any]  # cos, sin of alpha
     joins_group: bool  # its axis is parallel or antiparallel to the axis before
     side: int  # +1 or -1: direction of its axis within the group of parallel axes
@@ -47,7 +49,10 @@ class ChainLink:
 
 @dataclass(frozen=True)
 class Chain:
-    """A robot's kinematics, sorted into groups of parallel axes (thesis 2.6.2)."""
+    """A robot's kinematics, sorted into groups of parallel axes (thesis 2.6.2).
+
+    Joints are numbered outwards, so that a parent's index is below its children's.
+    """
 
     links: tuple[ChainLink, ...]
     angles: tuple[Angle, ...]
@@ -56,27 +61,33 @@ class Chain:
     def from_robot(cls, robot: Manipulator) -> "Chain":
         links: list[ChainLink] = []
         angles: list[Angle] = []
-        side, current, offset = 1, None, (QQ(1), QQ(0))
         wide = len(robot.joints) > 9
-        for i, joint in enumerate(robot.joints):
-            twist = exact_cos_sin(joint.alpha)
-            joins = i > 0 and twist[1] == 0
+        for i, (joint, parent) in enumerate(zip(robot.joints, robot.parents, strict=True)):
+            branch, twist = exact_cos_sin(joint.gamma), exact_cos_sin(joint.alpha)
+            joins = parent >= 0 and twist[1] == 0
             if joins:
-                side = side * int(twist[0])
+                before = links[parent]
+                current, offset = before.angle, _rotate_by(before.offset, branch, before.side)
+                side = before.side * int(twist[0])
             else:
                 side, current, offset = 1, None, (QQ(1), QQ(0))
-            turn = exact_cos_sin(joint.theta)
-            offset = _rotate(offset, (turn[0], side * turn[1]))
+            offset = _rotate_by(offset, exact_cos_sin(joint.theta), side)
             if joint.kind == "R":
-                before = () if current is None else angles[current].terms
+                terms = () if current is None else angles[current].terms
                 current = len(angles)
-                angles.append(Angle((*before, (i, side)), wide))
-            links.append(ChainLink(joint.kind == "P", twist, joins, side, current, offset))
+                angles.append(Angle((*terms, (i, side)), wide))
+            prismatic = joint.kind == "P"
+            links.append(ChainLink(parent, prismatic, branch, twist, joins, side, current, offset))
         return cls(tuple(links), tuple(angles))
 
 
-def _rotate(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
-    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+def _rotate_by(a: tuple[Any, Any], b: tuple[Any, Any], side: int) -> tuple[Any, Any]:
+    """Cosine and sine of the sum of two angles, the second counted about an axis's own side."""
+    cos, sin = b[0], _signed(side, b[1])
+    return (
+        _plus(_scale(a[0], cos), _minus(_scale(a[1], sin))),
+        _plus(_scale(a[0], sin), _scale(a[1], cos)),
+    )
 
 
 Vector = tuple[Any, Any, Any]
@@ -87,7 +98,8 @@ class LinkTwists:
     """Unit velocities of one link, expressed in its own frame.
 
     `angular[j]` and `linear[j]` are the angular velocity of the link and the velocity of its
-    frame's origin when joint j alone moves at unit rate; `gravity` is the gravity vector.
+    frame's origin when joint j alone moves at unit rate, for j up to the link: zero for joints
+    that do not carry it; `gravity` is the gravity vector.
     """
 
     angular: tuple[Vector, ...]
@@ -102,6 +114,7 @@ def link_twists(
     sines: Sequence[Any],
     a: Sequence[Any],
     d: Sequence[Any],
+    b: Sequence[Any],
     gravity: Vector,
     reduce: Any = lambda x: x,
 ) -> tuple[LinkTwists, ...]:
@@ -117,36 +130,44 @@ def link_twists(
     **Arguments**
 
     - `cosines`, `sines`: of each of `chain.angles`.
-    - `a`, `d`: length and offset of each joint's row, the variable of a prismatic joint included.
+    - `a`, `d`, `b`: lengths and offsets of each joint's row, the variable of a prismatic joint
+      included.
     - `gravity`: gravity vector in the base frame.
     - `reduce`: brings a product of polynomials into normal form.
 
     **Returns** one `LinkTwists` a link.
     """
+    nothing: Vector = (0, 0, 0)
+    # For every link: Jacobian columns and gravity in the axes of its group of parallel axes, and
+    # the rotation from there about the common axis.
+    seen: list[tuple[list[Vector], list[Vector], Vector, tuple[Any, Any]]] = []
     twists: list[LinkTwists] = []
-    angular: list[Vector] = []  # in the axes of the current group of parallel axes
-    linear: list[Vector] = []
-    turn: tuple[Any, Any] = (1, 0)
-    side = 1
     for i, link in enumerate(chain.links):
+        angular: list[Vector] = []
+        linear: list[Vector] = []
+        weight, turn, side = gravity, (1, 0), 1
+        if link.parent >= 0:
+            angular, linear, weight, turn = seen[link.parent]
+            side = chain.links[link.parent].side
+        turn = _rotate_by(turn, link.branch, side)
         cos_twist, sin_twist = link.twist
         if link.joins_group:
-            step = (turn[0] * a[i], turn[1] * a[i], link.side * d[i])
-            linear = [
-                _add(v, _cross(w, step, reduce)) for w, v in zip(angular, linear, strict=True)
-            ]
+            height = _plus(_signed(side, b[i]), _signed(link.side, d[i]))
+            step = (_scale(turn[0], a[i]), _scale(turn[1], a[i]), height)
+            linear = _moved(angular, linear, step, reduce)
         else:
-            step = (a[i], -sin_twist * d[i], cos_twist * d[i])
             angular = [_into_frame(w, turn, side, reduce) for w in angular]
             linear = [_into_frame(v, turn, side, reduce) for v in linear]
-            linear = [
-                _add(v, _cross(w, step, reduce)) for w, v in zip(angular, linear, strict=True)
-            ]
-            gravity = _into_frame(gravity, turn, side, reduce)
+            weight = _into_frame(weight, turn, side, reduce)
+            step = (
+                a[i],
+                _minus(_scale(sin_twist, d[i])),
+                _plus(_scale(cos_twist, d[i]), b[i]),
+            )
+            linear = _moved(angular, linear, step, reduce)
             angular = [_untwist(w, cos_twist, sin_twist) for w in angular]
             linear = [_untwist(v, cos_twist, sin_twist) for v in linear]
-            gravity = _untwist(gravity, cos_twist, sin_twist)
-        side = link.side
+            weight = _untwist(weight, cos_twist, sin_twist)
         cos_offset, sin_offset = link.offset
         if link.angle is None:
             turn = link.offset
@@ -154,22 +175,35 @@ def link_twists(
             c, s = cosines[link.angle], sines[link.angle]
             turn = (_scale(cos_offset, c) - _scale(sin_offset, s),
                     _scale(sin_offset, c) + _scale(cos_offset, s))  # fmt: skip
-        axis, nothing = (0, 0, side), (0, 0, 0)
-        angular.append(nothing if link.prismatic else axis)
-        linear.append(axis if link.prismatic else nothing)
+        axis: Vector = (0, 0, link.side)
+        apart = [nothing] * (i - len(angular))  # joints that do not carry this link
+        angular = [*angular, *apart, nothing if link.prismatic else axis]
+        linear = [*linear, *apart, axis if link.prismatic else nothing]
+        seen.append((angular, linear, weight, turn))
         twists.append(
             LinkTwists(
-                tuple(_into_frame(w, turn, side, reduce) for w in angular),
-                tuple(_into_frame(v, turn, side, reduce) for v in linear),
-                _into_frame(gravity, turn, side, reduce),
+                tuple(_into_frame(w, turn, link.side, reduce) for w in angular),
+                tuple(_into_frame(v, turn, link.side, reduce) for v in linear),
+                _into_frame(weight, turn, link.side, reduce),
             )
         )
     return tuple(twists)
 
 
+def _moved(
+    angular: Sequence[Vector], linear: Sequence[Vector], step: Vector, reduce: Any
+) -> list[Vector]:
+    """Velocities of a point a step further out on the same body."""
+    return [_add(v, _cross(w, step, reduce)) for w, v in zip(angular, linear, strict=True)]
+
+
 def _is_zero(x: Any) -> bool:
     """Exactly zero; an array never is, so that this never asks for its value."""
     return not hasattr(x, "shape") and x == 0
+
+
+def _signed(side: int, x: Any) -> Any:
+    return x if side > 0 else _minus(x)
 
 
 def _scale(factor: Any, x: Any) -> Any:

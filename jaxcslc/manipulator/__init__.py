@@ -1,7 +1,15 @@
 from ._errors import RobotError as RobotError
+from ._friction import (
+    FRICTION_TERMS as FRICTION_TERMS,
+    STATIC_SLOPE as STATIC_SLOPE,
+    Coupling as Coupling,
+)
 from ._inertia import LinkInertia as LinkInertia
 from ._joint import Joint as Joint, Length as Length
 from ._link_parameters import LinkParameters as LinkParameters
+from ._load import load_robot as load_robot
 from ._manipulator import Manipulator as Manipulator
 from ._numbering import Numbering as Numbering, Subnumbering as Subnumbering
-from ._toml import load_robot as load_robot, panda as panda, puma560 as puma560
+from ._source import Source as Source
+from ._toml import panda as panda, puma560 as puma560, tx40 as tx40
+from ._xml import Element as Element, parse_xml as parse_xml, read_xml as read_xml

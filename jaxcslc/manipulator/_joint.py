@@ -36,11 +36,15 @@ class Length:
 class Joint:
     """One row of modified Denavit-Hartenberg parameters (thesis 2.6.1, Eqn. 2.6-1).
 
-    The frame of link i follows from that of link i - 1 by
-    `Rot(x, alpha) Trans(x, a) Trans(z, d) Rot(z, theta)`. The joint variable is added to
-    `theta` for a revolute joint ("R", rad) and to `d` for a prismatic one ("P", m).
+    The frame of link i follows from that of its parent by
+    `Rot(z, gamma) Trans(z, b) Rot(x, alpha) Trans(x, a) Trans(z, d) Rot(z, theta)`. The joint
+    variable is added to `theta` for a revolute joint ("R", rad) and to `d` for a prismatic one
+    ("P", m). Along a serial chain `gamma` and `b` are zero, for they can be part of the row
+    before; where a tree branches they are needed (Khalil and Kleinfinger 1986), and where the
+    base frame is given.
 
-    `alpha` and `theta` are in rad, `a` and `d` in m.
+    `parent` is the joint whose link carries this one: 1 for the first, 0 for the base, None for
+    the joint before. `alpha`, `theta` and `gamma` are in rad, `a`, `d` and `b` in m.
     """
 
     kind: JointKind
@@ -48,6 +52,14 @@ class Joint:
     a: Length
     d: Length
     theta: float
+    gamma: float = 0.0
+    b: Length = Length()
+    parent: int | None = None
+
+    @property
+    def lengths(self) -> tuple[tuple[str, int, Length], ...]:
+        """Letter, shift of the index that it is called by, and value: a of row i is a(i-1)."""
+        return ("a", -1, self.a), ("d", 0, self.d), ("b", -1, self.b)
 
 
 def parse_angle(value: object, where: str) -> float:
@@ -117,6 +129,6 @@ def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
 
 def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: str) -> None:
     """**Raises** `RobotError` if a named length is not used by any joint."""
-    used = {length.symbol for joint in joints for length in (joint.a, joint.d)}
+    used = {length.symbol for joint in joints for _, _, length in joint.lengths}
     if unused := sorted(set(values) - used):
         raise RobotError(f"{where}: {unused[0]!r} is not used by any joint")

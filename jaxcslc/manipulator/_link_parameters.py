@@ -1,3 +1,5 @@
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
@@ -38,3 +40,38 @@ class LinkParameters(eqx.Module):
         """Inertia tensor about the origin of the link's frame (Eqns. 2.3-18, 2.3-19) [kg m²]."""
         r = self.centre_of_gravity
         return self.inertia + self.mass * (r @ r * np.eye(3) - r[:, None] * r[None, :])
+
+
+def seen_from(link: LinkParameters, pose: Float[Array | np.ndarray, "4 4"]) -> LinkParameters:
+    """A body's parameters in another frame, in which its own frame has the given pose.
+
+    Motor inertia is of the joint and stays as it is.
+    """
+    rotation, origin = pose[:3, :3], pose[:3, 3]
+    return LinkParameters(
+        link.mass,
+        rotation @ link.centre_of_gravity + origin,
+        rotation @ link.inertia @ rotation.T,
+        link.motor_inertia,
+    )
+
+
+def fixed_together(links: Sequence[LinkParameters]) -> LinkParameters:
+    """Several bodies as one, all in the same frame (parallel axes, Eqns. 2.3-18, 2.3-19).
+
+    Without mass the centre of gravity is the frame's origin. The motor inertia is the sum.
+
+    >>> import numpy as np
+    >>> ball = LinkParameters(1.0, np.array([1.0, 0, 0]), np.zeros((3, 3)))
+    >>> other = LinkParameters(3.0, np.array([-1.0, 0, 0]), np.zeros((3, 3)))
+    >>> both = fixed_together([ball, other])
+    >>> float(both.mass), both.centre_of_gravity.tolist(), np.diag(both.inertia).tolist()
+    (4.0, [-0.5, 0.0, 0.0], [0.0, 3.0, 3.0])
+    """
+    mass = sum((link.mass for link in links), 0.0)
+    moment = sum((link.first_moment for link in links), np.zeros(3))
+    about_origin = sum((link.inertia_at_frame for link in links), np.zeros((3, 3)))
+    centre = moment / mass if mass else np.zeros(3)
+    shift = mass * (centre @ centre * np.eye(3) - centre[:, None] * centre[None, :])
+    motor = sum((link.motor_inertia for link in links), 0.0)
+    return LinkParameters(mass, centre, about_origin - shift, motor)

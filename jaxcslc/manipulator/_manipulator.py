@@ -3,6 +3,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ._errors import RobotError
+from ._friction import (
+    FRICTION_TERMS,
+    Coupling,
+    check_friction,
+    check_own_friction,
+    check_slopes,
+    couplings,
+)
 from ._inertia import InertiaForm, LinkInertia
 from ._joint import (
     Joint,
@@ -14,25 +22,27 @@ from ._joint import (
 )
 from ._link_parameters import LinkParameters
 from ._numbering import Numbering, Subnumbering
-
-
-FRICTION_TERMS = ("viscous", "dry", "offset")
+from ._source import Source
 
 
 @dataclass(frozen=True)
 class Manipulator:
-    """A serial chain of rigid links: all that the derivation needs to know of a robot.
+    """A chain or tree of rigid links: all that the derivation needs to know of a robot.
 
     **Attributes**
 
     - `joints`: one `Joint` (a row of modified Denavit-Hartenberg parameters) a link.
     - `inertia`: one `LinkInertia` a link: which inertial terms exist.
     - `gravity`: gravity vector in the base frame [m/s²].
-    - `friction`: the friction terms of every joint's model, out of `"viscous"`, `"dry"`
-      (Eqn. 2.5-3) and `"offset"`, a constant torque.
+    - `friction`: the friction terms of every joint's model: words of `docs/friction.md`, such as
+      `"viscous"`, `"dry"` (Eqn. 2.5-3) and `"offset"`, a constant torque.
     - `links`: the physical parameters of each link, where they are known.
     - `viscous`, `dry`: friction coefficients of each joint, where known [N m s/rad], [N m].
     - `numbering`: a published numbering to follow.
+    - `own_friction`: for each joint terms in place of `friction`, or None; or None for all.
+    - `coupled`: pairs of joints that share a motor's inertia and friction.
+    - `static_slopes`: of each joint's static friction, where known or guessed [s/rad or s/m].
+    - `source`: the file that it was read from, if it was.
 
     Build one with `Manipulator.from_modified_dh`, `load_robot` or `puma560`.
     """
@@ -46,6 +56,10 @@ class Manipulator:
     viscous: tuple[float, ...] | None = dataclasses.field(default=None, compare=False)
     dry: tuple[float, ...] | None = dataclasses.field(default=None, compare=False)
     numbering: Numbering | None = None
+    own_friction: tuple[tuple[str, ...] | None, ...] | None = None
+    coupled: tuple[Coupling, ...] = ()
+    static_slopes: tuple[float, ...] | None = dataclasses.field(default=None, compare=False)
+    source: Source | None = dataclasses.field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         n = len(self.joints)
@@ -58,27 +72,42 @@ class Manipulator:
                     f"robot {self.name!r}: expected {n} entries of {field}, one a joint,"
                     f" got {len(value)}"
                 )
-        if unknown := [term for term in self.friction if term not in FRICTION_TERMS]:
-            raise RobotError(
-                f"robot {self.name!r}: unknown friction term {unknown[0]!r};"
-                f" expected some of {', '.join(FRICTION_TERMS)}"
-            )
-        if len(set(self.friction)) != len(self.friction):
-            raise RobotError(f"robot {self.name!r}: a friction term is listed twice")
+        where = f"robot {self.name!r}"
+        check_friction(self.friction, where)
+        check_own_friction(self.own_friction, n, where)
+        check_slopes(self.static_slopes, n, where)
+        object.__setattr__(self, "coupled", couplings(self.coupled, self.kinds, where))
         given = {
-            length.symbol for joint in self.joints for length in (joint.a, joint.d) if length.symbol
+            length.symbol
+            for joint in self.joints
+            for _, _, length in joint.lengths
+            if length.symbol
         }
         for i, joint in enumerate(self.joints, start=1):
-            for name, length in ((f"a{i - 1}", joint.a), (f"d{i}", joint.d)):
+            if joint.parent is not None and not 0 <= joint.parent < i:
+                raise RobotError(
+                    f"robot {self.name!r}, joint {i}, parent: expected a joint before it, or 0 for"
+                    f" the base, got {joint.parent}"
+                )
+            for letter, shift, length in joint.lengths:
+                name = f"{letter}{i + shift}"
                 if length.symbol is None and not length.is_zero and name in given:
                     raise RobotError(
-                        f"robot {self.name!r}, joint {i}, {name[0]}: the number {length.value} is"
+                        f"robot {self.name!r}, joint {i}, {letter}: the number {length.value} is"
                         f" called {name!r} by its place, and another length has that name; name it"
                     )
 
     @property
     def joint_count(self) -> int:
         return len(self.joints)
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """For each joint the one whose link carries it, counted from 0; -1 for the base."""
+        return tuple(
+            i - 1 if joint.parent is None else joint.parent - 1
+            for i, joint in enumerate(self.joints)
+        )
 
     @property
     def kinds(self) -> str:
@@ -90,6 +119,7 @@ class Manipulator:
         cls,
         rows: Sequence[Sequence[float | int | str]],
         *,
+        parents: Sequence[int] | None = None,
         kinds: str | None = None,
         gravity: Sequence[float | int] = (0.0, 0.0, -9.81),
         inertia: InertiaForm | LinkInertia | Sequence[InertiaForm | LinkInertia] = "full",
@@ -105,7 +135,10 @@ class Manipulator:
         - `rows`: one `(alpha, a, d, theta)` a joint: twist and length of the link before,
           offset and angle of this one. Angles in rad or as `"-pi/2"`; lengths in m or as the
           name of a length, such as `"a2"`. `theta` of a revolute joint and `d` of a prismatic
-          one are what is added to the joint variable.
+          one are what is added to the joint variable. Where a tree branches, two more:
+          `(alpha, a, d, theta, gamma, b)`, see `Joint`.
+        - `parents`: for each joint the one whose link carries it, counted from 1, 0 for the base;
+          the joint before if omitted.
         - `kinds`: `"R"` or `"P"` for each joint; all revolute if omitted.
         - `gravity`: gravity vector in the base frame [m/s²].
         - `inertia`: `"full"`, `"principal"` or a `LinkInertia`, for all links or one a link.
@@ -129,12 +162,17 @@ class Manipulator:
                 f"robot {name!r}: kinds must be one R or P for each of {len(rows)} rows,"
                 f" got {kinds!r}"
             )
+        if parents is not None and len(parents) != len(rows):
+            raise RobotError(
+                f"robot {name!r}: expected {len(rows)} parents, one a row, got {len(parents)}"
+            )
         values = length_table(lengths or {}, f"robot {name!r}, lengths")
         joints: list[Joint] = []
         for i, (row, kind) in enumerate(zip(rows, kinds, strict=True), start=1):
-            if len(row) != 4:
+            if len(row) not in (4, 6):
                 raise RobotError(
-                    f"robot {name!r}, joint {i}: expected (alpha, a, d, theta), got {row!r}"
+                    f"robot {name!r}, joint {i}: expected (alpha, a, d, theta) or"
+                    f" (alpha, a, d, theta, gamma, b), got {row!r}"
                 )
             at = f"robot {name!r}, joint {i}"
             joints.append(
@@ -144,6 +182,9 @@ class Manipulator:
                     parse_length(row[1], values, f"{at}, a"),
                     parse_length(row[2], values, f"{at}, d"),
                     parse_angle(row[3], f"{at}, theta"),
+                    parse_angle(row[4], f"{at}, gamma") if len(row) == 6 else 0.0,
+                    parse_length(row[5] if len(row) == 6 else 0, values, f"{at}, b"),
+                    None if parents is None else int(parents[i - 1]),
                 )
             )
         unused_lengths(values, joints, f"robot {name!r}, lengths")
@@ -173,9 +214,55 @@ class Manipulator:
             numbering = dataclasses.replace(numbering, gravity=Subnumbering(()))
         return dataclasses.replace(self, gravity=vector, numbering=numbering)
 
-    def with_friction(self, *terms: str) -> "Manipulator":
-        """The same robot with another friction model, as in `with_friction("viscous", "dry")`."""
-        return dataclasses.replace(self, friction=terms)
+    @property
+    def friction_per_joint(self) -> tuple[tuple[str, ...], ...]:
+        """The friction terms of each joint: its own, or those of all."""
+        own = self.own_friction or (None,) * self.joint_count
+        return tuple(self.friction if terms is None else terms for terms in own)
+
+    @property
+    def friction_terms(self) -> tuple[str, ...]:
+        """Every friction term that some joint has: those of `friction` first, in its order."""
+        used = {term for terms in self.friction_per_joint for term in terms}
+        order = dict.fromkeys((*self.friction, *FRICTION_TERMS))
+        return tuple(term for term in order if term in used)
+
+    def with_friction(self, *terms: str, joint: int | None = None) -> "Manipulator":
+        """The same robot with another friction model, as in `with_friction("viscous", "dry")`.
+
+        For all joints, or for one of them, counted from 1. Terms are listed in
+        `docs/friction.md`; **raises** `RobotError` for those that are unknown or say the same.
+
+        >>> robot = Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)])
+        >>> robot.with_friction("viscous", joint=2).friction_per_joint
+        (('viscous', 'dry'), ('viscous',))
+        """
+        if joint is None:
+            return dataclasses.replace(self, friction=terms, own_friction=None)
+        if not 1 <= joint <= self.joint_count:
+            raise RobotError(
+                f"robot {self.name!r}: there is no joint {joint}; expected 1 to {self.joint_count}"
+            )
+        own = list(self.own_friction or (None,) * self.joint_count)
+        own[joint - 1] = terms
+        return dataclasses.replace(self, own_friction=tuple(own))
+
+    def with_coupling(self, *pairs: Sequence[int | float]) -> "Manipulator":
+        """The same robot, these pairs of joints coupled: `with_coupling((5, 6))`, from 1.
+
+        A pair shares the inertia and friction of a shaft that turns by q5 + q6, or by
+        q5 + ratio q6 where the pair has a third number. No pairs take couplings away.
+
+        >>> robot = Manipulator.from_modified_dh([(0, 0, 0, 0), ("pi/2", 0, 0, 0)])
+        >>> robot.with_coupling((1, 2, -1.0)).coupled
+        (Coupling(first=1, second=2, ratio=-1.0),)
+        """
+        where = f"robot {self.name!r}"
+        return dataclasses.replace(self, coupled=couplings(pairs, self.kinds, where))
+
+    def with_static_slopes(self, slopes: Sequence[float]) -> "Manipulator":
+        """The same robot with these slopes of static friction, one a joint [s/rad or s/m]."""
+        return dataclasses.replace(self, static_slopes=tuple(float(slope) for slope in slopes))
 
     def with_inertia(self, form: InertiaForm, *, motor_inertia: bool = True) -> "Manipulator":
         """The same robot with `form` for every link, nothing assumed zero or equal."""
@@ -209,9 +296,9 @@ class Manipulator:
         """Every length that is not zero, by the name that symbolic expressions use."""
         named: dict[str, Length] = {}
         for i, joint in enumerate(self.joints, start=1):
-            for letter, index, length in (("a", i - 1, joint.a), ("d", i, joint.d)):
+            for letter, shift, length in joint.lengths:
                 if not length.is_zero:
-                    named[length.symbol or f"{letter}{index}"] = length
+                    named[length.symbol or f"{letter}{i + shift}"] = length
         return named
 
 

@@ -8,51 +8,60 @@ from typing import Any
 import numpy as np
 
 from ._errors import RobotError
+from ._friction import STATIC_SLOPE
 from ._inertia import LinkInertia
 from ._joint import Joint, length_table, parse_angle, parse_length, unused_lengths
 from ._link_parameters import LinkParameters
 from ._manipulator import Manipulator
 from ._numbering import Numbering, Subnumbering
+from ._source import Source
 
 
 _ROUNDING = 1e-12
-_ROBOT_KEYS = {"name", "about", "gravity", "friction", "lengths", "links", "joint", "numbering"}
+_ROBOT_KEYS = {
+    "name",
+    "about",
+    "gravity",
+    "friction",
+    "coupled",
+    "lengths",
+    "links",
+    "joint",
+    "numbering",
+}
 _DEFAULT_KEYS = {"inertia", "motor_inertia"}
-_JOINT_KEYS = {"kind", "alpha", "a", "d", "theta", "link", "viscous", "dry"}
+_JOINT_KEYS = {
+    *("kind", "alpha", "a", "d", "theta", "gamma", "b", "parent", "link", "viscous", "dry"),
+    *("friction", "static_slope"),
+}
 _LINK_KEYS = {
     *("inertia", "motor", "zero", "equal"),
     *("mass", "centre_of_gravity", "inertia_tensor", "motor_inertia"),
 }
 
 
-def load_robot(path: str | Path) -> Manipulator:
+def read_toml(path: Path) -> Manipulator:
     """A robot from its TOML description; the format is documented in `docs/robots.md`.
-
-    **Arguments**
-
-    - `path`: a `.toml` file.
 
     **Raises**
 
     - `RobotError`: one line that names the file, the joint and the key that is missing, unknown
       or contradictory, and what was expected.
-
-    >>> from importlib.resources import files
-    >>> load_robot(str(files("jaxcslc.manipulator") / "robots" / "panda.toml")).joint_count
-    7
     """
-    path = Path(path)
-    if path.suffix.lower() != ".toml":
-        raise RobotError(f"{path}: expected a robot file ending in .toml")
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise RobotError(f"{path}: no such robot file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise RobotError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RobotError(f"{path}: not valid TOML: {error}") from None
-    return _robot(document, str(path))
+    robot = _robot(document, str(path))
+    n = robot.joint_count
+    names = tuple(f"joint {i}" for i in range(1, n + 1))
+    links = tuple(f"link {i}" for i in range(1, n + 1))
+    source = Source(str(path), "toml", names, links, (np.eye(4),) * n, (None,) * n)
+    return dataclasses.replace(robot, source=source)
 
 
 def puma560() -> Manipulator:
@@ -77,6 +86,18 @@ def panda() -> Manipulator:
     'RRRRRRR'
     """
     return _bundled("panda.toml")
+
+
+def tx40() -> Manipulator:
+    """The Stäubli TX40: 6 revolute joints, full inertia tensors, the wrist's motors coupled.
+
+    Kinematics of the URDF in figaroh-examples; no link parameters. Static friction, and the
+    shaft that joints 5 and 6 share, are part of its friction model.
+
+    >>> tx40().coupled
+    (Coupling(first=5, second=6, ratio=1.0),)
+    """
+    return _bundled("tx40.toml")
 
 
 def _bundled(name: str) -> Manipulator:
@@ -127,14 +148,18 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
             inertia=tuple(inertia),
             gravity=(0.0, 0.0, 0.0),
             friction=tuple(friction),
+            own_friction=_own_friction(entries, where),
+            coupled=_coupled(document.get("coupled", []), where),
             links=tuple(given) if given else None,
         ).with_gravity(gravity)
     except RobotError as error:
         raise error if str(error).startswith(where) else RobotError(f"{where}: {error}") from None
+    terms = list(robot.friction_terms)
     return dataclasses.replace(
         robot,
-        viscous=_friction(entries, "viscous", friction, where),
-        dry=_friction(entries, "dry", friction, where),
+        viscous=_friction(entries, "viscous", terms, where),
+        dry=_friction(entries, "dry", terms, where),
+        static_slopes=_static_slopes(entries, robot, where),
         numbering=_numbering(document["numbering"], where) if "numbering" in document else None,
     )
 
@@ -143,12 +168,20 @@ def _joint(table: Mapping[str, Any], lengths: dict[str, float], at: str) -> Join
     kind = table.get("kind", "R")
     if kind not in ("R", "P"):
         raise RobotError(f"{at}, kind: expected 'R' (revolute) or 'P' (prismatic), got {kind!r}")
+    parent = table.get("parent")
+    if parent is not None and (isinstance(parent, bool) or not isinstance(parent, int)):
+        raise RobotError(
+            f"{at}, parent: expected the number of a joint, or 0 for the base, got {parent!r}"
+        )
     return Joint(
         kind,
         parse_angle(table.get("alpha", 0), f"{at}, alpha"),
         parse_length(table.get("a", 0), lengths, f"{at}, a"),
         parse_length(table.get("d", 0), lengths, f"{at}, d"),
         parse_angle(table.get("theta", 0), f"{at}, theta"),
+        parse_angle(table.get("gamma", 0), f"{at}, gamma"),
+        parse_length(table.get("b", 0), lengths, f"{at}, b"),
+        parent,
     )
 
 
@@ -245,6 +278,36 @@ def _friction(
             f" {', '.join(friction) or 'none'}"
         )
     return tuple(given)
+
+
+def _static_slopes(entries: list[Any], robot: Manipulator, where: str) -> tuple[float, ...] | None:
+    slopes = [STATIC_SLOPE] * len(entries)
+    for i, entry in enumerate(entries, start=1):
+        if "static_slope" in entry:
+            at = f"{where}, joint {i}, static_slope"
+            slopes[i - 1] = _number(entry["static_slope"], at)
+            if slopes[i - 1] <= 0:
+                raise RobotError(f"{at}: expected a number above 0, got {slopes[i - 1]}")
+            if "static" not in robot.friction_per_joint[i - 1]:
+                raise RobotError(f"{at}: the joint has no static friction among its terms")
+    return tuple(slopes) if any("static_slope" in entry for entry in entries) else None
+
+
+def _own_friction(entries: list[Any], where: str) -> tuple[tuple[str, ...] | None, ...] | None:
+    own = tuple(
+        tuple(_words(entry["friction"], f"{where}, joint {i}, friction"))
+        if "friction" in entry
+        else None
+        for i, entry in enumerate(entries, start=1)
+    )
+    return own if any(terms is not None for terms in own) else None
+
+
+def _coupled(value: Any, where: str) -> Any:
+    """Checked for being pairs; `Manipulator` checks what they say."""
+    if not isinstance(value, list) or not all(isinstance(pair, list) for pair in value):
+        raise RobotError(f"{where}, coupled: expected a list of pairs of joints, got {value!r}")
+    return tuple(value)
 
 
 def _numbering(table: Any, where: str) -> Numbering:

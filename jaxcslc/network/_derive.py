@@ -4,7 +4,7 @@ from ..derivation import Algebra, Lengths, derive_algebra
 from ..manipulator import Manipulator
 from ._cslc import CSLC
 from ._evaluator import AbstractEvaluator
-from ._friction import friction_coefficients
+from ._friction import friction_coefficients, static_slopes
 from ._recursive import RecursiveEvaluator
 from ._tables import TableEvaluator
 
@@ -48,6 +48,7 @@ def derive(
         (*algebra.coefficients, *friction_coefficients(robot)),
         algebra,
         _evaluator(algebra, evaluator),
+        static_slopes(robot),
     )
 
 

@@ -1,5 +1,6 @@
 from ..derivation import Algebra
 from ..manipulator import Manipulator
+from ._friction import friction_terms
 
 
 def order_per_joint(algebra: Algebra, robot: Manipulator) -> tuple[int, ...]:
@@ -16,4 +17,5 @@ def order_per_joint(algebra: Algebra, robot: Manipulator) -> tuple[int, ...]:
     for table in (algebra.velocity, algebra.gravity):
         for link in table.links:
             reach[table.columns[link.column][0]] |= {index for index, _ in link.weights}
-    return tuple(len(indices) + len(robot.friction) for indices in reach)
+    inputs = [joint for term in friction_terms(robot) for joint in term.joints]
+    return tuple(len(indices) + inputs.count(joint) for joint, indices in enumerate(reach))

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,7 +13,7 @@ from ._evaluator import AbstractEvaluator, Coefficients, Joints, Matrices, Regre
 
 
 class _LinkState(NamedTuple):
-    """One link's motion in its own frame, and its Jacobian: columns are joints up to the link."""
+    """One link's motion in its own frame, and its Jacobian: a column a joint that carries it."""
 
     angular_velocity: Float[Array, "*batch 3"]
     angular_acceleration: Float[Array, "*batch 3"]
@@ -31,7 +32,8 @@ class RecursiveEvaluator(AbstractEvaluator):
     form, so selecting the chosen columns is a right inverse of L.)
 
     `body` holds, for every link, the (10, chosen) matrix from its chosen parameters to
-    (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), as nested tuples.
+    (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), as nested tuples. `paths` lists the joints that carry
+    each link, from the base outwards.
     """
 
     body: tuple[tuple[tuple[float, ...], ...], ...] = eqx.field(static=True)
@@ -39,6 +41,7 @@ class RecursiveEvaluator(AbstractEvaluator):
     gravity: tuple[float, float, float] = eqx.field(static=True)
     places: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     motors: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    paths: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     size: int = eqx.field(static=True)
 
     @classmethod
@@ -69,16 +72,22 @@ class RecursiveEvaluator(AbstractEvaluator):
             algebra.robot.gravity,
             tuple(tuple(p) for p in places),
             tuple(motors),
+            _paths(algebra.robot.parents),
             len(algebra.chosen),
         )
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:
-        # Joint j carries the links from j outwards, and its own motor.
+        # Joint j carries the links whose path it is on, and its own motor.
         return tuple(
             tuple(
                 sorted(
-                    [place for places in self.places[joint:] for place in places]
+                    [
+                        place
+                        for path, places in zip(self.paths, self.places, strict=True)
+                        if joint in path
+                        for place in places
+                    ]
                     + [place for motor, place in self.motors if motor == joint]
                 )
             )
@@ -107,7 +116,7 @@ class RecursiveEvaluator(AbstractEvaluator):
             block = jnp.swapaxes(state.angular_jacobian, -1, -2) @ (moment @ body) + jnp.swapaxes(
                 state.linear_jacobian, -1, -2
             ) @ (force @ body)
-            block = self._pad(block, axis=-2)
+            block = self._spread(block, link, axis=-2)
             for column, place in enumerate(self.places[link]):
                 columns[place] = block[..., column]
         for joint, place in self.motors:
@@ -136,7 +145,7 @@ class RecursiveEvaluator(AbstractEvaluator):
             product = jnp.swapaxes(angular, -1, -2) @ (
                 inertia @ angular + cross @ linear
             ) + jnp.swapaxes(linear, -1, -2) @ (mass * linear - cross @ angular)
-            total = total + self._pad(self._pad(product, axis=-1), axis=-2)
+            total = total + self._spread(self._spread(product, link, axis=-1), link, axis=-2)
         motor = jnp.zeros(n, q.dtype)
         for joint, place in self.motors:
             motor = motor.at[joint].set(k[place])
@@ -154,7 +163,7 @@ class RecursiveEvaluator(AbstractEvaluator):
             block = jnp.einsum("...xj,...x->...j", state.angular_jacobian, moment) + jnp.einsum(
                 "...xj,...x->...j", state.linear_jacobian, force
             )
-            total = total + self._pad(block, axis=-1)
+            total = total + self._spread(block, link, axis=-1)
         for joint, place in self.motors:
             total = total.at[..., joint].add(k[place] * qdd[..., joint])
         return total
@@ -169,11 +178,15 @@ class RecursiveEvaluator(AbstractEvaluator):
         )
         return tensor, ten[6:9], ten[9]
 
-    def _pad(self, block: Array, axis: int) -> Array:
-        """Zero rows or columns for the joints behind the link."""
-        widths = [(0, 0)] * block.ndim
-        widths[axis] = (0, len(self.joints) - block.shape[axis])
-        return jnp.pad(block, widths)
+    def _spread(self, block: Array, link: int, axis: int) -> Array:
+        """Rows or columns of the joints that carry the link in their places, zeros elsewhere."""
+        n, path = len(self.joints), self.paths[link]
+        if path == tuple(range(len(path))):  # padding compiles faster than taking
+            widths = [(0, 0)] * block.ndim
+            widths[axis] = (0, n - len(path))
+            return jnp.pad(block, widths)
+        rows = [path.index(joint) if joint in path else len(path) for joint in range(n)]
+        return jnp.take(block, np.array(rows), axis=axis, mode="fill", fill_value=0.0)
 
     def _propagate(
         self, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
@@ -183,10 +196,11 @@ class RecursiveEvaluator(AbstractEvaluator):
         still = jnp.zeros((*batch, 3), q.dtype)
         empty = jnp.zeros((*batch, 3, 0), q.dtype)
         up = jnp.broadcast_to(-jnp.asarray(gravity, q.dtype), (*batch, 3))
-        state = _LinkState(still, still, up, empty, empty)
+        base = _LinkState(still, still, up, empty, empty)
         axis = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0], q.dtype), (*batch, 3))
         states: list[_LinkState] = []
         for i, joint in enumerate(self.joints):
+            state = base if len(self.paths[i]) == 1 else states[self.paths[i][-2]]
             rate, acceleration = qd[..., i, None] * axis, qdd[..., i, None] * axis
             rotation, step = _transform(joint, q[..., i])
             w, wd = state.angular_velocity, state.angular_acceleration
@@ -206,16 +220,22 @@ class RecursiveEvaluator(AbstractEvaluator):
                 a = a + 2 * jnp.cross(w, rate) + acceleration
                 angular = jnp.concatenate([angular, 0 * column], axis=-1)
                 linear = jnp.concatenate([linear, column], axis=-1)
-            state = _LinkState(w, wd, a, angular, linear)
-            states.append(state)
+            states.append(_LinkState(w, wd, a, angular, linear))
         return states
 
 
 _BODY = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "hx", "hy", "hz", "m")
 
 
+def _paths(parents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+    paths: list[tuple[int, ...]] = []
+    for i, parent in enumerate(parents):
+        paths.append((*(paths[parent] if parent >= 0 else ()), i))
+    return tuple(paths)
+
+
 def _transform(joint: Joint, q: Array) -> tuple[Array, Array]:
-    """Rotation (..., 3, 3) and translation (..., 3) from a link's frame to the one before."""
+    """Rotation (..., 3, 3) and translation (..., 3) from a link's frame to its parent's."""
     ca, sa = math.cos(joint.alpha), math.sin(joint.alpha)
     theta = q + joint.theta if joint.kind == "R" else jnp.full_like(q, joint.theta)
     d = (joint.d.value or 0.0) + (q if joint.kind == "P" else jnp.zeros_like(q))
@@ -228,7 +248,14 @@ def _transform(joint: Joint, q: Array) -> tuple[Array, Array]:
         ],
         axis=-2,
     )
-    return rotation, jnp.stack([(joint.a.value or 0.0) * one, -sa * d, ca * d], axis=-1)
+    step = jnp.stack([(joint.a.value or 0.0) * one, -sa * d, ca * d], axis=-1)
+    if joint.gamma == 0.0 and joint.b.is_zero:
+        return rotation, step
+    cg, sg = math.cos(joint.gamma), math.sin(joint.gamma)
+    branch = jnp.asarray([[cg, -sg, 0.0], [sg, cg, 0.0], [0.0, 0.0, 1.0]], q.dtype)
+    height = jnp.asarray([0.0, 0.0, joint.b.value or 0.0], q.dtype)
+    # The step's leading axes are the batch's: spell out the broadcast.
+    return branch @ rotation, step @ branch.T + jnp.broadcast_to(height, step.shape)
 
 
 def _into(rotation: Array, x: Array) -> Array:

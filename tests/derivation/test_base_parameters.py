@@ -87,6 +87,7 @@ def expanded_forms(robot: Manipulator, terms: tuple[InertialTerm, ...]) -> list[
             d + ring.joint_variable(i) if joint.kind == "P" else d
             for i, (joint, (_, d)) in enumerate(zip(robot.joints, numbers, strict=True))
         ],
+        b=[0] * len(robot.joints),
         gravity=tuple(exact_number(g) for g in robot.gravity),  # type: ignore[arg-type]
         reduce=ring.normal_form,
     )

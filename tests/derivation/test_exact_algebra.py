@@ -207,6 +207,7 @@ def test_jacobians_are_pinocchios(
             + (exact_number(float(x)) if joint.kind == "P" else 0)
             for joint, x in zip(robot.joints, q, strict=True)
         ],
+        b=[0] * len(robot.joints),
         gravity=tuple(exact_number(g) for g in robot.gravity),  # type: ignore[arg-type]
     )
 

@@ -221,7 +221,7 @@ def test_the_document_names_every_key() -> None:
 
 # Every message: what is replaced in ARM, by what, and what the one line says after the file.
 MISTAKES = [
-    ("name =", "nmae =", ": unknown key 'nmae'; expected some of about, friction,"),
+    ("name =", "nmae =", ": unknown key 'nmae'; expected some of about, coupled,"),
     ('inertia = "principal"\nm', "form = 1\nm", r", \[links\]: unknown key 'form'; expected some"),
     ('kind = "P"', 'knd = "P"', ", joint 2: unknown key 'knd'; expected some of a, alpha, d,"),
     ("mass = 2.0", "weight = 2", ", joint 1, link: unknown key 'weight'; expected some of centre"),

@@ -1,0 +1,245 @@
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ._errors import RobotError
+from ._joint import JointKind
+from ._link_parameters import LinkParameters
+
+
+_ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively
+
+Pose = Float[np.ndarray, "4 4"]
+
+
+class FileJoint(NamedTuple):
+    """A joint of a file, its axis in the frame of the body that it moves."""
+
+    name: str
+    kind: JointKind | None  # None: of a kind that is not represented
+    type: str
+    axis: Float[np.ndarray, "3"]
+    anchor: Float[np.ndarray, "3"]
+    zero: float  # what the joint reads at the file's zero position
+    armature: float
+    damping: float
+    friction_loss: float
+    stiffness: float
+
+
+class Body(NamedTuple):
+    """A body of a file: where it stands in its parent, what it weighs, how it moves."""
+
+    name: str
+    parent: int  # index of the body that carries it; -1 for the world itself
+    pose: Pose  # of its frame in the parent's
+    inertia: LinkParameters | None  # in the body's frame; None: it would be a mesh's
+    joints: tuple[FileJoint, ...]
+
+
+class BodyTree(NamedTuple):
+    """All bodies of a file, parents first; the first is the world."""
+
+    bodies: tuple[Body, ...]
+    gravity: tuple[float, float, float]
+    ties: tuple[tuple[str, tuple[str, str]], ...]  # what closes loops, and the two that it ties
+
+    def path(self, body: int) -> Iterator[int]:
+        """From a body to the world, both included."""
+        while body >= 0:
+            yield body
+            body = self.bodies[body].parent
+
+
+def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
+    """The bodies and joints of a URDF or MJCF file, as MuJoCo's own loader understands them.
+
+    What can be seen, touched or driven is taken out before the file is compiled, so that no mesh
+    is looked for. Bodies without an inertial element weigh nothing in URDF, and what their
+    geometry says in MJCF; where that is a mesh, `inertia` is None.
+
+    **Raises**
+
+    - `RobotError`: in one line, from MuJoCo or for numbers that no body can have.
+    """
+    import mujoco  # not needed by those who have no such file
+
+    try:
+        spec: Any = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise _refused(path, error) from None
+    for i, element in enumerate([*spec.bodies, *spec.joints]):
+        element.name = element.name or f"unnamed {i}"
+    own = {body.name: _own_inertia(body, path) for body in spec.bodies if body.explicitinertial}
+    unknown = _without_looks(spec, urdf)
+    massless = [body.name for body in spec.bodies if urdf and not body.explicitinertial]
+    stated = _replaced_inertias(spec, {*own, *unknown, *massless})
+    ties = tuple(_ties(spec))
+    _delete(spec.equalities, spec)
+    spec.compiler.fusestatic = False
+    try:
+        model: Any = spec.compile()
+    except ValueError as error:
+        raise _refused(path, error) from None
+    bodies: list[Body] = []
+    for i in range(model.nbody):
+        name = model.body(i).name
+        rotation = _rotation(model.body_iquat[i])
+        if name in unknown:
+            inertia = None
+        elif name in massless:
+            inertia = _nothing()
+        elif name in own:
+            mass, tensor = own[name]
+            inertia = LinkParameters(mass, stated[name], rotation @ tensor @ rotation.T)
+        else:
+            tensor = rotation @ np.diag(model.body_inertia[i]) @ rotation.T
+            inertia = LinkParameters(float(model.body_mass[i]), model.body_ipos[i].copy(), tensor)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = _rotation(model.body_quat[i]), model.body_pos[i]
+        parent = int(model.body_parentid[i]) if i else -1
+        bodies.append(Body(name, parent, pose, inertia, tuple(_joints(model, i, path))))
+    x, y, z = (float(g) for g in spec.option.gravity)
+    return BodyTree(tuple(bodies), (x, y, z), ties)
+
+
+def _own_inertia(body: Any, path: Path) -> tuple[float, Float[np.ndarray, "3 3"]]:
+    """Mass and tensor that an inertial element states, the tensor in its own axes."""
+    mass, full = float(body.mass), np.asarray(body.fullinertia)
+    if np.isnan(full[0]):
+        tensor = np.diag(np.asarray(body.inertia, dtype=float))
+    else:
+        xx, yy, zz, xy, xz, yz = full
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    at = f"{path}, body {body.name!r}"
+    numbers = np.concatenate([[mass], np.asarray(body.ipos), tensor.ravel()])
+    if not np.isfinite(numbers).all():
+        raise RobotError(f"{at}: expected finite numbers in its inertial element")
+    if mass < 0:
+        raise RobotError(f"{at}: expected a mass of zero or more in kg, got {mass}")
+    moments = np.linalg.eigvalsh(tensor)
+    listed = ", ".join(f"{moment:.6g}" for moment in moments)
+    if moments[0] < -_ROUNDING * moments[2]:
+        raise RobotError(
+            f"{at}: expected moments of inertia of zero or more in kg m², got principal"
+            f" moments {listed}"
+        )
+    if moments[0] + moments[1] < (1 - _ROUNDING) * moments[2]:
+        raise RobotError(
+            f"{at}: no body has principal moments of inertia {listed} kg m²: the largest must not"
+            " exceed the sum of the others (triangle inequality)"
+        )
+    return mass, tensor
+
+
+def _without_looks(spec: Any, urdf: bool) -> set[str]:
+    """Take out all that is no body and no joint; names bodies whose inertia would be a mesh's."""
+    import mujoco
+
+    unknown: set[str] = set()
+    primitive = {
+        mujoco.mjtGeom.mjGEOM_PLANE,
+        mujoco.mjtGeom.mjGEOM_SPHERE,
+        mujoco.mjtGeom.mjGEOM_CAPSULE,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        mujoco.mjtGeom.mjGEOM_CYLINDER,
+        mujoco.mjtGeom.mjGEOM_BOX,
+    }
+    for body in spec.bodies:
+        for geom in list(body.geoms):
+            weighs = not (geom.mass == 0 or geom.density == 0)
+            if geom.type not in primitive and weighs and not body.explicitinertial and not urdf:
+                unknown.add(body.name)
+            if urdf or geom.type not in primitive or body.explicitinertial:
+                spec.delete(geom)
+    for kind in (
+        *("keys", "sensors", "actuators", "tendons", "excludes", "pairs", "tuples", "skins"),
+        *("flexes", "cameras", "lights", "sites", "meshes", "hfields", "materials", "textures"),
+        *("numerics", "texts", "plugins"),
+    ):
+        _delete(getattr(spec, kind, ()), spec)
+    return unknown
+
+
+def _delete(elements: Any, spec: Any) -> None:
+    for element in list(elements):
+        spec.delete(element)
+
+
+def _replaced_inertias(spec: Any, names: set[str]) -> dict[str, Float[np.ndarray, "3"]]:
+    """Put a unit ball in place of stated inertias; returns the centres of gravity stated.
+
+    MuJoCo compiles no moving body without mass, and rotates tensors to principal axes. What it is
+    still asked for are orientations, which files state in five ways.
+    """
+    centres: dict[str, Float[np.ndarray, 3]] = {}
+    for body in spec.bodies:
+        if body.name in names or not (body.geoms or body.explicitinertial):
+            centre = np.array(body.ipos, dtype=float)
+            centres[body.name] = np.where(np.isfinite(centre), centre, 0.0)
+            body.ipos = centres[body.name]
+            body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
+            body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+    return centres
+
+
+def _ties(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
+    for equality in spec.equalities:
+        if equality.active and equality.name1:
+            kind = equality.type.name.removeprefix("mjEQ_").lower()
+            yield f"equality of kind {kind!r}", (equality.name1, equality.name2 or "world")
+
+
+def _joints(model: Any, body: int, path: Path) -> Iterator[FileJoint]:
+    kinds: dict[int, tuple[JointKind | None, str]] = {
+        0: (None, "free"),
+        1: (None, "ball"),
+        2: ("P", "slide"),
+        3: ("R", "hinge"),
+    }
+    for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        name, dof = model.jnt(j).name, int(model.jnt_dofadr[j])
+        kind, word = kinds[int(model.jnt_type[j])]
+        for what in ("damping", "stiffness"):
+            # Further columns are coefficients of higher powers.
+            poly = getattr(model, f"{'dof' if what == 'damping' else 'jnt'}_{what}poly", None)
+            at = dof if what == "damping" else j
+            if kind and poly is not None and np.any(poly[at]):
+                raise RobotError(
+                    f"{path}, joint {name!r}: {what} that is not linear is not modelled"
+                )
+        yield FileJoint(
+            name,
+            kind,
+            word,
+            model.jnt_axis[j].copy(),
+            model.jnt_pos[j].copy(),
+            float(model.qpos0[model.jnt_qposadr[j]]) if kind else 0.0,
+            float(model.dof_armature[dof]),
+            float(model.dof_damping[dof]),
+            float(model.dof_frictionloss[dof]),
+            float(model.jnt_stiffness[j]),
+        )
+
+
+def _rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _nothing() -> LinkParameters:
+    return LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
+def _refused(path: Path, error: ValueError) -> RobotError:
+    """MuJoCo's message in one line."""
+    return RobotError(f"{path}: {' '.join(str(error).split()).removeprefix('Error: ')}")

@@ -1,0 +1,121 @@
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ._errors import RobotError
+
+
+FRICTION_TERMS = (
+    "viscous",
+    "asymmetric_viscous",
+    "dry",
+    "asymmetric_dry",
+    "static",
+    "root",
+    "offset",
+    "spring",
+)
+# Of joints whose slope nobody has said: gone to 5 % at 0.3 rad/s.
+STATIC_SLOPE = 10.0
+# Words whose inputs say the same, and why: a fit could not tell their coefficients apart.
+_COLLINEAR = (
+    ("viscous", "asymmetric_viscous", "asymmetric_viscous is viscous in either direction"),
+    ("dry", "asymmetric_dry", "asymmetric_dry is dry in either direction"),
+    ("offset", "asymmetric_dry", "asymmetric_dry is dry and offset together"),
+)
+
+
+class Coupling(NamedTuple):
+    """Two joints of which one motor turns a shaft that rubs and has inertia for both.
+
+    The shaft turns by `q[first] + ratio * q[second]`. Joints count from 1.
+
+    >>> Coupling(5, 6)
+    Coupling(first=5, second=6, ratio=1.0)
+    """
+
+    first: int
+    second: int
+    ratio: float = 1.0
+
+
+def check_friction(terms: Sequence[str], where: str) -> None:
+    """**Raises** `RobotError` for words that are unknown, listed twice or say the same."""
+    if unknown := [term for term in terms if term not in FRICTION_TERMS]:
+        raise RobotError(
+            f"{where}: unknown friction term {unknown[0]!r};"
+            f" expected some of {', '.join(FRICTION_TERMS)}"
+        )
+    if len(set(terms)) != len(terms):
+        raise RobotError(f"{where}: a friction term is listed twice")
+    for first, second, why in _COLLINEAR:
+        if first in terms and second in terms:
+            raise RobotError(f"{where}: friction terms {first} and {second} exclude: {why}")
+
+
+def check_own_friction(own: Sequence[Sequence[str] | None] | None, joints: int, where: str) -> None:
+    """**Raises** `RobotError` unless there is an entry a joint: its words, or None."""
+    if own is None:
+        return
+    if len(own) != joints:
+        raise RobotError(
+            f"{where}: expected {joints} entries of own_friction, one a joint, got {len(own)}"
+        )
+    for i, terms in enumerate(own, start=1):
+        if terms is not None:
+            check_friction(terms, f"{where}, joint {i}")
+
+
+def check_slopes(slopes: Sequence[float] | None, joints: int, where: str) -> None:
+    """**Raises** `RobotError` unless there is a positive, finite slope a joint."""
+    if slopes is None:
+        return
+    if len(slopes) != joints:
+        raise RobotError(
+            f"{where}: expected {joints} entries of static_slopes, one a joint, got {len(slopes)}"
+        )
+    for i, slope in enumerate(slopes, start=1):
+        if not 0 < slope < float("inf"):
+            raise RobotError(
+                f"{where}, joint {i}, static_slope: expected a number above 0 in s/rad, got {slope}"
+            )
+
+
+def couplings(
+    pairs: Sequence[Sequence[int | float]], kinds: str, where: str
+) -> tuple[Coupling, ...]:
+    """Pairs of joints, counted from 1, each with a ratio or without.
+
+    **Raises** `RobotError` for anything but two different joints of one kind, once.
+    """
+    found: list[Coupling] = []
+    for pair in pairs:
+        at = f"{where}, coupled"
+        if len(pair) not in (2, 3) or not all(
+            isinstance(joint, int) and not isinstance(joint, bool) for joint in pair[:2]
+        ):
+            raise RobotError(
+                f"{at}: expected pairs of joints, as in [5, 6], or with a ratio, [5, 6, -1.0],"
+                f" got {list(pair)!r}"
+            )
+        first, second = int(pair[0]), int(pair[1])
+        ratio = pair[2] if len(pair) == 3 else 1.0
+        if (
+            isinstance(ratio, bool)
+            or not isinstance(ratio, int | float)
+            or not (0 < abs(ratio) < float("inf"))
+        ):
+            raise RobotError(f"{at}: expected a ratio other than 0, got {ratio!r}")
+        for joint in (first, second):
+            if not 1 <= joint <= len(kinds):
+                raise RobotError(f"{at}: there is no joint {joint}; expected 1 to {len(kinds)}")
+        if first == second:
+            raise RobotError(f"{at}: joint {first} is paired with itself")
+        if kinds[first - 1] != kinds[second - 1]:
+            raise RobotError(
+                f"{at}: joints {first} and {second} are revolute and prismatic;"
+                " expected two of one kind"
+            )
+        if any({first, second} == {other.first, other.second} for other in found):
+            raise RobotError(f"{at}: joints {first} and {second} are paired twice")
+        found.append(Coupling(first, second, float(ratio)))
+    return tuple(found)

@@ -1,0 +1,253 @@
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TypeGuard
+
+import numpy as np
+from jaxtyping import Float
+
+from ._bodies import Body, BodyTree, FileJoint, read_bodies
+from ._errors import RobotError
+from ._inertia import LinkInertia
+from ._link_parameters import LinkParameters, fixed_together, seen_from
+from ._manipulator import Manipulator
+from ._placement import Axis, modified_dh
+from ._source import Source
+from ._toml import read_toml
+from ._urdf_structure import check_urdf
+from ._xml import read_xml
+
+
+Pose = Float[np.ndarray, "4 4"]
+Moved = tuple[int, FileJoint]  # a body and one of its joints
+
+
+def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = None) -> Manipulator:
+    """A robot from its description: TOML as in `docs/robots.md`, URDF, or MJCF.
+
+    URDF and MJCF are read by MuJoCo; meshes are not looked for. Chains and trees of revolute and
+    prismatic joints with any axes become modified Denavit-Hartenberg rows; bodies that are fixed
+    together become one link. `robot.links` holds what the file says of the links, `viscous` and
+    `dry` damping and friction loss, where it has any, and `robot.source` how the robot's frames
+    lie in the file's bodies. Joints of URDF and MJCF count from the base outwards, in the order of
+    the file. Angles within 1e-5 rad of a multiple of 90° are taken as that: files round.
+
+    **Arguments**
+
+    - `path`: a `.toml`, `.urdf` or `.xml` file.
+    - `base`, `tip`: bodies (links, in URDF) between which the robot is; by default the whole
+      tree. Joints elsewhere are held at zero, and what they carry is part of the link.
+
+    **Raises**
+
+    - `RobotError`: one line that names the file, the joint or body, and what was expected. What
+      is not represented is refused by name: ball and free joints, closed loops, joints that mimic
+      others, all where they move the robot that is asked for.
+
+    >>> import tempfile
+    >>> arm = '''<robot name="arm"> <link name="floor"/> <link name="bar"> <inertial>
+    ...   <origin xyz="0.5 0 0"/> <mass value="2"/>
+    ...   <inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/> </inertial> </link>
+    ... <joint name="hinge" type="continuous"> <parent link="floor"/> <child link="bar"/>
+    ...   <axis xyz="0 1 0"/> </joint> </robot>'''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "arm.urdf"
+    ...     _ = path.write_text(arm)
+    ...     robot = load_robot(path)
+    >>> robot.kinds, robot.source.joints, float(robot.links[0].mass)
+    ('R', ('hinge',), 2.0)
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
+        if base is not None or tip is not None:
+            raise RobotError(f"{path}: base and tip are of URDF and MJCF files; TOML has one robot")
+        return read_toml(path)
+    if suffix not in (".urdf", ".xml", ".mjcf"):
+        raise RobotError(f"{path}: expected a robot file ending in .toml, .urdf or .xml")
+    root = read_xml(path)
+    if root.tag == "robot":
+        check_urdf(root, path)
+    elif root.tag != "mujoco":
+        raise RobotError(
+            f"{path}: expected <robot> (URDF) or <mujoco> (MJCF) at the top, got <{root.tag}>"
+        )
+    urdf = root.tag == "robot"
+    tree = read_bodies(path, urdf=urdf)
+    name = root.attributes.get("name") or root.attributes.get("model") or path.stem
+    return _robot(tree, path, name, base, tip, urdf=urdf)
+
+
+def _robot(
+    tree: BodyTree, path: Path, name: str, base: str | None, tip: str | None, *, urdf: bool
+) -> Manipulator:
+    start, moved = _moving(tree, path, base, tip)
+    _only_what_is_represented(tree, moved, path)
+    poses = _poses(tree, start)
+    numbers: dict[int, int] = {}  # of the last joint on each body
+    axes: list[Axis] = []
+    for number, (body, joint) in enumerate(moved):
+        carrier = numbers.get(body, -2)
+        if carrier == -2:
+            carrier = next((numbers[b] for b in tree.path(body) if b in numbers), -1)
+        numbers[body] = number
+        rotation, origin = poses[body][:3, :3], poses[body][:3, 3]
+        axes.append(
+            Axis(
+                joint.kind or "R",
+                carrier,
+                origin + rotation @ joint.anchor,
+                rotation @ joint.axis,
+                -joint.zero,
+            )
+        )
+    rows, frames = modified_dh(axes)
+    links, placements, carried = _links(tree, start, moved, numbers, poses, frames)
+    files = [joint for _, joint in moved]
+    friction = ("viscous", "dry")
+    if any(joint.stiffness for joint in files):
+        friction = (*friction, "spring", "offset")
+    return Manipulator(
+        name=name,
+        joints=rows,
+        inertia=tuple(LinkInertia("full") for _ in rows),
+        gravity=_gravity(tree, start),
+        friction=friction,
+        links=links,
+        viscous=_given([joint.damping for joint in files]),
+        dry=_given([joint.friction_loss for joint in files]),
+        source=Source(
+            str(path),
+            "urdf" if urdf else "mjcf",
+            tuple(joint.name for joint in files),
+            tuple(tree.bodies[body].name for body, _ in moved),
+            placements,
+            carried,
+            base,
+            tip,
+        ),
+    )
+
+
+def _moving(
+    tree: BodyTree, path: Path, base: str | None, tip: str | None
+) -> tuple[int, list[Moved]]:
+    """The body that the robot stands on, and the joints that move it, in order."""
+    names = [body.name for body in tree.bodies]
+
+    def index(name: str, what: str) -> int:
+        if name not in names:
+            raise RobotError(f"{path}: {what} {name!r} is not among its bodies: {', '.join(names)}")
+        return names.index(name)
+
+    start = 0 if base is None else index(base, "base")
+    ends = range(len(names)) if tip is None else list(tree.path(index(tip, "tip")))
+    if tip is not None and start not in ends:
+        raise RobotError(f"{path}: base {base!r} is not between the world and tip {tip!r}")
+    moved = [
+        (body, joint)
+        for body in sorted(ends)
+        if body != start and start in tree.path(body)
+        for joint in tree.bodies[body].joints
+    ]
+    if not moved:
+        part = f" between base {names[start]!r} and tip {tip!r}" if tip or base else ""
+        raise RobotError(f"{path}: has no joint{part} that moves")
+    return start, moved
+
+
+def _only_what_is_represented(tree: BodyTree, moved: Sequence[Moved], path: Path) -> None:
+    for _, joint in moved:
+        if joint.kind is None:
+            raise RobotError(
+                f"{path}: joint {joint.name!r} is a {joint.type} joint; only revolute and prismatic"
+                " ones are modelled (choose a part of the tree with base and tip)"
+            )
+    joints = {joint.name for _, joint in moved}
+    bodies = {tree.bodies[body].name for body, _ in moved}
+    for kind, (first, second) in tree.ties:
+        if kind.endswith("'joint'"):
+            if first in joints:
+                raise RobotError(
+                    f"{path}: joint {first!r} mimics {second!r}; joints that follow others are not"
+                    " modelled (choose a part of the tree with base and tip)"
+                )
+        elif {first, second} & (bodies | joints):
+            raise RobotError(
+                f"{path}: {kind} between {first!r} and {second!r} closes a loop; only chains and"
+                " trees are modelled"
+            )
+
+
+def _poses(tree: BodyTree, start: int) -> list[Pose]:
+    """Of every body's frame in the base's, at zero."""
+    world: list[Pose] = []
+    for body in tree.bodies:
+        world.append(world[body.parent] @ body.pose if body.parent >= 0 else body.pose)
+    back = np.linalg.inv(world[start])
+    return [back @ pose for pose in world]
+
+
+def _gravity(tree: BodyTree, start: int) -> tuple[float, float, float]:
+    rotation = np.eye(3)
+    for body in tree.path(start):
+        rotation = tree.bodies[body].pose[:3, :3] @ rotation
+    # Rounding of rotations would make a component of what is none, and a symbol of it.
+    x, y, z = (float(g) for g in np.round(rotation.T @ np.array(tree.gravity), 12) + 0.0)
+    return x, y, z
+
+
+def _links(
+    tree: BodyTree,
+    start: int,
+    moved: Sequence[Moved],
+    numbers: Mapping[int, int],
+    poses: Sequence[Pose],
+    frames: Sequence[Pose],
+) -> tuple[tuple[LinkParameters, ...] | None, tuple[Pose, ...], tuple[LinkParameters | None, ...]]:
+    """Parameters of every link in its frame, where its body's frame lies, and what is fixed to it.
+
+    No parameters at all if those of one body are a mesh's, which nobody looked for.
+    """
+    attached: dict[int, list[int]] = {number: [] for number in range(len(moved))}
+    for i in range(len(tree.bodies)):
+        if i not in numbers and start in tree.path(i):
+            for carrier in tree.path(i):
+                if carrier in numbers:
+                    attached[numbers[carrier]].append(i)
+                    break
+    known = all(body.inertia is not None for body in _bodies(tree, numbers, attached))
+    links: list[LinkParameters] = []
+    placements: list[Pose] = []
+    carried: list[LinkParameters | None] = []
+    for number, (body, joint) in enumerate(moved):
+        back = np.linalg.inv(frames[number])
+        placements.append(back @ poses[body])
+        # Of several joints on a body the last carries it, and what is between them weighs nothing.
+        fixed = [(tree.bodies[i].inertia, poses[i]) for i in attached[number]]
+        rest = [seen_from(own, back @ pose) for own, pose in fixed if _weighs(own)]
+        carried.append(fixed_together(rest) if rest else None)
+        own = tree.bodies[body].inertia if numbers[body] == number else None
+        all_of_it = fixed_together(
+            [*([] if own is None else [seen_from(own, placements[-1])]), *rest]
+        )
+        links.append(
+            LinkParameters(
+                all_of_it.mass, all_of_it.centre_of_gravity, all_of_it.inertia, joint.armature
+            )
+        )
+    return tuple(links) if known else None, tuple(placements), tuple(carried)
+
+
+def _bodies(
+    tree: BodyTree, numbers: Mapping[int, int], attached: Mapping[int, Sequence[int]]
+) -> Iterator[Body]:
+    for body in [*numbers, *(i for each in attached.values() for i in each)]:
+        yield tree.bodies[body]
+
+
+def _weighs(inertia: LinkParameters | None) -> TypeGuard[LinkParameters]:
+    return inertia is not None and bool(inertia.mass or np.any(inertia.inertia))
+
+
+def _given(values: Sequence[float]) -> tuple[float, ...] | None:
+    return tuple(values) if any(values) else None

@@ -1,0 +1,153 @@
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ._joint import Joint, JointKind, Length
+
+
+# Axes this close to parallel, and angles this close to a multiple of 90°, are taken as exactly
+# that [rad]: files round pi/2 to 1.5708 and mean pi/2. (Two axes that miss being parallel by as
+# little as that have their common normal hundreds of kilometres away.)
+_ANGLE_TOLERANCE = 1e-5
+_LENGTH_DIGITS = 11  # decimals: files round angles, and lengths that are rotated by them follow
+
+Vector = Float[np.ndarray, "3"]
+Pose = Float[np.ndarray, "4 4"]
+
+
+class Axis(NamedTuple):
+    """A joint's axis at the robot's zero position, in the base frame.
+
+    `parent` is the joint that carries it, counted from 0, or -1 for the base. `offset` is added to
+    the joint variable: what it reads at the zero position, negative.
+    """
+
+    kind: JointKind
+    parent: int
+    origin: Vector
+    direction: Vector
+    offset: float = 0.0
+
+
+class _Normal(NamedTuple):
+    """The common normal of two axes, from a point on the first along `direction` to the second."""
+
+    start: Vector
+    direction: Vector
+    length: float
+    unique: bool  # neither parallel nor the same line
+
+
+def modified_dh(axes: Sequence[Axis]) -> tuple[tuple[Joint, ...], tuple[Pose, ...]]:
+    """Modified Denavit-Hartenberg rows of joints with any axes (Khalil and Kleinfinger 1986).
+
+    Every link's frame has its z along the link's own axis and its x along the common normal
+    to the axis of the first joint that the link carries, so that `gamma` and `b` are zero along a
+    chain; only at other branches and at the base, whose frame is given, they are not.
+
+    **Returns** the rows, and the (4, 4) pose of each link's frame in the base frame at zero.
+
+    >>> import numpy as np
+    >>> x, y, z = np.eye(3)
+    >>> elbow = [Axis("R", -1, 0 * z, z), Axis("R", 0, z + 2 * x, y)]
+    >>> rows, frames = modified_dh(elbow)
+    >>> [(row.alpha, row.a.value, row.d.value, row.theta) for row in rows]
+    [(0.0, 0.0, 1.0, 0.0), (-1.5707963267948966, 2.0, 0.0, 0.0)]
+    """
+    axes = _straightened(axes)
+    base = np.eye(4)
+    first_child: dict[int, int] = {}
+    for i, axis in enumerate(axes):
+        first_child.setdefault(axis.parent, i)
+    rows: list[Joint] = []
+    frames: list[Pose] = []
+    for i, axis in enumerate(axes):
+        frame = frames[axis.parent] if axis.parent >= 0 else base
+        normal = _common_normal(frame, axis)
+        foot = normal.start + normal.length * normal.direction
+        own = _pose(foot, normal.direction, axis.direction)  # theta = 0, d = 0
+        if i in first_child:
+            onward = _common_normal(own, axes[first_child[i]])
+            own = _pose(onward.start, onward.direction, axis.direction)
+        rows.append(_row(frame, normal, own, axis))
+        frames.append(own)
+    return tuple(rows), tuple(frames)
+
+
+def _straightened(axes: Sequence[Axis]) -> list[Axis]:
+    """Directions that are almost parallel to their parent's made parallel."""
+    straight: list[Axis] = []
+    for axis in axes:
+        before = straight[axis.parent].direction if axis.parent >= 0 else np.array([0.0, 0.0, 1.0])
+        direction = axis.direction / np.linalg.norm(axis.direction)
+        if np.linalg.norm(np.cross(before, direction)) < _ANGLE_TOLERANCE:
+            direction = before * np.sign(before @ direction)
+        straight.append(axis._replace(direction=direction))
+    return straight
+
+
+def _common_normal(frame: Pose, axis: Axis) -> _Normal:
+    """From the z axis of a frame to a joint's axis; where it is not unique, from the origin."""
+    origin, x, z = frame[:3, 3], frame[:3, 0], frame[:3, 2]
+    cross, between = np.cross(z, axis.direction), axis.origin - origin
+    sine = float(np.linalg.norm(cross))
+    if sine < _ANGLE_TOLERANCE:
+        across = between - (between @ z) * z
+        length = float(np.linalg.norm(across))
+        if length < 10.0**-_LENGTH_DIGITS:
+            return _Normal(origin, x, 0.0, unique=False)
+        return _Normal(origin, across / length, length, unique=False)
+    along = np.cross(axis.direction, cross) @ between / sine**2
+    direction, length = cross / sine, float(between @ cross) / sine
+    if length < 0:  # from the first axis to the second
+        direction, length = -direction, -length
+    elif length < 10.0**-_LENGTH_DIGITS and direction @ x < -_ANGLE_TOLERANCE:
+        direction = -direction  # the axes meet: the normal that turns the frame less
+    return _Normal(origin + along * z, direction, length, unique=True)
+
+
+def _row(frame: Pose, normal: _Normal, own: Pose, axis: Axis) -> Joint:
+    x, y, z = frame[:3, :3].T
+    along = normal.direction
+    foot = normal.start + normal.length * along
+    gamma = math.atan2(along @ y, along @ x)
+    alpha = math.atan2(np.cross(z, axis.direction) @ along, z @ axis.direction)
+    across = np.cross(axis.direction, along)
+    theta = math.atan2(own[:3, 0] @ across, own[:3, 0] @ along)
+    b = float((normal.start - frame[:3, 3]) @ z)
+    d = float((own[:3, 3] - foot) @ axis.direction)
+    turning = axis.kind == "R"
+    return Joint(
+        axis.kind,
+        _right(alpha),
+        _length(normal.length),
+        _length(d + (0.0 if turning else axis.offset)),
+        _right(theta + (axis.offset if turning else 0.0)),
+        _right(gamma),
+        _length(b),
+        axis.parent + 1,
+    )
+
+
+def _pose(origin: Vector, x: Vector, z: Vector) -> Pose:
+    x = x - (x @ z) * z  # rounding apart, they are perpendicular
+    x = x / np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :] = np.column_stack([x, np.cross(z, x), z, origin])
+    return pose
+
+
+def _right(angle: float) -> float:
+    """Within half a turn of zero, and exact where it almost is a multiple of 90°."""
+    angle = math.remainder(angle, 2 * math.pi)
+    quarter_turns = round(angle / (math.pi / 2))
+    if abs(angle - quarter_turns * math.pi / 2) < _ANGLE_TOLERANCE:
+        return math.pi if quarter_turns == -2 else quarter_turns * math.pi / 2
+    return angle
+
+
+def _length(value: float) -> Length:
+    return Length(round(value, _LENGTH_DIGITS) + 0.0)  # no negative zero

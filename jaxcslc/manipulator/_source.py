@@ -1,0 +1,35 @@
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ._link_parameters import LinkParameters
+
+
+RobotFormat = Literal["toml", "urdf", "mjcf"]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where a robot was read from, and how its links stand to the bodies of the file.
+
+    **Attributes**
+
+    - `path`, `format`: of the file.
+    - `base`, `tip`: the part of the file's tree that was asked for, as bodies' names.
+    - `joints`, `links`: for each joint of the robot, the file's joint and the body that it moves.
+    - `placements`: (4, 4) for each link, the pose of the file's body frame in the link's frame,
+      lengths in m.
+    - `carried`: for each link, all else that is fixed to the body, as one body in the link's
+      frame; or None.
+    """
+
+    path: str
+    format: RobotFormat
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    placements: tuple[Float[np.ndarray, "4 4"], ...]
+    carried: tuple[LinkParameters | None, ...]
+    base: str | None = None
+    tip: str | None = None

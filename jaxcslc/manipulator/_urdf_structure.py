@@ -1,0 +1,68 @@
+from pathlib import Path
+
+from ._errors import RobotError
+from ._xml import Element
+
+
+_KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+
+
+def check_urdf(root: Element, path: Path) -> None:
+    """**Raises** `RobotError` unless a URDF's links and joints are one tree, each named once."""
+    links = _named(root.all("link"), path)
+    joints = _named(root.all("joint"), path)
+    carried_by: dict[str, str] = {}  # joint that carries each link
+    parents: dict[str, str] = {}
+    for name, joint in joints.items():
+        at = f"{path}, line {joint.line}, joint {name!r}"
+        kind = joint.attributes.get("type", "")
+        if kind not in _KINDS:
+            raise RobotError(f"{at}: expected a type out of {', '.join(_KINDS)}, got {kind!r}")
+        if kind in ("planar", "floating"):
+            raise RobotError(f"{at}: is {kind}; only revolute and prismatic joints are modelled")
+        ends: dict[str, str] = {}
+        for end in ("parent", "child"):
+            element = joint.first(end)
+            ends[end] = element.attributes.get("link", "") if element else ""
+            if ends[end] not in links:
+                raise RobotError(f"{at}: its {end} {ends[end]!r} is no link of this file")
+        child = ends["child"]
+        if child in carried_by:
+            raise RobotError(
+                f"{at}: carries link {child!r}, which joint {carried_by[child]!r} carries too:"
+                " closed loops are not modelled"
+            )
+        carried_by[child], parents[child] = name, ends["parent"]
+    roots = [name for name in links if name not in parents]
+    if links and not roots:
+        raise RobotError(f"{path}: its joints form a cycle: no link is the base of the others")
+    if len(roots) > 1:
+        raise RobotError(
+            f"{path}: expected one tree, but no joint carries {' or '.join(map(repr, roots[:4]))}"
+        )
+    reached: set[str] = set(roots)
+    for name in links:  # every link's way down must end at the root
+        way: set[str] = set()
+        while name not in reached:
+            if name in way:
+                raise RobotError(
+                    f"{path}: joint {carried_by[name]!r} is part of a cycle: its link {name!r}"
+                    " carries itself"
+                )
+            way.add(name)
+            name = parents[name]
+        reached |= way
+
+
+def _named(elements: list[Element], path: Path) -> dict[str, Element]:
+    named: dict[str, Element] = {}
+    for element in elements:
+        at, name = f"{path}, line {element.line}", element.attributes.get("name", "")
+        if not name:
+            raise RobotError(f"{at}: a {element.tag} has no name")
+        if name in named:
+            raise RobotError(
+                f"{at}: {element.tag} {name!r} is named twice, first on line {named[name].line}"
+            )
+        named[name] = element
+    return named

@@ -1,0 +1,96 @@
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+from ._errors import RobotError
+
+
+# Robots nest their bodies a few dozen deep (every joint of a chain is two levels in MJCF), and
+# their files have thousands of elements; MuJoCo's own parser overflows the stack far beyond that.
+_DEEPEST, _MOST_ELEMENTS = 256, 200_000
+_TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
+
+
+@dataclass(eq=False)
+class Element:
+    """An element of an XML file: its tag, its attributes, where it stands and what is in it."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    start: int  # bytes from the beginning of the file to "<"
+    end: int = -1  # to behind its last ">"
+    children: "list[Element]" = field(default_factory=list["Element"])
+
+    def all(self, tag: str) -> "list[Element]":
+        """Children of a tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def first(self, tag: str) -> "Element | None":
+        return next(iter(self.all(tag)), None)
+
+
+def read_xml(path: Path) -> Element:
+    """The root element of an XML file, read without trusting it.
+
+    No document type and no entities, internal or external, and neither more elements nor deeper
+    ones than a robot can have.
+
+    **Raises**
+
+    - `RobotError`: in one line, naming file and line.
+    """
+    try:
+        return parse_xml(path.read_bytes(), str(path))
+    except FileNotFoundError:
+        raise RobotError(f"{path}: no such robot file") from None
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error}") from None
+
+
+def parse_xml(text: bytes, where: str) -> Element:
+    """As `read_xml`, from bytes; `where` names them in errors."""
+    parser = expat.ParserCreate()
+    top = Element("", {}, 0, 0)
+    stack, count = [top], 0
+
+    def start(tag: str, attributes: Mapping[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if len(stack) > _DEEPEST:
+            raise RobotError(f"{line()}: elements nest deeper than {_DEEPEST}; no robot does")
+        if count > _MOST_ELEMENTS:
+            raise RobotError(f"{line()}: more than {_MOST_ELEMENTS} elements; no robot has")
+        element = Element(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex)
+        stack[-1].children.append(element)
+        stack.append(element)
+
+    def end(_: str) -> None:
+        element = stack.pop()
+        tag = _TAG.match(text, element.start)
+        if tag is not None and tag[0].endswith(b"/>"):  # empty: expat's index is of little use
+            element.end = tag.end()
+        else:
+            element.end = text.index(b">", parser.CurrentByteIndex) + 1
+
+    def refuse(what: str) -> Callable[..., None]:
+        def refused(*_: object) -> None:
+            raise RobotError(f"{line()}: {what}; expected none in a robot file")
+
+        return refused
+
+    def line() -> str:
+        return f"{where}, line {parser.CurrentLineNumber}"
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.StartDoctypeDeclHandler = refuse("has a document type declaration (<!DOCTYPE ...>)")
+    parser.EntityDeclHandler = refuse("declares an entity")
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise RobotError(f"{where}: not valid XML: {error}") from None
+    (root,) = top.children
+    return root

@@ -1,0 +1,169 @@
+"""Files that are broken, contradictory or hostile: one line that names what, and no more."""
+
+from pathlib import Path
+
+import pytest
+
+import jaxcslc as jc
+from jaxcslc.manipulator import parse_xml
+
+
+INERTIA = '<inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/>'
+
+
+def link(name: str, mass: str = "1", moments: tuple[float, ...] = (0.1, 0.1, 0.1)) -> str:
+    tensor = INERTIA.format(*moments)
+    return f'<link name="{name}"><inertial><mass value="{mass}"/>{tensor}</inertial></link>'
+
+
+def joint(name: str, parent: str, child: str, kind: str = "continuous", more: str = "") -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="0 1 0"/>{more}</joint>'
+
+
+def urdf(*parts: str) -> str:
+    return f'<robot name="r">{"".join(parts)}</robot>'
+
+
+def mjcf(inside: str, more: str = "") -> str:
+    return f"<mujoco><worldbody>{inside}</worldbody>{more}</mujoco>"
+
+
+ARM = (link("a"), link("b"), joint("j", "a", "b"))
+BODY = '<body name="{}"><joint name="{}" type="{}"/><geom size="0.1"/>{}</body>'
+
+BILLION_LAUGHS = (
+    '<?xml version="1.0"?><!DOCTYPE lolz [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>'
+    '<robot name="&b;"/>'
+)
+EXTERNAL = '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>'
+
+REFUSED = {
+    "not XML": ("<robot", "not valid XML: .*line 1"),
+    "nothing": ("", "not valid XML"),
+    "another root": ("<sdf/>", "expected <robot> .URDF. or <mujoco> .MJCF. at the top, got <sdf>"),
+    "entities": (BILLION_LAUGHS, "document type declaration"),
+    "external entity": (EXTERNAL, "document type declaration"),
+    "deep": ("<robot>" + "<a>" * 1_000_000, "line 1: elements nest deeper than 256"),
+    "wide": ("<robot>" + "<a/>" * 1_000_000, "more than 200000 elements"),
+    "no joint": (urdf(link("a")), "has no joint that moves"),
+    "negative mass": (urdf(link("a"), link("b", "-2"), ARM[2]), "body 'b': .*mass.*got -2"),
+    "nan": (urdf(link("a"), link("b", "nan"), ARM[2]), "b.*finite|nan|NaN"),
+    "word": (urdf(link("a"), link("b", "heavy"), ARM[2]), "heavy|mass|number"),
+    "negative moment": (
+        urdf(link("a"), link("b", moments=(0.1, -0.1, 0.1)), ARM[2]),
+        "body 'b': expected moments of inertia of zero or more in kg m², got principal",
+    ),
+    "triangle": (
+        urdf(link("a"), link("b", moments=(0.1, 0.1, 0.3)), ARM[2]),
+        "body 'b': no body has principal moments of inertia 0.1, 0.1, 0.3 .*triangle inequality",
+    ),
+    "link twice": (urdf(*ARM, link("b")), "line 1: link 'b' is named twice, first on line 1"),
+    "joint twice": (urdf(*ARM, link("c"), joint("j", "b", "c")), "joint 'j' is named twice"),
+    "no name": (urdf("<link/>"), "a link has no name"),
+    "unknown parent": (urdf(*ARM[:2], joint("j", "z", "b")), "joint 'j': its parent 'z' is no"),
+    "unknown kind": (urdf(*ARM[:2], joint("j", "a", "b", "screw")), "expected a type out of"),
+    "planar": (urdf(*ARM[:2], joint("j", "a", "b", "planar")), "joint 'j': is planar"),
+    "floating": (urdf(*ARM[:2], joint("j", "a", "b", "floating")), "joint 'j': is floating"),
+    "two parents": (
+        urdf(*ARM, link("c"), joint("k", "a", "c"), joint("l", "b", "c")),
+        "joint 'l': carries link 'c', which joint 'k' carries too: closed loops",
+    ),
+    "cycle": (urdf(*ARM, joint("back", "b", "a")), "its joints form a cycle"),
+    "cycle beside": (
+        urdf(*ARM, link("c"), link("d"), joint("k", "c", "d"), joint("l", "d", "c")),
+        "joint '[kl]' is part of a cycle",
+    ),
+    "two trees": (urdf(*ARM, link("c")), "expected one tree, but no joint carries 'a' or 'c'"),
+    "mimic": (
+        urdf(*ARM, link("c"), joint("k", "b", "c", more='<mimic joint="j" multiplier="2"/>')),
+        "joint 'k' mimics 'j'",
+    ),
+    "ball": (mjcf(BODY.format("b", "shoulder", "ball", "")), "joint 'shoulder' is a ball joint"),
+    "free": (mjcf(BODY.format("b", "drone", "free", "")), "joint 'drone' is a free joint"),
+    "loop": (
+        mjcf(
+            BODY.format("a", "j", "hinge", BODY.format("b", "k", "hinge", "")),
+            '<equality><connect body1="b" body2="world" anchor="0 0 0"/></equality>',
+        ),
+        "between 'b' and 'world' closes a loop",
+    ),
+    "MJCF twice": (mjcf(BODY.format("b", "j", "hinge", "") * 2), "repeated name"),
+    "MJCF schema": (mjcf("<bodey/>"), "Schema violation"),
+    "damping that is not linear": (
+        mjcf('<body><joint name="j" damping="1 2"/><geom size="0.1"/></body>'),
+        "joint 'j': damping that is not linear",
+    ),
+}
+
+
+def one_line(error: BaseException) -> str:
+    message = str(error)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(tmp_path: Path, name: str) -> None:
+    text, expected = REFUSED[name]
+    path = tmp_path / ("arm.xml" if text.startswith("<mujoco") else "arm.urdf")
+    path.write_text(text)
+    with pytest.raises(jc.RobotError, match=expected) as caught:
+        jc.load_robot(path)
+    assert one_line(caught.value).startswith(str(path))
+
+
+PARTS = [
+    ({"base": "z"}, "base 'z' is not among its bodies: world, a, b"),
+    ({"tip": "z"}, "tip 'z' is not among its bodies"),
+    ({"base": "b", "tip": "a"}, "base 'b' is not between the world and tip 'a'"),
+    ({"base": "b"}, "has no joint between base 'b' and tip None that moves"),
+]
+
+
+@pytest.mark.parametrize(("part", "expected"), PARTS)
+def test_parts_that_are_not_there(tmp_path: Path, part: dict[str, str], expected: str) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(*ARM))
+    with pytest.raises(jc.RobotError, match=expected):
+        jc.load_robot(path, **part)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("none.urdf", "no such robot file"), ("arm.step", "ending in .toml, .urdf or .xml")],
+)
+def test_files_that_are_not_there(tmp_path: Path, name: str, expected: str) -> None:
+    with pytest.raises(jc.RobotError, match=expected):
+        jc.load_robot(tmp_path / name)
+
+
+def test_joints_that_mimic_may_be_elsewhere(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(REFUSED["mimic"][0])
+    assert jc.load_robot(path, tip="b").joint_count == 1
+
+
+def test_elements_know_where_they_stand() -> None:
+    """What is written back into a file is put at these places."""
+    text = b'<a x="1>2">\n <b/><!-- <b> --><b y="/>" />\n<c>t</c></a>'
+    root = parse_xml(text, "x")
+    spans = [text[e.start : e.end] for e in (root, *root.children)]
+    assert spans == [text, b"<b/>", b'<b y="/>" />', b"<c>t</c>"]
+    assert [e.line for e in root.children] == [2, 2, 3]
+
+
+@pytest.mark.parametrize("command", ["derive", "identify"])
+def test_the_command_ends_with_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    from jaxcslc.cli import app
+
+    path = tmp_path / "arm.urdf"
+    path.write_text(REFUSED["negative mass"][0])
+    arguments = [command, str(path)] + (["train.csv"] if command == "identify" else [])
+    with pytest.raises(SystemExit) as caught:
+        app(arguments)
+    assert caught.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith(f"jaxcslc: {path}")
