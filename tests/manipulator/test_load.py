@@ -32,7 +32,7 @@ def states(rng: np.random.Generator, samples: int, joints: int) -> Iterator[np.n
 
 def rigid_torque(robot: jc.Manipulator) -> Callable[..., np.ndarray]:
     """Torque without friction, by the links that the file gives."""
-    network = jc.derive(robot.with_friction(), lengths="numeric")
+    network = jc.derive(robot.with_friction(), lengths="numeric", evaluator="recursive")
     assert robot.links is not None
     k = network.coefficients_from(robot.links)
     return lambda *state: np.asarray(network.torque(k, *state))
