@@ -7,6 +7,7 @@ import typer
 
 from .. import __version__
 from ._derive import derive_command
+from ._export import export_command
 from ._identify import identify_command
 
 
@@ -18,6 +19,7 @@ app = typer.Typer(
 )
 app.command("derive")(derive_command)
 app.command("identify")(identify_command)
+app.command("export")(export_command)
 
 
 def main() -> None:

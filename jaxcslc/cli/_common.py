@@ -2,7 +2,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -12,18 +12,18 @@ from ..motion import RecordingError
 from ..network import CSLC, derive
 
 
-_BUNDLED = {"puma560": puma560, "panda": panda}
+BUNDLED = {"puma560": puma560, "panda": panda}
 
-Lengths = Literal["auto", "symbolic", "numeric"]
 RobotArgument = Annotated[
     str,
     typer.Argument(metavar="ROBOT", help="A robot file (.toml, .urdf, .xml), or puma560 or panda."),
 ]
 LengthsOption = Annotated[
-    Lengths,
+    str,
     typer.Option(
-        help="Keep lengths as symbols or put their values in; auto: symbols up to 6 joints, and"
-        " values for URDF and MJCF files."
+        metavar="auto|symbolic|numeric|NAMES",
+        help="Keep lengths as symbols, put their values in, or keep some, as in a2,d4; auto:"
+        " symbols up to 6 joints, and values for URDF and MJCF files.",
     ),
 ]
 BaseOption = Annotated[
@@ -35,18 +35,20 @@ TipOption = Annotated[
 
 
 def robot_named(name: str, base: str | None = None, tip: str | None = None) -> Manipulator:
-    if name not in _BUNDLED:
+    if name not in BUNDLED:
         return load_robot(name, base=base, tip=tip)
     if base is not None or tip is not None:
         raise RobotError(f"{name}: base and tip choose a part of a file; {name} is one robot")
-    return _BUNDLED[name]()
+    return BUNDLED[name]()
 
 
-def network_of(robot: Manipulator, lengths: Lengths) -> CSLC:
+def network_of(robot: Manipulator, lengths: str) -> CSLC:
     if lengths == "auto":
         drawn = robot.source is not None and robot.source.format != "toml"
         lengths = "numeric" if drawn or robot.joint_count > 6 else "symbolic"
-    return derive(robot, lengths=lengths)
+    if lengths == "symbolic" or lengths == "numeric":
+        return derive(robot, lengths=lengths)
+    return derive(robot, lengths=[name.strip() for name in lengths.split(",")])
 
 
 def usable(output: Path) -> None:

@@ -9,9 +9,16 @@ from ..assessment import (
     coefficient_rows,
     coefficient_text,
     compare,
+    degree_of_excitation,
     identification_report,
 )
-from ..learning import Settings, choose_settings, settings_from
+from ..learning import (
+    Settings,
+    choose_settings,
+    cross_validated_error,
+    held_out_error,
+    settings_from,
+)
 from ..motion import load_recording
 from ._common import (
     BaseOption,
@@ -63,17 +70,44 @@ def identify_command(
             patterns["validation"] = chosen.patterns(held_out)
         step("solving")
         fit = chosen.fit(network, patterns["training"])
+        step("judging")
+        excitation = degree_of_excitation(network, patterns["training"])
+        if held_out is None:
+            elsewhere = cross_validated_error(network, patterns["training"], chosen)
+        else:
+            elsewhere = held_out_error(network, fit, patterns["training"], patterns["validation"])
         step("writing")
         errors = {name: compare(network, p, {"fit": fit.k}) for name, p in patterns.items()}
         with all_or_nothing(output) as folder:
-            written = identification_report(folder, network, fit, patterns, errors, chosen)
+            written = identification_report(
+                folder,
+                network,
+                fit,
+                patterns,
+                errors,
+                chosen,
+                excitation=excitation,
+                held_out=elsewhere,
+            )
     typer.echo(f"{network}\nsettings: {chosen}\n")
-    typer.echo(coefficient_text(coefficient_rows(network, fit)))
+    typer.echo(coefficient_text(coefficient_rows(network, fit, excitation=excitation)))
+    typer.echo(
+        f"\nlow and high: 95 % intervals for {fit.errors} errors, {float(fit.freedom):.0f} degrees"
+        " of freedom"
+    )
     for sentence in fit.unidentifiable:
         typer.echo(f"not determined: {sentence}")
-    typer.echo(f"\nrank {int(fit.rank)} of {network.size}, condition {float(fit.condition):.4g}")
+    typer.echo(
+        f"rank {int(fit.rank)} of {network.size}, condition {float(fit.condition):.4g}; told least:"
+        f" {excitation.worst_combination}"
+    )
     for name, table in errors.items():
         typer.echo(f"\ntorque error, {name} recording\n{table}")
+    kind = "cross-validated within the training recording" if held_out is None else "held out"
+    ratios = ", ".join(f"{ratio:.3g}" for ratio in elsewhere.ratio)
+    typer.echo(f"\ntorque error, {kind}, over training error, joint by joint: {ratios}")
+    for sentence in elsewhere.warnings:
+        typer.echo(f"warning: {sentence}")
     typer.echo("\nwrote " + ", ".join(str(output / path.name) for path in written))
 
 

@@ -6,6 +6,10 @@ from ._algebra import (
 )
 from ._chain import Chain as Chain, link_twists as link_twists
 from ._coefficient import Addend as Addend, Coefficient as Coefficient
+from ._identifiability import (
+    StructuralIdentifiability as StructuralIdentifiability,
+    structural_identifiability as structural_identifiability,
+)
 from ._inertial_terms import BODY as BODY, InertialTerm as InertialTerm
 from ._polynomials import PositionRing as PositionRing
 from ._tables import Link as Link, Table as Table

@@ -20,7 +20,7 @@ from ._span import Basis
 from ._tables import Column, Table, table
 
 
-Lengths = Literal["symbolic", "numeric"]
+Lengths = Literal["symbolic", "numeric"] | tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,20 +114,20 @@ def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
     - `robot`: its joints, inertial terms and gravity.
     - `lengths`: `"symbolic"` keeps lengths and gravity as symbols: the coefficients are those of
       the thesis, mass and gravity apart. `"numeric"` puts their values in: fewer coefficients,
-      the base parameters of the identification literature, which mass and gravity share.
+      the base parameters of the identification literature, which mass and gravity share. A tuple
+      of names keeps these lengths, and gravity, as symbols and puts the values of the others in
+      (thesis 8.2.1): mass and gravity stay apart.
 
     **Raises**
 
-    - `RobotError`: if numeric lengths are asked for and one has no value, or if a published
-      numbering does not fit.
+    - `RobotError`: if a length that is to be a number has no value, if a name is no length of the
+      robot, or if a published numbering does not fit.
 
     >>> from jaxcslc.manipulator import Manipulator
     >>> pendulum = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
     >>> [c.expression for c in derive_algebra(pendulum, "numeric").coefficients]
     ['Izz1 + Im1', 'm1*rx1', 'm1*ry1']
     """
-    if lengths not in ("symbolic", "numeric"):
-        raise ValueError(f"lengths must be 'symbolic' or 'numeric', got {lengths!r}")
     # Link parameters are no part of the algebra: robots that differ in them share one derivation.
     return dataclasses.replace(_derived(robot, lengths), robot=robot)
 
@@ -136,8 +136,9 @@ def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
 def _derived(robot: Manipulator, lengths: Lengths) -> Algebra:
     chain = Chain.from_robot(robot)
     terms = inertial_terms(robot)
-    derive = _with_symbols if lengths == "symbolic" else _with_numbers
-    return derive(robot, chain, terms)
+    if lengths == "numeric":
+        return _with_numbers(robot, chain, terms)
+    return _with_symbols(robot, chain, terms, lengths)
 
 
 def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...]) -> Algebra:
@@ -161,8 +162,10 @@ def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
     return Algebra(robot, "numeric", ring, terms, coefficients, chosen, tables)
 
 
-def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...]) -> Algebra:
-    named = robot.named_lengths()
+def _with_symbols(
+    robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...], lengths: Lengths
+) -> Algebra:
+    named = _kept(robot, lengths)
     gravity = _gravity_symbols(robot)
     ring = PositionRing(chain, (*named, *(symbol for symbol, _ in gravity if symbol)))
     taken = {*ring.variables, *(symbol for symbol, _ in gravity)}
@@ -171,7 +174,12 @@ def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
             f"robot {robot.name!r}: length {min(clash)!r} has the name of a position variable or"
             " of gravity; give it another"
         )
-    twists = _twists(robot, ring, lambda length, name: ring.constant(length.symbol or name))
+
+    def length_of(length: Length, name: str) -> Any:
+        symbol = length.symbol or name
+        return ring.constant(symbol) if symbol in named else exact_number(length.value or 0.0)
+
+    twists = _twists(robot, ring, length_of)
     mass = mass_matrix(ring, twists, terms)
     weight = gravity_vector(ring, twists, terms)
 
@@ -184,17 +192,21 @@ def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
     # Symbolic constants stand in every form's key, so elements of M and G never share one.
     mass_basis = Basis(_forms(mass), label)
     gravity_basis = Basis(_forms(weight), label)
-    numbering = robot.numbering
-    place = [*_published_order(mass_basis, mass, numbering and numbering.mass, ring)]
-    place += [
-        (len(mass_basis.forms) + index, scale)
-        for index, scale in _published_order(
-            gravity_basis, weight, numbering and numbering.gravity, ring
-        )
-    ]
+    numbering = robot.numbering if lengths == "symbolic" else None  # published for symbols
+    forms = mass_basis.forms + gravity_basis.forms
+    if lengths == "symbolic":
+        place = [*_published_order(mass_basis, mass, numbering and numbering.mass, ring)]
+        place += [
+            (len(mass_basis.forms) + index, scale)
+            for index, scale in _published_order(
+                gravity_basis, weight, numbering and numbering.gravity, ring
+            )
+        ]
+    else:  # multiples of numbers are no integers: each coefficient begins with its first term
+        place = [(index, 1 / form[min(form)]) for index, form in enumerate(forms)]
     accelerations = tuple(symbol for symbol, _ in gravity if symbol)
     coefficients: list[Coefficient] = [None] * len(place)  # type: ignore[list-item]
-    for form, (index, scale) in zip(mass_basis.forms + gravity_basis.forms, place, strict=True):
+    for form, (index, scale) in zip(forms, place, strict=True):
         group = "mass" if index < len(mass_basis.forms) else "gravity"
         number = index + 1 if group == "mass" else index + 1 - len(mass_basis.forms)
         scaled = {key: value * scale for key, value in form.items()}
@@ -217,7 +229,27 @@ def _with_symbols(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
         )
 
     tables = Tables(ring, numbering, elements)
-    return Algebra(robot, "symbolic", ring, terms, tuple(coefficients), (), tables)
+    return Algebra(robot, lengths, ring, terms, tuple(coefficients), (), tables)
+
+
+def _kept(robot: Manipulator, lengths: Lengths) -> dict[str, Length]:
+    """The lengths that stay symbols."""
+    named = robot.named_lengths()
+    if isinstance(lengths, str):
+        return named
+    for symbol in lengths:
+        if symbol not in named:
+            raise RobotError(
+                f"robot {robot.name!r} has no length {symbol!r};"
+                f" it has {', '.join(named) or 'none'}"
+            )
+    for symbol, length in named.items():
+        if symbol not in lengths and length.value is None:
+            raise RobotError(
+                f"robot {robot.name!r}: length {symbol!r} has no value; give one, or keep it"
+                " symbolic"
+            )
+    return {symbol: length for symbol, length in named.items() if symbol in lengths}
 
 
 def _twists(

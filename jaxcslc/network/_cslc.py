@@ -200,7 +200,7 @@ class CSLC(eqx.Module):
         }
         parts = [
             coefficient_values(self.algebra.coefficients, links, constant_values(self.robot))
-            if self.algebra.lengths == "symbolic"
+            if self.algebra.lengths != "numeric"
             else coefficient_values(self.algebra.coefficients, links, {})
         ]
         names = (*self.robot.friction_terms, *(["coupled"] if self.robot.coupled else []))

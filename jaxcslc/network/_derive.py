@@ -1,4 +1,5 @@
-from typing import Literal
+from collections.abc import Sequence
+from typing import Literal, cast
 
 from ..derivation import Algebra, Lengths, derive_algebra
 from ..manipulator import Manipulator
@@ -19,7 +20,7 @@ _MOST_ANGLES = 6
 def derive(
     robot: Manipulator,
     *,
-    lengths: Lengths = "symbolic",
+    lengths: Literal["symbolic", "numeric"] | Sequence[str] = "symbolic",
     evaluator: Literal["auto", "tables", "recursive"] = "auto",
 ) -> CSLC:
     """Derive a robot's inverse dynamics and build the network that computes them.
@@ -30,20 +31,27 @@ def derive(
     - `lengths`: `"symbolic"`: the thesis's coefficients, valid whatever the lengths are.
       `"numeric"`: the base parameters, the fewest coefficients that describe the torque; use it
       for identification unless the lengths themselves are in doubt, and for any robot of more
-      than 6 joints.
+      than 6 joints. A list of names keeps these lengths as symbols and puts the others' values
+      in, mass and gravity coefficients apart (thesis 8.2.1).
     - `evaluator`: `"tables"`: straight-line code from the closed form; `"recursive"`:
       Newton-Euler, numeric lengths only; `"auto"`: tables where they are small.
 
     **Raises**
 
-    - `RobotError`: if a length has no value and `lengths="numeric"`.
-    - `ValueError`: if the recursive evaluator is asked for with symbolic lengths.
+    - `RobotError`: if a length that is to be a number has no value, or a name is no length.
+    - `ValueError`: if `lengths` is another word, or if the recursive evaluator is asked for with
+      symbolic lengths.
 
     >>> import jaxcslc as jc
     >>> jc.derive(jc.puma560())
     CSLC(PUMA 560: 6 joints, 43 coefficients: 26 mass, 5 gravity, 6 viscous, 6 dry; TableEvaluator)
     """
-    algebra = derive_algebra(robot, lengths)
+    if isinstance(lengths, str) and lengths not in ("symbolic", "numeric"):
+        raise ValueError(
+            f"lengths must be 'symbolic', 'numeric' or a list of names, got {lengths!r}"
+        )
+    kept = lengths if isinstance(lengths, str) else tuple(lengths)
+    algebra = derive_algebra(robot, cast(Lengths, kept))
     return CSLC(
         (*algebra.coefficients, *friction_coefficients(robot)),
         algebra,
@@ -61,7 +69,7 @@ def _evaluator(algebra: Algebra, choice: str) -> AbstractEvaluator:
 
 
 def _tables_are_small(algebra: Algebra) -> bool:
-    if algebra.lengths == "symbolic":
+    if algebra.lengths != "numeric":
         return True
     right_angles = all(0 in link.twist for link in algebra.chain.links)
     if len(algebra.chain.angles) > (_MOST_ANGLES if right_angles else 3):
