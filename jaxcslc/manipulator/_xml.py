@@ -63,6 +63,10 @@ def parse_xml(text: bytes, where: str) -> Element:
             raise RobotError(f"{line()}: elements nest deeper than {_DEEPEST}; no robot does")
         if count > _MOST_ELEMENTS:
             raise RobotError(f"{line()}: more than {_MOST_ELEMENTS} elements; no robot has")
+        for name, value in attributes.items():
+            # MuJoCo would note it in a file of its own, in whatever folder this runs.
+            if "nan" in value.lower().split():
+                raise RobotError(f"{line()}: {name} of {tag} is {value!r}; expected numbers")
         element = Element(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex)
         stack[-1].children.append(element)
         stack.append(element)
