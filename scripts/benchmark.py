@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio
 from benchmark_metrics import Metric, best_of, report
+from robot_benchmark import metrics as robot_metrics
 from training_benchmark import training
 
 import jaxcslc as jc
@@ -235,6 +236,7 @@ def main() -> None:
         direct_solve(network, k),
         training(),
         waiting(),
+        robot_metrics(),
     ]
     if arguments.full:
         Path("build").mkdir(exist_ok=True)
