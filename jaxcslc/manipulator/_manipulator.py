@@ -1,6 +1,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ._errors import RobotError
 from ._friction import (
@@ -25,7 +26,7 @@ from ._numbering import Numbering, Subnumbering
 from ._source import Source
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Manipulator:
     """A chain or tree of rigid links: all that the derivation needs to know of a robot.
 
@@ -270,6 +271,49 @@ class Manipulator:
             self,
             inertia=tuple(LinkInertia(form, motor=motor_inertia) for _ in self.joints),
             numbering=None,
+        )
+
+    def to_pandas(self) -> Any:
+        """A pandas table, one row a joint: parent, modified Denavit-Hartenberg row, parameters.
+
+        Lengths are in m, angles in rad, masses in kg, inertias at the centre of gravity in kg m².
+
+        >>> import jaxcslc as jc
+        >>> jc.puma560().to_pandas()[["alpha", "a", "mass"]].loc[3].tolist()
+        [0.0, 0.4318, 4.8]
+        """
+        import pandas
+
+        rows: list[dict[str, Any]] = []
+        for i, joint in enumerate(self.joints):
+            row: dict[str, Any] = {"kind": joint.kind, "parent": self.parents[i] + 1}
+            row |= {name: getattr(joint, name) for name in ("alpha", "theta", "gamma")}
+            row |= {letter: length.value for letter, _, length in joint.lengths}
+            if self.source is not None:
+                row |= {"joint of file": self.source.joints[i], "body": self.source.links[i]}
+            if self.links is not None:
+                link = self.links[i]
+                row |= {"mass": float(link.mass), "motor inertia": float(link.motor_inertia)}
+                row |= {
+                    f"r{axis}": float(link.centre_of_gravity[a]) for a, axis in enumerate("xyz")
+                }
+                row |= {
+                    f"I{'xyz'[a]}{'xyz'[b]}": float(link.inertia[a, b])
+                    for a in range(3)
+                    for b in range(a, 3)
+                }
+            for term in ("viscous", "dry"):
+                values = getattr(self, term)
+                row |= {} if values is None else {term: values[i]}
+            rows.append(row)
+        return pandas.DataFrame(rows, index=range(1, self.joint_count + 1)).rename_axis("joint")
+
+    def __repr__(self) -> str:
+        known = "known links" if self.links is not None else "unknown links"
+        carried = "" if self.parents == tuple(range(-1, self.joint_count - 1)) else ", a tree"
+        return (
+            f"Manipulator({self.name!r}: {self.joint_count} joints {self.kinds}{carried},"
+            f" {known}, friction {' '.join(self.friction) or 'none'})"
         )
 
     def length_values(self) -> dict[str, float]:
