@@ -7,16 +7,26 @@ from .assessment import (
     regress_friction as regress_friction,
 )
 from .derivation import Coefficient as Coefficient
+from .export import (
+    CCode as CCode,
+    WrittenRobot as WrittenRobot,
+    c_code as c_code,
+    write_robot as write_robot,
+)
 from .learning import (
     RESULTS as RESULTS,
     Candidates as Candidates,
     Identification as Identification,
+    PhysicalParameters as PhysicalParameters,
     Refinement as Refinement,
     Selection as Selection,
     Settings as Settings,
+    SlopeFit as SlopeFit,
     choose_settings as choose_settings,
+    fit_slopes as fit_slopes,
     least_squares as least_squares,
     least_squares_stream as least_squares_stream,
+    physical_parameters as physical_parameters,
     refine_thresholds as refine_thresholds,
 )
 from .manipulator import (
@@ -27,6 +37,7 @@ from .manipulator import (
     load_robot as load_robot,
     panda as panda,
     puma560 as puma560,
+    tx40 as tx40,
 )
 from .motion import (
     AveragedSplines as AveragedSplines,

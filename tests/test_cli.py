@@ -106,6 +106,70 @@ class TestIdentify:
         assert after["settings"] == before["settings"]
 
 
+class TestExport:
+    def test_writes_the_robot_back(self, identified: tuple[Result, Path], tmp_path: Path) -> None:
+        """A copy of the robot's file whose numbers are possible and were identified."""
+        _, output = identified
+        path = tmp_path / "mine.toml"
+        result = run("export", "puma560", output / "identification.json", "-o", path)
+        assert result.exit_code == 0, result.output
+        for text in ("cost of being possible", "standard errors", "read again", str(path)):
+            assert text in result.output
+        robot = jc.load_robot(path)
+        assert robot.links is not None and robot.viscous is not None
+        for link in robot.links:
+            moments = np.sort(np.diag(np.asarray(link.inertia)))
+            assert float(link.mass) > 0 and 0 < moments[2] < moments[0] + moments[1]
+        identified_k = json.loads((output / "identification.json").read_text())
+        place = identified_k["names"].index("kv2")
+        assert robot.viscous[1] == pytest.approx(identified_k["k"][place], rel=0.1)
+        source = path.read_text()
+        assert "# The principal-axis substitution" in source and "[numbering" in source
+
+    def test_writes_c(self, identified: tuple[Result, Path], tmp_path: Path) -> None:
+        _, output = identified
+        path = tmp_path / "controller.c"
+        result = run("export", "puma560", output / "identification.json", "--c", "-o", path)
+        assert result.exit_code == 0, result.output
+        assert "operations: torque" in result.output
+        assert '#include "controller.h"' in path.read_text()
+        assert "void puma_560_torque(" in path.with_suffix(".h").read_text()
+
+    @pytest.mark.parametrize(
+        ("robot", "name", "words"),
+        [
+            ("panda", "identification.json", ["expected an identification of this robot"]),
+            ("puma560", "none.json", ["none.json", "no such identification"]),
+            ("puma560", "coefficients.csv", ["coefficients.csv", "not valid JSON"]),
+        ],
+    )
+    def test_wrong_input_gets_one_line(
+        self,
+        robot: str,
+        name: str,
+        words: list[str],
+        identified: tuple[Result, Path],
+        tmp_path: Path,
+    ) -> None:
+        _, output = identified
+        result = run("export", robot, output / name, "-o", tmp_path / "out.toml")
+        assert result.exit_code == 2
+        (line,) = result.stderr.strip().splitlines()
+        for word in words:
+            assert word in line
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_name_of_another_kind(self, identified: tuple[Result, Path], tmp_path: Path) -> None:
+        _, output = identified
+        for extra, wrong in (([], "out.urdf"), (["--c"], "out.toml")):
+            result = run(
+                *("export", "puma560", output / "identification.json", *extra),
+                *("-o", tmp_path / wrong),
+            )
+            assert result.exit_code == 2 and "expected a name ending in" in result.stderr
+        assert list(tmp_path.iterdir()) == []
+
+
 def _cells(path: Path) -> list[list[str]]:
     return [line.split(",") for line in path.read_text().splitlines()]
 

@@ -35,3 +35,16 @@ def test_the_examples_of_networks_run_one_after_the_other(
     assert float(relearnt) < 1e-3
     assert "8 of 25 weights" in several
     assert re.search(r"of 25 weights removed", pruned)
+
+
+def test_the_examples_of_friction_run_one_after_the_other(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    known: dict[str, object] = {}
+    printed: list[str] = []
+    for example in examples_of("docs/friction.md"):
+        exec(compile(example, "docs/friction.md", "exec"), known)
+        printed.append(capsys.readouterr().out)
+    names, slopes = printed
+    assert names == "('ks6', 'kvp3', 'kvn3')\n"
+    assert slopes.startswith("[5.")

@@ -49,3 +49,4 @@ from ._trajectory_pictures import (
     motion_picture as motion_picture,
     reversal_picture as reversal_picture,
 )
+from ._verdicts import Verdict as Verdict, verdicts as verdicts

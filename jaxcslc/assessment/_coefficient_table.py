@@ -5,7 +5,9 @@ from jaxtyping import Array, Float
 
 from ..learning import Identification
 from ..network import CSLC
+from ._excitation import Excitation
 from ._text import text_table
+from ._verdicts import verdicts
 
 
 _LONGEST_EXPRESSION = 60
@@ -18,6 +20,8 @@ def coefficient_rows(
     *,
     sensitivity: Float[Array | np.ndarray, " _"] | None = None,
     groups: Sequence[str] | None = None,
+    excitation: Excitation | None = None,
+    level: float = 0.95,
 ) -> list[dict[str, str | float | bool]]:
     """One row a coefficient: name, group, expression, unit and, with a fit, what it found.
 
@@ -25,11 +29,13 @@ def coefficient_rows(
 
     **Arguments**
 
-    - `fit`: adds `value`, `standard_error`, `relative_error` and `identifiability`: `determined`;
-      `sign` where the value contradicts a positive coefficient; `weak` where its standard error
-      exceeds the value; `undetermined` where the patterns do not tell it.
+    - `fit`: adds `value`, `standard_error`, `relative_error`, the interval's ends `low` and
+      `high`, and `verdict` and `reason`, as `verdicts` gives them.
     - `reference`: further columns of values, such as Armstrong's, or the true ones.
     - `sensitivity`: adds the column `sensitivity`; see `output_sensitivity`.
+    - `excitation`: adds `variance_inflation`, and reasons that name it; see
+      `degree_of_excitation`.
+    - `level`: of the intervals.
     - `groups`: only the coefficients of these groups, such as `["mass"]` for Fig. B.1-1; by
       default all.
 
@@ -51,6 +57,8 @@ def coefficient_rows(
     for name, vector in columns.items():
         if vector.shape != (network.size,):
             raise ValueError(f"{name}: expected shape ({network.size},), got {vector.shape}")
+    judged = None if fit is None else verdicts(network, fit, excitation, level=level)
+    interval = None if fit is None else fit.confidence_interval(level)
     rows: list[dict[str, str | float | bool]] = []
     for i, coefficient in enumerate(network.coefficients):
         if groups is not None and coefficient.group not in groups:
@@ -61,13 +69,14 @@ def coefficient_rows(
             "unit": coefficient.unit,
             "positive": coefficient.positive,
         }
-        if fit is not None:
+        if fit is not None and judged is not None and interval is not None:
             value, error = float(fit.k[i]), float(fit.standard_error[i])
             row["value"], row["standard_error"] = value, error
             row["relative_error"] = abs(error / value) if value else float("inf")
-            row["identifiability"] = _verdict(
-                value, error, bool(fit.determined[i]), coefficient.positive
-            )
+            row["low"], row["high"] = (float(end) for end in interval[i])
+            if excitation is not None:
+                row["variance_inflation"] = float(excitation.variance_inflation[i])
+            row["verdict"], row["reason"] = judged[i].word, judged[i].reason
         for name, vector in columns.items():
             row[name] = float(vector[i])
         row["expression"] = coefficient.expression
@@ -76,10 +85,23 @@ def coefficient_rows(
 
 
 def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
-    """Coefficient rows as a table to read; long expressions are cut."""
-    shown = [name for name in rows[0] if name not in ("group", "positive", "relative_error")]
+    """Coefficient rows as a table to read; long expressions are cut.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.assessment import coefficient_rows, coefficient_text
+    >>> pendulum = jc.Manipulator.from_modified_dh(
+    ...     [(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=()
+    ... )
+    >>> print(coefficient_text(coefficient_rows(jc.derive(pendulum, lengths="numeric"))))
+    name  unit   expression
+    kB1   kg m²  Izz1 + Im1
+    kB2   kg m   m1*rx1
+    kB3   kg m   m1*ry1
+    """
+    hidden = ("group", "positive", "relative_error", "variance_inflation")
+    shown = [name for name in rows[0] if name not in hidden]
     cells = [[_cell(name, row[name]) for name in shown] for row in rows]
-    return text_table(shown, cells, left=("unit", "identifiability", "expression"))
+    return text_table(shown, cells, left=("unit", "verdict", "reason", "expression"))
 
 
 def _cell(name: str, value: str | float | bool) -> str:
@@ -90,11 +112,3 @@ def _cell(name: str, value: str | float | bool) -> str:
         cut = len(text) > _LONGEST_EXPRESSION
         return text[: _LONGEST_EXPRESSION - 2] + " …" if cut else text
     return text
-
-
-def _verdict(value: float, error: float, determined: bool, positive: bool) -> str:
-    if not determined:
-        return "undetermined"
-    if error > abs(value):
-        return "weak"
-    return "sign" if positive and value < 0 else "determined"

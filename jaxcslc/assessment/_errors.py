@@ -1,4 +1,5 @@
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,6 +26,13 @@ class ErrorTable(eqx.Module):
       not count, the others'.
 
     Prints itself as the thesis's table; `rows()` has the same as data.
+
+    >>> import jax.numpy as jnp, jaxcslc as jc
+    >>> one = jnp.array([[0.25]])
+    >>> print(jc.ErrorTable(("fit",), mean_modulus=one, rms=one, epsilon=jnp.array([0.125])))
+    [N m]       fit
+    mean |e1|  0.25
+    mean ε     0.125
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -41,6 +49,16 @@ class ErrorTable(eqx.Module):
         mean = np.asarray(self.epsilon).tolist()
         rows.append({"": "mean ε", **dict(zip(self.names, mean, strict=True))})
         return rows
+
+    def to_pandas(self) -> Any:
+        """`rows()` as a `pandas.DataFrame`, a column for each coefficient vector [N m]."""
+        import pandas
+
+        rows = self.rows()
+        return pandas.DataFrame(
+            {name: [row[name] for row in rows] for name in self.names},
+            index=pandas.Index([row[""] for row in rows], name="error"),
+        )
 
     def __str__(self) -> str:
         return text_table(

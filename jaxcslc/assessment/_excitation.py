@@ -1,4 +1,5 @@
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,6 +9,10 @@ from jaxtyping import Array, Float
 from ..learning import factorise, filled_up
 from ..motion import Patterns
 from ..network import CSLC
+
+
+# As many coefficients as a line that is read can name.
+_PARTS = 4
 
 
 class Excitation(eqx.Module):
@@ -25,6 +30,11 @@ class Excitation(eqx.Module):
     - `smallest`: the smallest singular value, from 0 to 1.
     - `weakest`: (p,) the combination of scaled coefficients that belongs to it, of unit length:
       its largest entries name what the recording tells least.
+    - `length`: (p,) of each column, the root of its sum of squares: what the coefficients are
+      multiplied by to be scaled.
+    - `variance_inflation`: (p,) from 1: how many times larger each coefficient's variance is than
+      if the others were known (Belsley, Kuh and Welsch, 'Regression Diagnostics', 1980; about
+      zero, not about means). Infinite where the patterns do not determine it.
     - `group_condition`: the condition of each group's columns by themselves: as if everything
       else were known.
     - `names`: of the coefficients.
@@ -33,6 +43,8 @@ class Excitation(eqx.Module):
     condition: Float[Array, ""]
     smallest: Float[Array, ""]
     weakest: Float[Array, " coefficients"]
+    length: Float[Array, " coefficients"]
+    variance_inflation: Float[Array, " coefficients"]
     group_condition: Mapping[str, Float[Array, ""]]
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -44,11 +56,43 @@ class Excitation(eqx.Module):
             for group, value in conditions.items()
         ]
 
+    @property
+    def worst_combination(self) -> str:
+        """The combination of coefficients that the recording tells least, in words.
+
+        In the coefficients' units, the largest part first and made 1; no more than four parts, and
+        none that matters less than a fifth of the first. Not available under `jit`.
+        """
+        part = np.asarray(self.weakest)
+        size = np.abs(part)
+        order = [int(i) for i in np.argsort(-size)[:_PARTS] if size[i] > 0.2 * size.max()]
+        multiple = part * np.asarray(self.length)
+        first = order[0]
+        # A column of zeros has no length to be scaled with: it is that coefficient alone.
+        scaled = multiple / multiple[first] if multiple[first] else np.ones_like(multiple)
+        text = self.names[first]
+        for i in order[1:]:
+            number = f"{abs(scaled[i]):.3g}"
+            times = "" if number == "1" else f"{number}*"
+            text += f" {'-' if scaled[i] < 0 else '+'} {times}{self.names[i]}"
+        return text
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, one row a coefficient: variance inflation and weakest part."""
+        import pandas
+
+        return pandas.DataFrame(
+            {
+                "variance_inflation": np.asarray(self.variance_inflation),
+                "weakest": np.asarray(self.weakest),
+            },
+            index=pandas.Index(self.names, name="coefficient"),
+        )
+
     def __str__(self) -> str:
-        order = np.argsort(-np.abs(np.asarray(self.weakest)))[:3]
         return (
             f"condition {float(self.condition):.4g}, smallest singular value"
-            f" {float(self.smallest):.4g}; told least: {', '.join(self.names[i] for i in order)}"
+            f" {float(self.smallest):.4g}; told least: {self.worst_combination}"
         )
 
 
@@ -99,10 +143,16 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
     # What counts as zero in `least_squares` too.
     rounding = 10 * jnp.finfo(scaled.dtype).eps
     rounding *= jnp.maximum(network.size, jnp.sqrt(jnp.sum(factors.counts)))
+    told = singular > rounding * singular[0]
+    inverse = jnp.where(told, 1.0 / jnp.where(told, singular, 1.0), 0.0)
+    untold = jnp.sum(jnp.where(told[:, None], 0.0, right) ** 2, axis=0) > 1e-12
+    inflation = jnp.sum((inverse[:, None] * right) ** 2, axis=0)
     return Excitation(
         condition=_condition(singular, rounding),
         smallest=singular[-1],
         weakest=right[-1],
+        length=length,
+        variance_inflation=jnp.where(untold, jnp.inf, inflation),
         group_condition={
             group: _condition(jnp.linalg.svd(scaled[:, chosen], compute_uv=False), rounding)
             for group, chosen in columns.items()

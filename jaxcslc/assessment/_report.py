@@ -4,13 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from ..learning import Identification, Settings, settings_document
+from ..learning import HeldOut, Identification, Settings, settings_document
 from ..motion import Patterns
 from ..network import CSLC
 from ._coefficient_table import coefficient_rows
 from ._errors import ErrorTable, predicted_torque
+from ._excitation import Excitation
 from ._output import write_csv, write_json
 from ._pictures import save_picture, torque_picture
+
+
+_STATES = 100  # of the motion that is kept beside the coefficients
 
 
 def identification_report(
@@ -20,6 +24,9 @@ def identification_report(
     patterns: Mapping[str, Patterns],
     errors: Mapping[str, ErrorTable],
     settings: Settings,
+    *,
+    excitation: Excitation | None = None,
+    held_out: HeldOut | None = None,
 ) -> list[Path]:
     """Everything that an identification found, as files.
 
@@ -27,27 +34,27 @@ def identification_report(
 
     - `folder`: exists.
     - `patterns`, `errors`: by the name of the recording: `"training"`, `"validation"`.
+    - `excitation`: of the training recording; adds variance inflation and the combination of
+      coefficients that is told least.
+    - `held_out`: adds how the fit does where it was not fitted.
 
     **Returns** the files: `coefficients.csv`, `identification.json`, and for every recording
     `errors_NAME.csv`, `torque_NAME.csv` and `torque_NAME.png`.
     """
-    write_csv(folder / "coefficients.csv", coefficient_rows(network, fit))
+    write_csv(folder / "coefficients.csv", coefficient_rows(network, fit, excitation=excitation))
     write_json(
         folder / "identification.json",
         {
             "robot": network.robot.name,
             "lengths": network.algebra.lengths,
             "settings": settings_document(settings),
-            "names": network.names,
             "units": [coefficient.unit for coefficient in network.coefficients],
-            "k": fit.k,
-            "standard_error": fit.standard_error,
-            "covariance": fit.covariance,
-            "rank": int(fit.rank),
-            "condition": float(fit.condition),
             "unidentifiable": fit.unidentifiable,
-            "equations": fit.equations,
+            **fit.document(),  # so that `Identification.load` reads this file too
+            **({} if excitation is None else {"told_least": excitation.worst_combination}),
+            **({} if held_out is None else {"held_out": _held_out(held_out)}),
             "torque_error_rms": {name: table.rms[0] for name, table in errors.items()},
+            "motion": _some_motion(patterns["training"]),
         },
     )
     written = [folder / "coefficients.csv", folder / "identification.json"]
@@ -55,6 +62,21 @@ def identification_report(
         predicted = np.asarray(predicted_torque(network, pattern, fit.k))
         written += _recording_files(folder, name, network, pattern, predicted, errors[name])
     return written
+
+
+def _some_motion(patterns: Patterns) -> dict[str, np.ndarray]:
+    """States of the recording, evenly spaced: enough to compare torques over it later."""
+    every = max(len(np.asarray(patterns.time)) // _STATES, 1)
+    return {name: np.asarray(getattr(patterns, name))[::every] for name in ("q", "qd", "qdd")}
+
+
+def _held_out(held_out: HeldOut) -> dict[str, Any]:
+    return {
+        "training_rms": held_out.training,
+        "held_out_rms": held_out.held_out,
+        "limit": held_out.limit,
+        "beyond_chance": held_out.beyond_chance,
+    }
 
 
 def _recording_files(

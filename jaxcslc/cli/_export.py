@@ -72,13 +72,13 @@ def export_command(
             found = _possible(network, fit, states)
             step("writing and reading again")
             path = _default(Path(file)) if output is None else output
-            motion = None if states is None else (states.q, states.qd, states.qdd)
+            motion = states.q, states.qd, states.qdd
             written = write_robot(network, found, path, states=motion)
-            said = _report(network, found, written, measured=states is not None)
+            said = _report(network, found, written, measured="motion" in document)
     typer.echo(said)
 
 
-def _possible(network: CSLC, fit: Identification, states: Patterns | None) -> PhysicalParameters:
+def _possible(network: CSLC, fit: Identification, states: Patterns) -> PhysicalParameters:
     source = network.robot.source
     carried = source.carried if source is not None else None
     fixed = carried if carried is not None and any(body is not None for body in carried) else None
@@ -99,7 +99,7 @@ def _report(
     rows = [
         [
             str(joint + 1),
-            f"{found.torque_distance[joint]:.3g}" if measured else "not known",
+            f"{found.torque_distance[joint]:.3g}",
             f"{written.rms[joint]:.1e}",
             unit,
         ]
@@ -148,11 +148,12 @@ def _lengths(document: dict[str, Any]) -> str:
     return ",".join(lengths) if isinstance(lengths, list) else str(lengths)
 
 
-def _states(document: dict[str, Any], network: CSLC, path: Path) -> Patterns | None:
-    """Motion of the recording, as patterns without torques; None if the document has none."""
+def _states(document: dict[str, Any], network: CSLC, path: Path) -> Patterns:
+    """Motion of the recording, as patterns without torques; random if the document has none."""
     motion = document.get("motion")
     if motion is None:
-        return None
+        drawn = np.random.default_rng(0).uniform(-1, 1, (3, 100, network.joint_count))
+        motion = dict(zip(("q", "qd", "qdd"), drawn * [[[np.pi]], [[1.0]], [[1.0]]], strict=True))
     try:
         q, qd, qdd = (np.asarray(motion[name], float) for name in ("q", "qd", "qdd"))
     except (KeyError, TypeError, ValueError):

@@ -33,6 +33,11 @@ class Coefficient:
     - `unit`: SI.
     - `positive`: whether its sign is positive by construction (thesis 5.2.3).
     - `addends`: the expression, to compute with.
+
+    >>> import jaxcslc as jc
+    >>> coefficient = jc.derive(jc.puma560()).coefficients[3]
+    >>> coefficient.name, coefficient.expression, coefficient.unit, coefficient.positive
+    ('kM4', 'Izz6', 'kg m²', True)
     """
 
     name: str

@@ -104,7 +104,7 @@ def factorise(
     ) -> tuple[tuple[Array, ...], None]:
         q, qd, qdd, torque, weight = block
         joined = tuple(
-            _join_rows(triangle, jnp.concatenate([rows, torque[j][None]]) * weight[j][None])
+            join_rows(triangle, jnp.concatenate([rows, torque[j][None]]) * weight[j][None])
             for j, (triangle, rows) in enumerate(
                 zip(triangles, network.columns(q, qd, qdd), strict=True)
             )
@@ -118,7 +118,7 @@ def factorise(
     return JointFactors(triangles, start.counts + jnp.sum(weight != 0, axis=0))
 
 
-def _join_rows(triangle: Float[Array, "s s"], rows: Float[Array, "s samples"]) -> Array:
+def join_rows(triangle: Float[Array, "s s"], rows: Float[Array, "s samples"]) -> Array:
     """The triangle of a triangle above further rows, given as columns, some at a time."""
     columns, at_once = rows.shape[0], _ROWS
     while at_once > 32 and (at_once + columns) * columns > _CELLS:

@@ -1,11 +1,14 @@
+from pathlib import Path
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
+from scipy.stats import t as student
 
-from ..network import CSLC
-from ._factors import JointFactors
+from ._identification_document import arrays_from, document_of, read_document, write_document
 from ._solution import RESULTS
 from ._undetermined import describe
 
@@ -17,12 +20,19 @@ class Identification(eqx.Module):
 
     - `k`: (p,) coefficients, in the order of `network.coefficients`, in their units. Where the
       patterns leave a choice, the one of least norm after scaling every column to unit length.
-    - `standard_error`: (p,) standard deviation of each, for independent residuals; infinite
-      where the patterns do not determine it.
+    - `standard_error`: (p,) standard deviation of each; infinite where the patterns do not
+      determine it.
     - `covariance`: (p, p); entries of undetermined coefficients are those of the chosen solution.
+      For correlated errors its rank is at most `freedom`: variances and correlations can be read
+      off it, it cannot be inverted.
+    - `independent_covariance`: (p, p), what `covariance` would be for independent errors. Its
+      inverse measures changes of the coefficients by the squared torque that they cause.
     - `torque_error`: (n,) root mean square residual of each joint over the pairs that counted
       [N m or N].
     - `equations`: (n,) how many equations each joint took part with.
+    - `effective_equations`: (n,) how many independent ones they are worth; the same number unless
+      correlation was allowed for.
+    - `freedom`: degrees of freedom of Student's t that belong to the standard errors.
     - `rank`: of the regressor.
     - `condition`: ratio of the largest to the smallest singular value that counts, columns
       scaled to unit length.
@@ -31,19 +41,43 @@ class Identification(eqx.Module):
     - `determined`: (p,) whether the patterns determine the coefficient by itself.
     - `result`: a member of `RESULTS`.
     - `names`: of the coefficients.
+    - `errors`: `"independent"` or `"correlated"`, what was allowed for; see `least_squares`.
+
+    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> network.names  # inertia, viscous and dry friction of a joint with an upright axis
+    ('kB1', 'kv1', 'kd1')
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> noise = np.random.default_rng(0).normal(size=t.shape)
+    >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.2, 0.05]), q, qd, qdd)) + 0.1 * noise
+    >>> everything = np.ones(t.shape, bool)
+    >>> fit = jc.least_squares(
+    ...     network, jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
+    ... )
+    >>> low, high = fit.confidence_interval(0.95)[0]
+    >>> bool(low < 0.5 < high)
+    True
+    >>> fit.to_pandas().columns.tolist()
+    ['value', 'standard_error', 'low', 'high', 'determined']
     """
 
     k: Float[Array, " coefficients"]
     standard_error: Float[Array, " coefficients"]
     covariance: Float[Array, "coefficients coefficients"]
+    independent_covariance: Float[Array, "coefficients coefficients"]
     torque_error: Float[Array, " joints"]
     equations: Float[Array, " joints"]
+    effective_equations: Float[Array, " joints"]
+    freedom: Float[Array, ""]
     rank: Int[Array, ""]
     condition: Float[Array, ""]
     undetermined: Float[Array, "coefficients coefficients"]
     determined: Bool[Array, " coefficients"]
     result: RESULTS
     names: tuple[str, ...] = eqx.field(static=True)
+    errors: str = eqx.field(static=True)
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
@@ -54,72 +88,95 @@ class Identification(eqx.Module):
         """
         return describe(np.asarray(self.undetermined), self.names)
 
+    @property
+    def correlation(self) -> Float[Array, "coefficients coefficients"]:
+        """Of the coefficients' errors, (p, p), from -1 to 1; between a coefficient whose error is
+        zero and others, 0."""
+        deviation = jnp.sqrt(jnp.diag(self.covariance))
+        known = deviation > 0.0
+        scale = jnp.where(known, deviation, 1.0)
+        correlation = self.covariance / scale[:, None] / scale[None, :]
+        return jnp.where(jnp.eye(len(scale), dtype=bool), 1.0, jnp.clip(correlation, -1.0, 1.0))
+
+    def confidence_interval(self, level: float = 0.95) -> Float[np.ndarray, "coefficients 2"]:
+        """Lower and upper end of each coefficient's interval, (p, 2), from Student's t.
+
+        Infinite where the patterns do not determine a coefficient. Not available under `jit`.
+
+        **Arguments**
+
+        - `level`: how many of such intervals should hold the truth, as a part of all of them.
+
+        **Raises**
+
+        - `ValueError`: a level that is not between 0 and 1.
+        """
+        if not 0.0 < level < 1.0:
+            raise ValueError(f"level is {level}; expected more than 0 and less than 1")
+        quantile = float(student.ppf(0.5 + 0.5 * level, float(self.freedom)))
+        half = quantile * np.asarray(self.standard_error)
+        k = np.asarray(self.k)
+        return np.stack([k - half, k + half], axis=-1)
+
+    def to_pandas(self, level: float = 0.95) -> Any:
+        """A `pandas.DataFrame`, one row a coefficient: value, standard error, interval.
+
+        **Arguments**
+
+        - `level`: of the interval, as for `confidence_interval`.
+        """
+        import pandas  # takes longer to import than a fit takes
+
+        interval = self.confidence_interval(level)
+        return pandas.DataFrame(
+            {
+                "value": np.asarray(self.k),
+                "standard_error": np.asarray(self.standard_error),
+                "low": interval[:, 0],
+                "high": interval[:, 1],
+                "determined": np.asarray(self.determined),
+            },
+            index=pandas.Index(self.names, name="coefficient"),
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Everything in it as plain data; what JSON has no number for is None."""
+        return document_of(self)
+
+    def save(self, path: Path | str) -> None:
+        """Writes it as JSON, numbers in full precision.
+
+        **Raises**
+
+        - `OSError`: the file cannot be written.
+        """
+        write_document(Path(path), self.document())
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Identification":
+        """Reads what `save` wrote, or the `identification.json` of `jaxcslc identify`.
+
+        **Raises**
+
+        - `OSError`: there is no such file.
+        - `ValueError`: it holds something else; the message names the entry.
+        """
+        document = read_document(Path(path))
+        return cls(**arrays_from(document, str(path)))
+
     def __repr__(self) -> str:
         if isinstance(self.k, Tracer) or self.k.ndim != 1:
             return f"Identification({len(self.names)} coefficients, batch {self.k.shape[:-1]})"
         rms = ", ".join(f"{value:.3g}" for value in np.asarray(self.torque_error))
         return (
             f"Identification({len(self.names)} coefficients, rank {int(self.rank)}, condition"
-            f" {float(self.condition):.3g}, torque error per joint [{rms}])"
+            f" {float(self.condition):.3g}, torque error per joint [{rms}], errors {self.errors})"
         )
 
-
-def solve(
-    network: CSLC,
-    factors: JointFactors,
-    weights: Float[Array, " joints"],
-    rcond: float | None,
-) -> Identification:
-    """The least-squares solution of factorised equations, joints weighted.
-
-    A singular value decomposition of the one triangle that is left, its columns scaled to unit
-    length so that neither rank nor condition depends on units.
-    """
-    triangle = jnp.linalg.qr(factors.stacked(network, weights), mode="r")
-    p = network.size
-    matrix, target, rest = triangle[:p, :p], triangle[:p, p], triangle[p, p]
-    scale = jnp.linalg.norm(matrix, axis=0)
-    scale = jnp.where(scale > 0, scale, 1.0)
-    left, singular, right = jnp.linalg.svd(matrix / scale[None, :], full_matrices=False)
-
-    equations = jnp.sum(factors.counts)
-    if rcond is None:
-        # Rounding of a factorisation grows with its size; the factor 10 is a heuristic that
-        # keeps columns that are proportional in exact arithmetic from counting as two.
-        rcond_ = 10 * jnp.finfo(matrix.dtype).eps * jnp.maximum(p, jnp.sqrt(equations))
-    else:
-        rcond_ = jnp.asarray(rcond, matrix.dtype)
-    counts = singular > rcond_ * singular[0]
-    rank = jnp.sum(counts)
-    inverse = jnp.where(counts, 1.0 / jnp.where(counts, singular, 1.0), 0.0)
-    k = (right.T @ (inverse * (left.T @ target))) / scale
-
-    # Residual of the weighted equations: what the triangle leaves out, and what rank left out.
-    lost = jnp.where(counts, 0.0, left.T @ target)
-    freedom = jnp.maximum(equations - rank, 1.0)
-    variance = (rest**2 + jnp.sum(lost**2)) / freedom
-    half = (right.T * inverse[None, :]) / scale[:, None]
-    covariance = variance * half @ half.T
-
-    # Null space of the scaled matrix, brought back to the coefficients' units.
-    null = jnp.where(counts[:, None], 0.0, right) / scale[None, :]
-    share = jnp.sqrt(jnp.sum(jnp.where(counts[:, None], 0.0, right) ** 2, axis=0))
-    determined = share < 1e-6
-    norms = factors.residual_norms(network, k)
-    finite = jnp.all(jnp.isfinite(triangle))
-    result = RESULTS.where(rank < p, RESULTS.rank_deficient, RESULTS.successful)
-    result = RESULTS.where(equations < p, RESULTS.no_equations, result)
-    result = RESULTS.where(finite, result, RESULTS.nonfinite)
-    return Identification(
-        k=k,
-        standard_error=jnp.where(determined, jnp.sqrt(jnp.diag(covariance)), jnp.inf),
-        covariance=covariance,
-        torque_error=norms / jnp.sqrt(jnp.maximum(factors.counts, 1.0)),
-        equations=factors.counts,
-        rank=rank,
-        condition=singular[0] / jnp.min(jnp.where(counts, singular, singular[0])),
-        undetermined=null,
-        determined=determined,
-        result=result,
-        names=network.names,
-    )
+    def __str__(self) -> str:
+        if isinstance(self.k, Tracer) or self.k.ndim != 1:
+            return repr(self)
+        values = zip(self.names, np.asarray(self.k), np.asarray(self.standard_error), strict=True)
+        width = max(len(name) for name in self.names)
+        lines = [f"{name:<{width}}  {value:>11.5g} ± {error:.2g}" for name, value, error in values]
+        return "\n".join([repr(self), *lines])

@@ -3,20 +3,28 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..motion import Patterns
 from ..network import CSLC
 from ._compiled import filled_up, regressor_of, require_float64
+from ._correlated import ERRORS, Errors
 from ._equations import Equations
 from ._factors import JointFactors, factorise
-from ._identification import Identification, solve
+from ._identification import Identification
+from ._losses import LOSSES, Loss
+from ._robust import ordinary_residuals, robust_residuals, with_errors
+from ._rows import AbstractRows, KeptRows, PatternRows
 from ._solution import RESULTS
+from ._solve import Solution, solve
 
 
 JointWeights = Literal["equal", "residual"] | Float[Array | np.ndarray, " joints"]
 # Weights settle to a percent in two rounds: residuals hardly depend on them.
 _ROUNDS = 3
+# A regressor of no more entries is kept for the second pass, half a gigabyte of them.
+_KEPT = 1 << 26
 
 
 def least_squares(
@@ -25,6 +33,8 @@ def least_squares(
     *,
     cutoff: float | None = None,
     joint_weights: JointWeights = "equal",
+    loss: Loss = "squared",
+    errors: Errors = "independent",
     rcond: float | None = None,
     throw: bool = True,
 ) -> Identification:
@@ -42,6 +52,16 @@ def least_squares(
       sampling interval, and runs on the host: not under `jit`.
     - `joint_weights`: `"equal"`; `"residual"` divides each joint's equations by its own root mean
       square residual, as for joints of different noise; or (n,) weights.
+    - `loss`: `"squared"`, ordinary least squares; or one that outliers pull less at,
+      `"huber"` (no harder than errors of 1.345 standard deviations) or `"bisquare"` (not at all
+      beyond 4.685), minimised by iteratively reweighted least squares. Each joint's standard
+      deviation is then estimated by the median modulus of its errors, and `"residual"` divides by
+      that. With `cutoff` it is the filtered equations that are reweighted: an outlier should not
+      be longer than a filter's memory.
+    - `errors`: what standard errors allow for. `"independent"`: errors that have nothing to do
+      with each other, of one variance once joints are weighted. `"correlated"`: correlation in
+      time, as every smoothing makes it, and between joints, and strength that varies with the
+      motion; a second pass over the patterns. See `docs/uncertainty.md`.
     - `rcond`: singular values below this part of the largest count as zero; by default what
       rounding alone explains.
     - `throw`: raise on NaN and on too few equations instead of returning the result code. A
@@ -52,7 +72,8 @@ def least_squares(
 
     **Raises**
 
-    - `ValueError`: if patterns and network differ in joints, or are not in float64.
+    - `ValueError`: if patterns and network differ in joints, or are not in float64; or for an
+      unknown word.
     - `RuntimeError`: with `throw`, if patterns are not finite or too few.
 
     >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
@@ -68,20 +89,43 @@ def least_squares(
     True
     """
     _check(network, patterns)
+    check_words(loss, errors)
+    # The ordinary fit needs no more of its equations than their factors.
+    again = loss != "squared" or errors != "independent"
+    rows: AbstractRows | None = None
+    samples = patterns.q.shape[0]
     if cutoff is None:
         weight = jnp.asarray(patterns.counts_in, float)
         motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
-        factors = _factorise(network, *(jnp.asarray(filled_up(x)) for x in motion))
+        q, qd, qdd, torque, weight = (jnp.asarray(filled_up(x)) for x in motion)
+        factors = _factorise(network, q, qd, qdd, torque, weight)
+        if again and (_traced(*motion) or patterns.q.size * network.size > _KEPT):
+            phase = (jnp.arange(len(q)) + 0.5) / samples
+            rows = PatternRows(q, qd, qdd, torque, weight, phase)
+        elif again:
+            rows = KeptRows.of(_equations(network, patterns, None), samples)
     else:
-        factors = Equations.of(
-            network,
-            np.asarray(regressor_of(network, patterns)),
-            np.asarray(patterns.torque),
-            np.asarray(patterns.counts_in),
-            time=np.asarray(patterns.time),
-            cutoff=cutoff,
-        ).factors()
-    return fit_factors(network, factors, joint_weights=joint_weights, rcond=rcond, throw=throw)
+        equations = _equations(network, patterns, cutoff)
+        factors = equations.factors()
+        rows = KeptRows.of(equations, samples) if again else None
+    fit, solution, weights = _fit(network, factors, joint_weights, rcond)
+    if rows is not None:
+        if loss == "squared":
+            found = _ordinary(network, rows, solution, weights)
+        else:
+            residual = isinstance(joint_weights, str) and joint_weights == "residual"
+            found = _robust(
+                network,
+                rows,
+                factors,
+                solution,
+                weights,
+                residual_weights=residual,
+                loss=loss,
+                rcond=rcond,
+            )
+        fit = _with_errors(network, rows, factors, found, errors)
+    return _checked(fit, throw)
 
 
 def fit_factors(
@@ -92,7 +136,17 @@ def fit_factors(
     rcond: float | None = None,
     throw: bool = True,
 ) -> Identification:
-    """The fit of factorised patterns; arguments, result and errors as of `least_squares`."""
+    """The ordinary fit of factorised patterns, for errors that are independent.
+
+    Arguments, result and errors as of `least_squares`.
+    """
+    return _checked(_fit(network, factors, joint_weights, rcond)[0], throw)
+
+
+def _fit(
+    network: CSLC, factors: JointFactors, joint_weights: JointWeights, rcond: float | None
+) -> tuple[Identification, Solution, Float[Array, " joints"]]:
+    """The ordinary fit, and the weights of joints that it ended with."""
     n = network.joint_count
     if isinstance(joint_weights, str):
         if joint_weights not in ("equal", "residual"):
@@ -105,15 +159,20 @@ def fit_factors(
         weights = jnp.asarray(joint_weights, float)
         if weights.shape != (n,):
             raise ValueError(f"joint_weights: expected shape ({n},), got {weights.shape}")
-    fit = _solve(network, factors, weights, rcond)
+    solution, fit = _solve(network, factors, weights, rcond)
     if isinstance(joint_weights, str) and joint_weights == "residual":
         for _ in range(_ROUNDS):
-            fit = _solve(network, factors, _residual_weights(fit), rcond)
-    if throw:
-        # Rank deficiency is an answer, not a failure.
-        failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
-        fit = fit.result.error_if(fit, failed)
-    return fit
+            weights = _residual_weights(fit)
+            solution, fit = _solve(network, factors, weights, rcond)
+    return fit, solution, weights
+
+
+def _checked(fit: Identification, throw: bool) -> Identification:
+    if not throw:
+        return fit
+    # Rank deficiency is an answer, not a failure.
+    failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
+    return fit.result.error_if(fit, failed)
 
 
 def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
@@ -124,8 +183,33 @@ def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
     return jnp.where(fit.equations > 0, 1.0 / jnp.maximum(error, floor), 1.0)
 
 
+def _equations(network: CSLC, patterns: Patterns, cutoff: float | None) -> Equations:
+    return Equations.of(
+        network,
+        np.asarray(regressor_of(network, patterns)),
+        np.asarray(patterns.torque),
+        np.asarray(patterns.counts_in),
+        time=np.asarray(patterns.time),
+        cutoff=cutoff,
+    )
+
+
+def _traced(*arrays: Array | np.ndarray) -> bool:
+    return any(isinstance(x, Tracer) for x in arrays)
+
+
 _factorise = eqx.filter_jit(factorise)
 _solve = eqx.filter_jit(solve)
+_ordinary = eqx.filter_jit(ordinary_residuals)
+_robust = eqx.filter_jit(robust_residuals)
+_with_errors = eqx.filter_jit(with_errors)
+
+
+def check_words(loss: str, errors: str) -> None:
+    if loss not in LOSSES:
+        raise ValueError(f"loss is {loss!r}; expected {', '.join(map(repr, LOSSES))}")
+    if errors not in ERRORS:
+        raise ValueError(f"errors is {errors!r}; expected {' or '.join(map(repr, ERRORS))}")
 
 
 def _check(network: CSLC, patterns: Patterns) -> None:

@@ -35,6 +35,17 @@ class Refinement:
     - `rounds`: the thresholds that each fit was made with, from the first to `fit`'s, each (n,)
       [rad/s or m/s].
     - `settled`: whether the last change was small; if not, the rounds ran out.
+
+    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> t = np.arange(2000)[:, None] * 0.002
+    >>> q, qd, qdd = np.sin(5 * t), 5 * np.cos(5 * t), -25 * np.sin(5 * t)
+    >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.2, 0.05]), q, qd, qdd))
+    >>> recording = jc.Recording(t[:, 0], 1e-4 * np.round(q / 1e-4), torque)
+    >>> refined = jc.refine_thresholds(network, recording)
+    >>> len(refined.rounds) >= 2, refined.patterns.joints
+    (True, 1)
     """
 
     settings: Settings

@@ -1,5 +1,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -47,6 +48,15 @@ class Selection:
 
     - `settings`: those of the best trial.
     - `trials`: in the order in which they were made.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.learning import Trial
+    >>> narrow, wide = (jc.Settings(smoothing=jc.AveragedSplines(j)) for j in (9, 17))
+    >>> trials = (Trial(narrow, np.array([0.3]), 0.3), Trial(wide, np.array([0.2]), 0.2))
+    >>> jc.Selection(wide, trials).best.score
+    0.2
+    >>> jc.Selection(wide, trials).to_pandas()["score"].tolist()
+    [0.3, 0.2]
     """
 
     settings: Settings
@@ -56,6 +66,22 @@ class Selection:
     def best(self) -> Trial:
         """The trial of the chosen settings."""
         return next(trial for trial in self.trials if trial.settings == self.settings)
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, one row a trial: its settings in words, its score and its error of
+        each joint [N m or N]."""
+        import pandas
+
+        return pandas.DataFrame(
+            [
+                {
+                    "settings": str(trial.settings),
+                    "score": trial.score,
+                    **{f"error_{j + 1}": float(error) for j, error in enumerate(trial.error)},
+                }
+                for trial in self.trials
+            ]
+        )
 
     def __str__(self) -> str:
         return (

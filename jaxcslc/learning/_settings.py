@@ -14,8 +14,10 @@ from ..motion import (
     prepare,
 )
 from ..network import CSLC
+from ._correlated import ERRORS, Errors
 from ._identification import Identification
 from ._least_squares import least_squares
+from ._losses import LOSSES, Loss
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +41,8 @@ class Settings:
     - `backlash`: leave out pairs that may be in backlash (Eqn. 2.5-7).
     - `cutoff`: filter regressor and torque alike at this frequency and decimate [Hz]; or None.
     - `joint_weights`: `"equal"` or `"residual"`.
+    - `loss`: `"squared"`, or, if some of the recording may be wrong, `"huber"` or `"bisquare"`.
+    - `errors`: what standard errors allow for, `"correlated"` or only `"independent"` noise.
     - `trim`: samples to drop at both ends; by default as far as the smoothing sees one side only.
 
     **Raises**
@@ -64,6 +68,8 @@ alike at 15 Hz, joints weighted by residual
     joint_weights: Literal["equal", "residual"] = "residual"
     trim: int | None = None
     thresholds: tuple[float, ...] | None = None
+    loss: Loss = "squared"
+    errors: Errors = "correlated"
 
     def __post_init__(self) -> None:
         if self.torque_alignment not in ("sample", "previous", "mean"):
@@ -74,6 +80,12 @@ alike at 15 Hz, joints weighted by residual
         if self.joint_weights not in ("equal", "residual"):
             raise ValueError(
                 f"joint weights are {self.joint_weights!r}; expected 'equal' or 'residual'"
+            )
+        if self.loss not in LOSSES:
+            raise ValueError(f"loss is {self.loss!r}; expected {', '.join(map(repr, LOSSES))}")
+        if self.errors not in ERRORS:
+            raise ValueError(
+                f"errors are {self.errors!r}; expected {' or '.join(map(repr, ERRORS))}"
             )
         if not np.isfinite(self.torque_lag):
             raise ValueError(f"torque lag is {self.torque_lag} s; expected a finite number")
@@ -115,7 +127,12 @@ alike at 15 Hz, joints weighted by residual
         **Raises** as `least_squares`.
         """
         return least_squares(
-            network, patterns, cutoff=self.cutoff, joint_weights=self.joint_weights
+            network,
+            patterns,
+            cutoff=self.cutoff,
+            joint_weights=self.joint_weights,
+            loss=self.loss,
+            errors=self.errors,
         )
 
     def trimmed(self, recording: Recording) -> int:
@@ -158,5 +175,6 @@ alike at 15 Hz, joints weighted by residual
             "backlash left out" if self.backlash else "",
             "" if self.cutoff is None else f"filtered alike at {self.cutoff:g} Hz",
             f"joints weighted {'equally' if self.joint_weights == 'equal' else 'by residual'}",
+            "" if self.loss == "squared" else f"loss of {self.loss!r}",
         ]
         return ", ".join(part for part in parts if part)

@@ -1,5 +1,5 @@
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ._errors import RobotError
 
@@ -80,9 +80,7 @@ def check_slopes(slopes: Sequence[float] | None, joints: int, where: str) -> Non
             )
 
 
-def couplings(
-    pairs: Sequence[Sequence[int | float]], kinds: str, where: str
-) -> tuple[Coupling, ...]:
+def couplings(pairs: Sequence[Sequence[Any]], kinds: str, where: str) -> tuple[Coupling, ...]:
     """Pairs of joints, counted from 1, each with a ratio or without.
 
     **Raises** `RobotError` for anything but two different joints of one kind, once.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ._errors import RobotError
-from ._friction import STATIC_SLOPE
+from ._friction import STATIC_SLOPE, Coupling, couplings
 from ._inertia import LinkInertia
 from ._joint import Joint, length_table, parse_angle, parse_length, unused_lengths
 from ._link_parameters import LinkParameters
@@ -149,7 +149,7 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
             gravity=(0.0, 0.0, 0.0),
             friction=tuple(friction),
             own_friction=_own_friction(entries, where),
-            coupled=_coupled(document.get("coupled", []), where),
+            coupled=_coupled(document.get("coupled", []), joints, where),
             links=tuple(given) if given else None,
         ).with_gravity(gravity)
     except RobotError as error:
@@ -303,11 +303,10 @@ def _own_friction(entries: list[Any], where: str) -> tuple[tuple[str, ...] | Non
     return own if any(terms is not None for terms in own) else None
 
 
-def _coupled(value: Any, where: str) -> Any:
-    """Checked for being pairs; `Manipulator` checks what they say."""
+def _coupled(value: Any, joints: list[Joint], where: str) -> tuple[Coupling, ...]:
     if not isinstance(value, list) or not all(isinstance(pair, list) for pair in value):
         raise RobotError(f"{where}, coupled: expected a list of pairs of joints, got {value!r}")
-    return tuple(value)
+    return couplings(value, "".join(joint.kind for joint in joints), where)
 
 
 def _numbering(table: Any, where: str) -> Numbering:

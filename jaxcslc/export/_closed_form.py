@@ -1,0 +1,167 @@
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float
+
+from ..derivation import Algebra, Table
+from ._expressions import Expressions, Value
+
+
+Monomial = tuple[int, ...]
+Polynomial = dict[Monomial, float]
+
+
+class ClosedForm:
+    """A network's tables over expressions: polynomials in sines and cosines (thesis 5.1).
+
+    Sums are nested (Horner): the variable that most of the monomials have is taken out, and so
+    on inside and outside of the bracket.
+    """
+
+    def __init__(self, graph: Expressions, algebra: Algebra) -> None:
+        self.graph, self.algebra = graph, algebra
+        n = algebra.robot.joint_count
+        self.q = [graph.input(f"q[{i}]") for i in range(n)]
+        self.qd = [graph.input(f"qd[{i}]") for i in range(n)]
+        self.qdd = [graph.input(f"qdd[{i}]") for i in range(n)]
+        self.variables = self._position_variables()
+
+    def _position_variables(self) -> list[Value]:
+        chain, variables = self.algebra.ring.chain, list[Value]()
+        for angle in chain.angles:
+            total = self.graph.constant(0.0)
+            for joint, sign in angle.terms:
+                total = total + self.q[joint] * float(sign)
+            minus, size = total.signed()  # cos(-x) = cos x
+            sine = self.graph.apply("sin", size)
+            variables += [self.graph.apply("cos", size), -sine if minus else sine]
+        return variables + [self.q[i] for i, link in enumerate(chain.links) if link.prismatic]
+
+    def torque(self, k: Float[np.ndarray, " inertial"]) -> list[Value]:
+        """Rigid-body torque of every joint, each one polynomial in positions, rates and
+        accelerations."""
+        n, algebra = self.algebra.robot.joint_count, self.algebra
+        size = len(self.variables)
+        joints: list[Polynomial] = [{} for _ in range(n)]
+
+        def put(joint: int, monomial: Monomial, rates: Sequence[int], value: float) -> None:
+            powers = [*monomial, *([0] * (2 * n))]
+            for rate in rates:
+                powers[size + rate] += 1
+            key = tuple(powers)
+            joints[joint][key] = joints[joint].get(key, 0.0) + value
+
+        for column, monomial, value in _weighted(algebra.mass, k):
+            j, m = column
+            put(j, monomial, [n + m], value)
+            if j != m:
+                put(m, monomial, [n + j], value)
+        for column, monomial, value in _weighted(algebra.velocity, k):
+            i, j, m = column
+            put(i, monomial, [j, m], value if j == m else 2 * value)
+        for column, monomial, value in _weighted(algebra.gravity, k):
+            put(column[0], monomial, [], value)
+        variables = [*self.variables, *self.qd, *self.qdd]
+        return [nested(self.graph, polynomial, variables) for polynomial in joints]
+
+    def mass_matrix(self, k: Float[np.ndarray, " inertial"]) -> list[list[Value]]:
+        n = self.algebra.robot.joint_count
+        elements = self._elements(self.algebra.mass, k)
+        zero = self.graph.constant(0.0)
+        return [[elements.get((min(i, j), max(i, j)), zero) for j in range(n)] for i in range(n)]
+
+    def gravity(self, k: Float[np.ndarray, " inertial"]) -> list[Value]:
+        elements = self._elements(self.algebra.gravity, k)
+        zero = self.graph.constant(0.0)
+        return [elements.get((i,), zero) for i in range(self.algebra.robot.joint_count)]
+
+    def columns(self) -> list[list[Value]]:
+        """The regressor of the inertial coefficients."""
+        n, p = self.algebra.robot.joint_count, len(self.algebra.coefficients)
+        zero = self.graph.constant(0.0)
+        rows = [[zero] * p for _ in range(n)]
+        for column, coefficient, value in self._sums(self.algebra.mass):
+            j, m = column
+            rows[j][coefficient] = rows[j][coefficient] + value * self.qdd[m]
+            if j != m:
+                rows[m][coefficient] = rows[m][coefficient] + value * self.qdd[j]
+        for column, coefficient, value in self._sums(self.algebra.velocity):
+            i, j, m = column
+            product = self.qd[j] * self.qd[m] * (1.0 if j == m else 2.0)
+            rows[i][coefficient] = rows[i][coefficient] + value * product
+        for column, coefficient, value in self._sums(self.algebra.gravity):
+            rows[column[0]][coefficient] = rows[column[0]][coefficient] + value
+        return rows
+
+    def _elements(
+        self, table: Table, k: Float[np.ndarray, " inertial"]
+    ) -> dict[tuple[int, ...], Value]:
+        elements: dict[tuple[int, ...], Polynomial] = {}
+        for column, monomial, value in _weighted(table, k):
+            element = elements.setdefault(column, {})
+            element[monomial] = element.get(monomial, 0.0) + value
+        return {
+            column: nested(self.graph, element, self.variables)
+            for column, element in elements.items()
+        }
+
+    def _sums(self, table: Table) -> list[tuple[tuple[int, ...], int, Value]]:
+        """For every element and coefficient, the sum over links of multiple times input."""
+        sums: dict[tuple[int, int], dict[Monomial, Fraction]] = {}
+        for link in table.links:
+            for coefficient, multiple in link.weights:
+                own = sums.setdefault((link.column, coefficient), {})
+                monomial = table.inputs[link.input]
+                own[monomial] = own.get(monomial, Fraction(0)) + multiple
+        return [
+            (
+                table.columns[column],
+                coefficient,
+                nested(self.graph, {m: float(f) for m, f in own.items()}, self.variables),
+            )
+            for (column, coefficient), own in sums.items()
+        ]
+
+
+def nested(
+    graph: Expressions, polynomial: Mapping[Monomial, float], variables: Sequence[Value]
+) -> Value:
+    """A polynomial's value, variables taken out of brackets while two monomials share one."""
+    polynomial = {monomial: value for monomial, value in polynomial.items() if value}
+    if not polynomial:
+        return graph.constant(0.0)
+    counts = np.count_nonzero(np.array(list(polynomial)), axis=0)
+    common = int(np.argmax(counts)) if len(counts) else 0
+    if len(polynomial) == 1 or counts[common] < 2:
+        total = graph.constant(0.0)
+        for monomial, value in polynomial.items():
+            total = total + product(graph, monomial, variables) * value
+        return total
+    inside: Polynomial = {}
+    outside: Polynomial = {}
+    for monomial, value in polynomial.items():
+        if monomial[common]:
+            powers = list(monomial)
+            powers[common] -= 1
+            inside[tuple(powers)] = value
+        else:
+            outside[monomial] = value
+    taken = variables[common] * nested(graph, inside, variables)
+    return taken + nested(graph, outside, variables)
+
+
+def product(graph: Expressions, monomial: Monomial, variables: Sequence[Value]) -> Value:
+    """A monomial, factor by factor in the order of the variables, so that beginnings are shared."""
+    result = graph.constant(1.0)
+    for variable, power in zip(variables, monomial, strict=True):
+        for _ in range(power):
+            result = result * variable
+    return result
+
+
+def _weighted(table: Table, k: Float[np.ndarray, " inertial"]):
+    """Every link of a table as its element, its input's monomial, and its weight."""
+    for link in table.links:
+        weight = float(sum(float(multiple) * k[index] for index, multiple in link.weights))
+        yield table.columns[link.column], table.inputs[link.input], weight

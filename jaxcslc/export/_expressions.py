@@ -1,0 +1,203 @@
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, TypeAlias, no_type_check
+
+
+class Operation(NamedTuple):
+    """One value: `name` of what is done, to which values before it.
+
+    `number` is a constant's value; `text` what an input is called.
+    """
+
+    name: str
+    arguments: tuple[int, ...] = ()
+    number: float = 0.0
+    text: str = ""
+
+
+# Called hundreds of thousands of times for one robot: checks of arguments in the tests would take
+# ten times as long as the work.
+@no_type_check
+class Expressions:
+    """Values that are computed once each: a directed graph, built by doing arithmetic on `Value`s.
+
+    Equal expressions are one value (value numbering): products and sums whatever the order of
+    their terms, differences and products whatever their sign. Constants are folded; what is
+    multiplied by zero vanishes, with all that it alone needed. So one text for the equations of
+    motion gives code without what a robot's right angles and zero lengths make trivial.
+
+    >>> graph = Expressions()
+    >>> x, y = graph.input("x"), graph.input("y")
+    >>> (x * y - y * x).is_zero, (2 * (x - y)).index == (-(y - x) * 2).index
+    (True, True)
+    """
+
+    def __init__(self) -> None:
+        self.operations: list[Operation] = []
+        self._known: dict[Operation, int] = {}
+
+    def input(self, text: str) -> "Value":
+        """A value that is given, as C calls it."""
+        return self._value(Operation("input", text=text))
+
+    def constant(self, number: float) -> "Value":
+        """A number; negative ones are the negatives of positive ones."""
+        if number < 0:
+            return -self.constant(-number)
+        return self._value(Operation("constant", number=float(number) + 0.0))
+
+    def apply(self, name: str, x: "Value") -> "Value":
+        """A function of one value: sin, cos, exp, sqrt, fabs, sign, positive, negative."""
+        return self._value(Operation(name, (x.index,)))
+
+    def _value(self, operation: Operation) -> "Value":
+        if operation not in self._known:
+            self._known[operation] = len(self.operations)
+            self.operations.append(operation)
+        return Value(self, self._known[operation])
+
+    def _binary(self, name: str, x: "Value", y: "Value") -> "Value":
+        return self._value(Operation(name, (x.index, y.index)))
+
+    def lift(self, x: "Number") -> "Value":
+        return x if isinstance(x, Value) else self.constant(float(x))
+
+    def needed(self, outputs: Iterable["Value"]) -> list[int]:
+        """Everything that the outputs are computed from, each after what it needs."""
+        needed: set[int] = set()
+        todo = [output.index for output in outputs]
+        while todo:
+            index = todo.pop()
+            if index not in needed:
+                needed.add(index)
+                todo += self.operations[index].arguments
+        return sorted(needed)  # operations are numbered as they are made
+
+    def cost(self, outputs: Iterable["Value"]) -> int:
+        """Additions, multiplications and functions; changes of sign are free."""
+        free = ("input", "constant", "negate")
+        return sum(self.operations[i].name not in free for i in self.needed(outputs))
+
+
+@no_type_check
+class Value:
+    """A value of an `Expressions`; sums, differences and products with others and with numbers."""
+
+    __slots__ = ("graph", "index")
+
+    def __init__(self, graph: Expressions, index: int) -> None:
+        self.graph, self.index = graph, index
+
+    @property
+    def operation(self) -> Operation:
+        return self.graph.operations[self.index]
+
+    @property
+    def is_zero(self) -> bool:
+        return self.operation == Operation("constant")
+
+    @property
+    def number(self) -> float | None:
+        """Of a constant that is not negative."""
+        return self.operation.number if self.operation.name == "constant" else None
+
+    def signed(self) -> tuple[bool, "Value"]:
+        """Whether it is the negative of something, and of what."""
+        if self.operation.name == "negate":
+            return True, Value(self.graph, self.operation.arguments[0])
+        return False, self
+
+    def __neg__(self) -> "Value":
+        negative, size = self.signed()
+        if negative or size.is_zero:
+            return size
+        return self.graph._value(Operation("negate", (self.index,)))  # pyright: ignore[reportPrivateUsage]
+
+    def __add__(self, other: "Number") -> "Value":
+        graph = self.graph
+        (minus_x, x), (minus_y, y) = self.signed(), graph.lift(other).signed()
+        if x.is_zero:
+            return -y if minus_y else y
+        if y.is_zero:
+            return -x if minus_x else x
+        if x.number is not None and y.number is not None:
+            a = -x.number if minus_x else x.number
+            return graph.constant(a + (-y.number if minus_y else y.number))
+        if x.index == y.index:
+            if minus_x != minus_y:
+                return graph.constant(0.0)
+            return (-x if minus_x else x) * 2.0
+        for one, minus_one, other_one, minus_other in (
+            (x, minus_x, y, minus_y),
+            (y, minus_y, x, minus_x),
+        ):
+            left = other_one._without(one, negative=minus_one != minus_other)
+            if left is not None:
+                return -left if minus_other else left
+        if minus_x == minus_y:
+            first, second = sorted((x, y), key=lambda value: value.index)
+            total = graph._binary("add", first, second)  # pyright: ignore[reportPrivateUsage]
+            return -total if minus_x else total
+        if minus_x:
+            x, y = y, x
+        if x.index < y.index:
+            return graph._binary("subtract", x, y)  # pyright: ignore[reportPrivateUsage]
+        return -graph._binary("subtract", y, x)  # pyright: ignore[reportPrivateUsage]
+
+    def _without(self, term: "Value", *, negative: bool) -> "Value | None":
+        """This plus a term, or minus it, where that takes away one of its own two terms."""
+        name, arguments = self.operation.name, self.operation.arguments
+        if name not in ("add", "subtract") or term.index not in arguments:
+            return None
+        first, second = (Value(self.graph, index) for index in arguments)
+        if term.index == first.index and negative:
+            return second if name == "add" else -second
+        if term.index == second.index and negative == (name == "add"):
+            return first
+        return None
+
+    def __mul__(self, other: "Number") -> "Value":
+        graph = self.graph
+        (minus_x, x), (minus_y, y) = self.signed(), graph.lift(other).signed()
+        product = x._times(y)
+        return -product if minus_x != minus_y else product
+
+    def _times(self, other: "Value") -> "Value":
+        graph = self.graph
+        first, second = sorted((self, other), key=lambda value: value.index)
+        for factor, rest in ((first, second), (second, first)):
+            if factor.number == 0.0:
+                return factor
+            if factor.number == 1.0:
+                return rest
+            if factor.number is None:
+                continue
+            if rest.number is not None:
+                return graph.constant(factor.number * rest.number)
+            if rest.operation.name == "multiply":  # a constant times a constant times x
+                for i, inner in enumerate(rest.operation.arguments):
+                    number = Value(graph, inner).number
+                    if number is not None:
+                        other_one = Value(graph, rest.operation.arguments[1 - i])
+                        return other_one._times(graph.constant(number * factor.number))
+        return graph._binary("multiply", first, second)  # pyright: ignore[reportPrivateUsage]
+
+    def __sub__(self, other: "Number") -> "Value":
+        return self + -self.graph.lift(other)
+
+    def __rsub__(self, other: "Number") -> "Value":
+        return self.graph.lift(other) - self
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+
+Number: TypeAlias = Value | float | int
+Vector = tuple[Value, Value, Value]
+
+
+def total(graph: Expressions, values: Sequence[Value]) -> Value:
+    """Their sum."""
+    result = graph.constant(0.0)
+    for value in values:
+        result = result + value
+    return result

@@ -1,0 +1,239 @@
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from ..learning import PhysicalParameters, body_of, link_of, pseudo_inertia
+from ..manipulator import (
+    Element,
+    LinkParameters,
+    Manipulator,
+    RobotError,
+    Source,
+    parse_xml,
+    seen_from,
+)
+from ._xml_edits import XmlEdits
+
+
+_FULL = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
+# What each format has words for, of all that torque depends on beside the bodies.
+HELD = {
+    "toml": ("viscous", "dry", "motor_inertia"),
+    "urdf": ("viscous", "dry"),
+    "mjcf": ("viscous", "dry", "motor_inertia"),
+}
+
+
+def with_parameters(robot: Manipulator, found: PhysicalParameters, text: bytes) -> bytes:
+    """A robot's file with other link parameters and friction in it, and nothing else changed.
+
+    **Arguments**
+
+    - `robot`: as read from the file; `robot.source` says what is where.
+    - `found`: its parameters; what the file has fixed to a link is taken off first.
+    - `text`: what the file holds: TOML, URDF or MJCF.
+
+    In URDF and MJCF, masses, centres and tensors go into the bodies' inertial elements, damping
+    and friction loss to their joints, motor inertia to MJCF's armature. Bodies fixed to a link
+    keep what the file says of them. In TOML what is listed as zero stays zero.
+
+    **Raises**
+
+    - `RobotError`: if the robot was read from no file, or a body or joint is not in this one, as
+      when it comes from an include; for several joints on one body.
+    """
+    source = robot.source
+    if source is None or source.format == "toml":
+        return _toml(robot, found, text)
+    if len(set(source.links)) < len(source.links):
+        twice = next(name for name in source.links if source.links.count(name) > 1)
+        raise RobotError(
+            f"{source.path}: body {twice!r} has several joints, and the links between them no"
+            " bodies to write parameters to"
+        )
+    bodies = [
+        seen_from(_remainder(source, i, link), np.linalg.inv(source.placements[i]))
+        for i, link in enumerate(found.links)
+    ]
+    root = parse_xml(text, source.path)
+    write = _urdf if source.format == "urdf" else _mjcf
+    edits = XmlEdits(text)
+    write(root, source, bodies, found, edits)
+    return edits.text()
+
+
+def _remainder(source: Source, i: int, link: LinkParameters) -> LinkParameters:
+    """A link without what else the file has fixed to its body."""
+    carried = source.carried[i]
+    if carried is None:
+        return link
+    body = body_of(link) - body_of(carried)
+    if np.linalg.eigvalsh(pseudo_inertia(body))[0] <= 0:
+        raise RobotError(
+            f"{source.path}: what is left of link {source.links[i]!r} without what the file has"
+            " fixed to it is no possible body; find parameters with fixed=robot.source.carried"
+        )
+    return link_of(body, float(link.motor_inertia))
+
+
+def _urdf(
+    root: Element,
+    source: Source,
+    bodies: Sequence[LinkParameters],
+    found: PhysicalParameters,
+    edits: XmlEdits,
+) -> None:
+    links = {element.attributes.get("name", ""): element for element in root.all("link")}
+    joints = {element.attributes.get("name", ""): element for element in root.all("joint")}
+    for i, (joint, name, body) in enumerate(zip(source.joints, source.links, bodies, strict=True)):
+        link = _found(links, name, "link", source)
+        inertial = link.first("inertial")
+        if inertial is None:
+            origin, mass, tensor = _urdf_numbers(body, np.eye(3))
+            edits.insert(
+                link,
+                f"<inertial>\n  <origin {_words(origin)}/>\n  <mass {_words(mass)}/>\n"
+                f"  <inertia {_words(tensor)}/>\n</inertial>",
+            )
+        else:
+            place = inertial.first("origin")
+            angles = (place.attributes.get("rpy", "") if place else "").split() or ["0"] * 3
+            origin, mass, tensor = _urdf_numbers(body, _from_rpy([float(x) for x in angles]))
+            for tag, words in (("inertia", tensor), ("mass", mass), ("origin", origin)):
+                element = inertial.first(tag)
+                if element is None:
+                    edits.insert(inertial, f"<{tag} {_words(words)}/>")
+                else:
+                    edits.set(element, words)
+        words = {
+            word: _number(found.friction[term][i])
+            for word, term in (("damping", "viscous"), ("friction", "dry"))
+            if term in found.friction
+        }
+        element = _found(joints, joint, "joint", source)
+        dynamics = element.first("dynamics")
+        if dynamics is not None:
+            edits.set(dynamics, words)
+        elif words:
+            edits.insert(element, f"<dynamics {_words(words)}/>")
+
+
+def _urdf_numbers(
+    body: LinkParameters, axes: Float[np.ndarray, "3 3"]
+) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
+    """Attributes of origin, mass and inertia, the tensor in the inertial element's own axes."""
+    tensor = axes.T @ np.asarray(body.inertia) @ axes
+    return (
+        {"xyz": _numbers(body.centre_of_gravity)},
+        {"value": _number(body.mass)},
+        {name: _number(tensor[place]) for name, place in zip(_FULL, _PLACES, strict=True)},
+    )
+
+
+def _from_rpy(angles: Sequence[float]) -> Float[np.ndarray, "3 3"]:
+    """Roll, pitch and yaw about fixed axes x, y, z, as URDF has them."""
+    (cr, cp, cy), (sr, sp, sy) = ([f(angle) for angle in angles] for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _mjcf(
+    root: Element,
+    source: Source,
+    bodies: Sequence[LinkParameters],
+    found: PhysicalParameters,
+    edits: XmlEdits,
+) -> None:
+    elements: dict[str, Element] = {}
+    todo = root.all("worldbody")
+    while todo:
+        element = todo.pop()
+        todo += [child for child in element.children if child.tag in ("body", "frame")]
+        if element.tag == "body":
+            elements[element.attributes.get("name", "")] = element
+    for i, (joint, name, body) in enumerate(zip(source.joints, source.links, bodies, strict=True)):
+        element = _found(elements, name, "body", source)
+        tensor = np.asarray(body.inertia)
+        words = {
+            "pos": _numbers(body.centre_of_gravity),
+            "mass": _number(body.mass),
+            "fullinertia": _numbers([tensor[place] for place in _PLACES]),
+        }
+        own = element.all("joint")
+        named = {child.attributes.get("name", ""): child for child in own}
+        hinge = own[0] if len(own) == 1 else _found(named, joint, "joint", source)
+        terms = {
+            "damping": found.friction.get("viscous"),
+            "frictionloss": found.friction.get("dry"),
+        }
+        drive = {word: _number(values[i]) for word, values in terms.items() if values is not None}
+        edits.set(hinge, drive | {"armature": _number(found.links[i].motor_inertia)})
+        inertial = element.first("inertial")
+        if inertial is None:
+            edits.insert(element, f"<inertial {_words(words)}/>")
+        else:
+            edits.set(inertial, words, without=_ORIENTATIONS)
+
+
+def _toml(robot: Manipulator, found: PhysicalParameters, text: bytes) -> bytes:
+    import tomlkit
+
+    document = tomlkit.parse(text.decode("utf-8"))
+    entries = cast(list[Any], document["joint"])
+    for i, (entry, inertia, link) in enumerate(
+        zip(entries, robot.inertia, found.links, strict=True)
+    ):
+        if "link" not in entry:
+            entry["link"] = tomlkit.table()
+        table = entry["link"]
+        tensor = np.asarray(link.inertia, float)
+        zero = set(inertia.zero)
+        if inertia.form == "principal":
+            for axis in range(3):
+                if f"I{'xyz'[axis] * 2}" in zero:
+                    tensor[axis, axis] = 0.0
+        for first, second in inertia.equal:
+            a, b = ("xyz".index(moment[1]) for moment in (first, second))
+            if inertia.form == "principal":
+                tensor[b, b] = tensor[a, a]
+        table["mass"] = 0.0 if "m" in zero else float(link.mass)
+        table["centre_of_gravity"] = [float(x) for x in np.asarray(link.centre_of_gravity)]
+        principal = not np.any(tensor - np.diag(np.diag(tensor)))
+        table["inertia_tensor"] = (np.diag(tensor) if principal else tensor).tolist()
+        if inertia.motor:
+            table["motor_inertia"] = float(link.motor_inertia)
+        for term in ("viscous", "dry"):
+            if term in found.friction:
+                entry[term] = float(found.friction[term][i])
+    return tomlkit.dumps(document).encode("utf-8")
+
+
+def _found(elements: Mapping[str, Element], name: str, what: str, source: Source) -> Element:
+    if name not in elements:
+        raise RobotError(
+            f"{source.path}: {what} {name!r} stands in no element of this file (included or"
+            " unnamed ones cannot be written)"
+        )
+    return elements[name]
+
+
+def _words(attributes: Mapping[str, str]) -> str:
+    return " ".join(f'{name}="{value}"' for name, value in attributes.items())
+
+
+def _number(value: Any) -> str:
+    return repr(float(value))
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(_number(value) for value in np.asarray(values))

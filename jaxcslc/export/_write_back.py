@@ -1,0 +1,123 @@
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..learning import PhysicalParameters
+from ..manipulator import LinkParameters, Manipulator, RobotError, load_robot
+from ..network import CSLC, derive
+from ._parameter_files import HELD, with_parameters
+
+
+States = tuple[
+    Float[Array | np.ndarray, "states joints"],
+    Float[Array | np.ndarray, "states joints"],
+    Float[Array | np.ndarray, "states joints"],
+]
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenRobot:
+    """A robot's file with identified parameters, and the proof that it holds them.
+
+    - `path`: of the file.
+    - `robot`: as it was read again from the file.
+    - `left_out`: names of coefficients that the file's format has no words for.
+    - `rms`, `largest`: (n,) difference between the torque that the file predicts and that of the
+      parameters, those left out aside, over the states [N m or N]: rounding.
+    """
+
+    path: Path
+    robot: Manipulator
+    left_out: tuple[str, ...]
+    rms: Float[np.ndarray, " joints"]
+    largest: Float[np.ndarray, " joints"]
+
+
+def write_robot(
+    network: CSLC, found: PhysicalParameters, path: str | Path, *, states: States | None = None
+) -> WrittenRobot:
+    """Writes physical parameters into a copy of the robot's own file, and reads it again.
+
+    Nothing but numbers of links and joints changes: comments, layout and all that is not dynamics
+    stay byte by byte as they are. TOML, URDF and MJCF.
+
+    **Arguments**
+
+    - `network`: derived from a robot that was read from a file (`load_robot`).
+    - `found`: from `physical_parameters`, with `fixed=network.robot.source.carried` for URDF and
+      MJCF, so that fixed bodies keep what the file says of them.
+    - `path`: of the file to write, of the same kind; the robot's own is allowed.
+    - `states`: positions, velocities and accelerations at which the file's torques are compared,
+      (states, n) each; random ones if omitted.
+
+    **Raises**
+
+    - `RobotError`: if the robot comes from no file, or a body or joint cannot be found in it.
+    - `OSError`: if the file cannot be read or written.
+    """
+    robot, path = network.robot, Path(path)
+    source = robot.source
+    if source is None:
+        raise RobotError(f"robot {robot.name!r} was read from no file; expected one to write to")
+    own = Path(source.path)
+    if path.suffix.lower() != own.suffix.lower():
+        raise RobotError(f"{path}: expected a name ending in {own.suffix}, as {own.name}")
+    text = with_parameters(robot, found, own.read_bytes())
+    scratch = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        scratch.write_bytes(text)
+        load_robot(scratch, base=source.base, tip=source.tip)
+        scratch.replace(path)  # whole and readable, or not at all
+    finally:
+        scratch.unlink(missing_ok=True)
+    again = load_robot(path, base=source.base, tip=source.tip)
+    q, qd, qdd = _random_states(network.joint_count) if states is None else states
+    held = HELD[source.format]
+    file_network = derive(again, lengths=network.algebra.lengths)
+    if again.links is None:
+        raise RobotError(f"{path}: read again, it has no link parameters")
+    drives: dict[str, Any] = {
+        word: values
+        for word, values in (("viscous", again.viscous), ("dry", again.dry))
+        if values is not None and word in again.friction_terms and word in found.friction
+    }
+    from_file = file_network.coefficients_from(again.links, **drives)
+    links = [link if "motor_inertia" in held else _without_motor(link) for link in found.links]
+    known: dict[str, Any] = {
+        word: found.friction[word] for word in ("viscous", "dry") if word in found.friction
+    }
+    wanted = network.coefficients_from(links, **known)
+    change = np.asarray(file_network.torque(from_file, q, qd, qdd)) - np.asarray(
+        network.torque(wanted, q, qd, qdd)
+    )
+    return WrittenRobot(
+        path,
+        again,
+        tuple(_left_out(network, found, held)),
+        np.sqrt(np.mean(change**2, axis=0)),
+        np.max(np.abs(change), axis=0),
+    )
+
+
+def _without_motor(link: LinkParameters) -> LinkParameters:
+    return dataclasses.replace(link, motor_inertia=0.0)
+
+
+def _left_out(network: CSLC, found: PhysicalParameters, held: tuple[str, ...]) -> list[str]:
+    names: list[str] = []
+    if "motor_inertia" not in held:
+        names += [f"Im{i}" for i, x in enumerate(found.links, start=1) if float(x.motor_inertia)]
+    for term in network.terms:
+        if term.word not in held:
+            names += term.names
+    return names
+
+
+def _random_states(n: int) -> States:
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.uniform(-1, 1, (3, 100, n))
+    return np.pi * q, qd, qdd

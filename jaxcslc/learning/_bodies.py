@@ -1,0 +1,154 @@
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ..derivation import BODY, Algebra, Coefficient, constant_values
+from ..manipulator import LinkInertia, LinkParameters
+
+
+_ENTRY = {name: place for place, name in enumerate(BODY)}
+_AXES = "xyz"
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+# The linear map exists for every network; this much of its largest entry is rounding.
+_ROUNDING = 1e-9
+
+
+def body_of(link: LinkParameters) -> Float[np.ndarray, "10"]:
+    """The ten numbers of `BODY`: what a rigid body's dynamics are linear in."""
+    mass, centre = float(link.mass), np.asarray(link.centre_of_gravity, float)
+    tensor = np.asarray(link.inertia, float) + mass * (
+        centre @ centre * np.eye(3) - np.outer(centre, centre)
+    )
+    off = [tensor[a, b] for a, b in _PAIRS]
+    return np.array([*np.diag(tensor), *off, *(mass * centre), mass])
+
+
+def link_of(body: Float[np.ndarray, "10"], motor_inertia: float = 0.0) -> LinkParameters:
+    """The link of a body of positive mass: the inverse of `body_of`."""
+    mass, centre = float(body[9]), body[6:9] / body[9]
+    tensor = central_tensor(body)
+    return LinkParameters(mass, centre, (tensor + tensor.T) / 2, motor_inertia)
+
+
+def central_tensor(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "3 3"]:
+    """Inertia tensor at the centre of gravity, of a body of positive mass."""
+    tensor = np.diag(body[:3])
+    for value, (a, b) in zip(body[3:6], _PAIRS, strict=True):
+        tensor[a, b] = tensor[b, a] = value
+    moment = body[6:9]
+    return tensor - (moment @ moment * np.eye(3) - np.outer(moment, moment)) / body[9]
+
+
+def pseudo_inertia(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "4 4"]:
+    """The 4 x 4 matrix ∫ (x, 1)(x, 1)ᵀ dm of a body (Wensing, Kim and Slotine 2018).
+
+    A body can exist if and only if it is positive semidefinite: it holds the mass, the first
+    moment and the spread of mass tr(I)/2 - I, all at once.
+    """
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = np.diag(np.sum(body[:3]) / 2 - body[:3])
+    for value, (a, b) in zip(body[3:6], _PAIRS, strict=True):
+        matrix[a, b] = matrix[b, a] = -value
+    matrix[:3, 3] = matrix[3, :3] = body[6:9]
+    matrix[3, 3] = body[9]
+    return matrix
+
+
+def body_of_pseudo_inertia(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "10"]:
+    """The inverse of `pseudo_inertia`; linear."""
+    spread = np.diag(matrix)[:3]
+    off = [-matrix[a, b] for a, b in _PAIRS]
+    return np.array([*(np.sum(spread) - spread), *off, *matrix[:3, 3], matrix[3, 3]])
+
+
+def principal_body(
+    mass: float, centre: Float[np.ndarray, "3"], spread: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "10"]:
+    """The body with principal axes along the frame's, its mass spread by ∫ x² dm along each."""
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = np.diag(spread) + mass * np.outer(centre, centre)
+    matrix[:3, 3] = matrix[3, :3] = mass * centre
+    matrix[3, 3] = mass
+    return body_of_pseudo_inertia(matrix)
+
+
+def body_map(
+    algebra: Algebra,
+) -> tuple[Float[np.ndarray, "inertial links 10"], Float[np.ndarray, "inertial links"]]:
+    """Inertial coefficients as linear forms in the links' bodies and motor inertias.
+
+    The torque sees a link through its ten numbers alone, so every coefficient is a linear form
+    in them, also where links have principal axes and the algebra's own terms are products such
+    as m rx ry.
+
+    **Returns** what multiplies each body's ten numbers, and each motor's inertia.
+    """
+    n = algebra.robot.joint_count
+    constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}
+    places = [
+        {term: i for i, term in enumerate(t for t in algebra.terms if t.link == link and t.body)}
+        for link in range(n)
+    ]
+    holds = [np.zeros((10, len(place))) for place in places]
+    for place, hold in zip(places, holds, strict=True):
+        for term, i in place.items():
+            for entry, multiple in term.body:
+                hold[_ENTRY[entry], i] += multiple
+    bodies = np.zeros((len(algebra.coefficients), n, 10))
+    motors = np.zeros((len(algebra.coefficients), n))
+    for row, coefficient in enumerate(algebra.coefficients):
+        forms = [np.zeros(len(place)) for place in places]
+        for addend, factor in _numbers(coefficient, constants):
+            link = addend.link
+            if addend.factors == ("motor",):
+                motors[row, link] += factor
+            else:
+                forms[link][places[link][addend]] += factor
+        for link, (hold, form) in enumerate(zip(holds, forms, strict=True)):
+            if not form.any():
+                continue
+            entries = np.linalg.lstsq(hold.T, form)[0]
+            entries[np.abs(entries) < _ROUNDING * np.max(np.abs(entries))] = 0.0
+            if np.max(np.abs(hold.T @ entries - form)) > _ROUNDING * np.max(np.abs(form)):
+                raise ValueError(
+                    f"{coefficient.name}: {coefficient.expression} is no linear form in bodies"
+                )
+            bodies[row, link] = entries
+    return bodies, motors
+
+
+def _numbers(coefficient: Coefficient, constants: dict[str, float]):
+    for addend in coefficient.addends:
+        factor = float(addend.factor)
+        for name, power in addend.constants:
+            factor *= constants[name] ** power
+        yield addend.term, factor
+
+
+def ties(inertia: LinkInertia) -> Float[np.ndarray, "ties 10"]:
+    """What a link's `LinkInertia` says of its body, as equations `rows @ body = 0`.
+
+    For a full tensor: products of inertia and coordinates of the centre that are zero, moments
+    that are equal. A moment or a mass that is listed as zero is no equation: no body has it, and
+    it is listed because the torque does not see it.
+    """
+    unit = np.eye(10)
+    rows = [unit[_ENTRY[f"h{axis}"]] for axis in _AXES if f"r{axis}" in inertia.zero]
+    rows += [unit[_ENTRY[product]] for product in ("Ixy", "Ixz", "Iyz") if product in inertia.zero]
+    rows += [unit[_ENTRY[first]] - unit[_ENTRY[second]] for first, second in inertia.equal]
+    return np.array(rows).reshape(-1, 10)
+
+
+def bodies_of(links: Sequence[LinkParameters]) -> Float[np.ndarray, "links 10"]:
+    """`body_of` each."""
+    return np.stack([body_of(link) for link in links])
+
+
+def tied(inertia: LinkInertia, link: LinkParameters) -> LinkParameters:
+    """A link that is of its kind but for rounding, without the rounding."""
+    zero = [f"r{axis}" in inertia.zero for axis in _AXES]
+    centre, tensor = np.where(zero, 0.0, link.centre_of_gravity), np.asarray(link.inertia)
+    if inertia.form == "principal":
+        tensor = np.diag(np.diag(tensor))
+    return LinkParameters(link.mass, centre, tensor, link.motor_inertia)

@@ -1,0 +1,62 @@
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Array, Float
+
+
+# Noise-free coefficients have a covariance of rounding. Standard errors are taken as no less than
+# this part of the coefficient that an average body would cause: finer is beyond the solver.
+_FINEST = 1e-6
+
+
+@runtime_checkable
+class Fitted(Protocol):
+    """Coefficients and how far they are known: what an `Identification` and its file share."""
+
+    @property
+    def k(self) -> Float[Array | np.ndarray, " coefficients"]: ...
+    @property
+    def covariance(self) -> Float[Array | np.ndarray, "coefficients coefficients"]: ...
+    @property
+    def undetermined(self) -> Float[Array | np.ndarray, "rows coefficients"]: ...
+
+
+def whitening(
+    fit: Fitted, sizes: Float[np.ndarray, " coefficients"]
+) -> Float[np.ndarray, "rank coefficients"]:
+    """The matrix that turns a change of the coefficients into standard errors.
+
+    Those that independent residuals would give: the norm of the result is then also the torque
+    that the change causes over the patterns, in units of the residual.
+
+    A change along a combination that the data do not determine costs nothing: the covariance is
+    inverted on its range only, along the undetermined combinations. The result's squared norm is
+    what the change adds to the sum of squared residuals, in units of their variance.
+
+    - `sizes`: (p,) of typical coefficients, in their units.
+
+    **Raises** `ValueError` if the covariance is not finite.
+    """
+    # A covariance that allows for correlation is of low rank; torques are measured by the other.
+    covariance = np.asarray(getattr(fit, "independent_covariance", fit.covariance), float)
+    free = np.asarray(fit.undetermined, float)
+    if not np.all(np.isfinite(covariance)) or not np.all(np.isfinite(np.asarray(fit.k))):
+        raise ValueError("the fit's coefficients or covariance are not finite")
+    units = np.sqrt(np.maximum(np.diag(covariance), 0.0)) + _FINEST * sizes
+    free = free[np.linalg.norm(free, axis=1) > 0] / units
+    if free.size:
+        _, values, free = np.linalg.svd(free, full_matrices=False)
+        free = free[values > 1e-10 * values[0]]
+    rank = len(units) - len(free)
+    scaled = covariance / np.outer(units, units)
+    # Of rank `rank` already; the floor is added within its range.
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    values, vectors = values[::-1][:rank], vectors[:, ::-1][:, :rank]
+    floor = np.diag((_FINEST * sizes / units) ** 2)
+    if not free.size:
+        values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + floor)
+        return (vectors.T / np.sqrt(values)[:, None]) / units
+    inner = np.diag(np.maximum(values, 0.0)) + vectors.T @ floor @ vectors
+    coordinates = np.linalg.inv(np.concatenate([vectors, free.T], axis=1))[:rank]
+    half = np.linalg.cholesky((inner + inner.T) / 2)
+    return np.linalg.solve(half, coordinates) / units

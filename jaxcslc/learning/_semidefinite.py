@@ -1,0 +1,88 @@
+import warnings
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.linalg
+from cvxpy.error import SolverError
+from jaxtyping import Float
+
+
+_UPPER = [(a, b) for a in range(4) for b in range(a, 4)]
+_ROUNDING = 1e-12
+
+
+def semidefinite_least_squares(
+    matrix: Float[np.ndarray, "rows unknowns"],
+    target: Float[np.ndarray, " rows"],
+    rows: Float[np.ndarray, "ties unknowns"],
+    values: Float[np.ndarray, " ties"],
+    *,
+    bodies: int,
+    bounded: Float[np.ndarray, " others"],
+    least: float,
+) -> tuple[Float[np.ndarray, " unknowns"] | None, bool]:
+    """min |matrix x - target|² with x = (X₁, …, Xₘ, y), rows @ x = values, every Xᵢ (4, 4)
+    symmetric with eigenvalues ≥ least, y ≥ 0 where `bounded` is not zero.
+
+    Where no inequality holds it back, the optimum is that of a least-squares problem: that is
+    tried first, for it is exact where a conic solver is good to some eight digits.
+
+    **Returns** the optimum, None if there is none, and whether the solver says that it is one.
+    """
+    origin, span = _solutions(rows @ (expand := _expansion(bodies, len(bounded))), values)
+    origin, span = expand @ origin, expand @ span
+    stacked = np.concatenate([matrix @ span, (target - matrix @ origin)[:, None]], axis=1)
+    triangle: Any = np.linalg.qr(stacked, mode="r")  # says all that the equations say
+    size = span.shape[1]
+    inverse = scipy.linalg.solve_triangular(triangle[:size, :size], np.eye(size))
+    free = origin + span @ (inverse @ triangle[:size, size])
+    own = free[16 * bodies :][bounded > 0]
+    if np.min(np.linalg.eigvalsh(free[: 16 * bodies].reshape(-1, 4, 4))) >= least and np.all(
+        own >= 0
+    ):
+        return free, True
+
+    # From there, in steps that cost alike: what the data fix moves the bodies little. In the
+    # unknowns themselves the condition number would be that of the data.
+    step = cp.Variable(size)
+    steps = span @ inverse
+    full = free + steps @ step
+    constraints: list[Any] = [
+        cp.reshape(full[16 * i : 16 * (i + 1)], (4, 4), order="C") >> least * np.eye(4)
+        for i in range(bodies)
+    ]
+    if np.any(bounded):
+        constraints.append(full[16 * bodies + np.flatnonzero(bounded)] >= 0)
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(step)), constraints)
+    with warnings.catch_warnings():  # what they say is in the status
+        warnings.simplefilter("ignore")
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except SolverError:
+            return None, False
+    if step.value is None or not np.all(np.isfinite(step.value)):
+        return None, False
+    return free + steps @ np.asarray(step.value), problem.status == cp.OPTIMAL
+
+
+def _expansion(bodies: int, others: int) -> Float[np.ndarray, "unknowns independent"]:
+    """From the ten independent entries of each symmetric matrix to all sixteen."""
+    expand = np.zeros((16 * bodies + others, 10 * bodies + others))
+    for body in range(bodies):
+        for place, (a, b) in enumerate(_UPPER):
+            expand[16 * body + 4 * a + b, 10 * body + place] = 1.0
+            expand[16 * body + 4 * b + a, 10 * body + place] = 1.0
+    expand[16 * bodies :, 10 * bodies :] = np.eye(others)
+    return expand
+
+
+def _solutions(
+    rows: Float[np.ndarray, "ties unknowns"], values: Float[np.ndarray, " ties"]
+) -> tuple[Float[np.ndarray, " unknowns"], Float[np.ndarray, "unknowns free"]]:
+    """All x with rows @ x = values: one of them, and what can be added to it."""
+    if not len(rows):
+        return np.zeros(rows.shape[1]), np.eye(rows.shape[1])
+    left, sizes, right = np.linalg.svd(rows)
+    rank = int(np.sum(sizes > _ROUNDING * sizes[0]))
+    return right[:rank].T @ ((left.T @ values)[:rank] / sizes[:rank]), right[rank:].T

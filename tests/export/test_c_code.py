@@ -1,0 +1,159 @@
+"""The C code against Python, on robots of every kind; what it is, and what it refuses."""
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+import jaxcslc as jc
+
+
+Compiled = Callable[[jc.CCode], Callable[..., Float[np.ndarray, "..."]]]
+_STATES = 5
+# Sums of a few hundred products in another order.
+_ROUNDING = 1e-12
+
+
+def _tree() -> jc.Manipulator:
+    """Two branches, a prismatic joint, twists that are no right angles, gravity askew."""
+    return jc.Manipulator.from_modified_dh(
+        [
+            (0.3, 0.1, 0.2, 0.4),
+            ("-pi/2", 0.2, 0.1, 0),
+            (1.0, 0.1, 0.3, 0.7, 0.5, 0.2),
+            ("pi/2", 0, 0.2, "pi/2"),
+        ],
+        kinds="RPRR",
+        parents=[0, 1, 1, 3],
+        gravity=(1.0, 2.0, -9.0),
+        name="a tree",
+    )
+
+
+_WORDS = _tree().with_friction("asymmetric_viscous", "asymmetric_dry", "static", "root", "spring")
+
+
+def _agrees(network: jc.CSLC, k: Any, call: Any, rng: np.random.Generator) -> None:
+    """All four functions at random states."""
+    n, p = network.joint_count, network.size
+    q, qd, qdd = rng.uniform(-2, 2, (3, _STATES, n))
+    qd[0] = 0.0
+    expected = jax.jit(
+        lambda k, q, qd, qdd: (
+            network.torque(k, q, qd, qdd),
+            network.mass_matrix(k, q),
+            network.gravity_term(k, q),
+            network.regressor(q, qd, qdd),
+        )
+    )(k, q, qd, qdd)
+    largest = float(jnp.max(jnp.abs(expected[0])))
+    for i in range(_STATES):
+        found = (
+            call("torque", q[i], qd[i], qdd[i], size=n),
+            call("mass_matrix", q[i], size=n * n).reshape(n, n),
+            call("gravity", q[i], size=n),
+            call("regressor", q[i], qd[i], qdd[i], size=n * p).reshape(n, p),
+        )
+        for mine, theirs in zip(found, expected, strict=True):
+            np.testing.assert_allclose(mine, theirs[i], rtol=_ROUNDING, atol=_ROUNDING * largest)
+
+
+def test_puma560(puma: jc.CSLC, compiled: Compiled, rng: np.random.Generator) -> None:
+    """Coefficients that were identified one by one belong to no body: the closed form."""
+    k = rng.normal(size=puma.size)
+    _agrees(puma, k, compiled(jc.c_code(puma, k)), rng)
+
+
+def test_puma560_of_known_links(
+    puma: jc.CSLC, puma_k: Any, compiled: Compiled, rng: np.random.Generator
+) -> None:
+    """Those of links have less to compute."""
+    code = jc.c_code(puma, puma_k)
+    _agrees(puma, puma_k, compiled(code), rng)
+    other = jc.c_code(puma, rng.normal(size=puma.size))
+    assert code.operations["torque"] < other.operations["torque"] / 2
+
+
+def test_panda(compiled: Compiled, rng: np.random.Generator) -> None:
+    network = jc.derive(jc.panda(), lengths="numeric")
+    k = rng.normal(size=network.size)
+    code = jc.c_code(network, k)
+    _agrees(network, k, compiled(code), rng)
+    assert code.operations["torque"] < 700
+    # Sine and cosine once per angle in each function.
+    for function in code.source.split("\nvoid ")[1:]:
+        assert len(re.findall(r"sin\(", function)) == len(set(re.findall(r"sin\(.*?\)", function)))
+
+
+@pytest.mark.parametrize(
+    ("robot", "lengths"),
+    [
+        pytest.param(
+            _WORDS.with_coupling((1, 3, 0.5)).with_static_slopes([1.0, 2.0, 3.0, 4.0]),
+            "numeric",
+            id="every word, a coupling",
+        ),
+        pytest.param(
+            _tree().with_friction("viscous", "dry", "offset"), "symbolic", id="offsets, symbols"
+        ),
+    ],
+)
+def test_a_tree(
+    robot: jc.Manipulator, lengths: Any, compiled: Compiled, rng: np.random.Generator
+) -> None:
+    """Branches, a prismatic joint, and every word of the friction model; at rest too, where
+    sgn(0) = 0 and nothing is divided by."""
+    network = jc.derive(robot, lengths=lengths)
+    k = rng.normal(size=network.size)
+    _agrees(network, k, compiled(jc.c_code(network, k)), rng)
+
+
+def test_what_is_unused_does_not_warn(compiled: Compiled) -> None:
+    """A joint with an upright axis and no friction: torque sees neither position nor rate."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], friction=())
+    network = jc.derive(robot, lengths="numeric")
+    call = compiled(jc.c_code(network, np.array([2.0])))
+    three = np.array([3.0])
+    assert call("torque", three, three, three, size=1).tolist() == [6.0]
+    assert call("gravity", three, size=1).tolist() == [0.0]
+
+
+def test_the_text(puma: jc.CSLC, puma_k: Any) -> None:
+    """Self-contained, and says what it is."""
+    code = jc.c_code(puma, puma_k, name="arm")
+    assert re.findall(r"#include (.*)", code.source) == ["<math.h>", '"arm.h"']
+    for word in ("malloc", "static double x", "for (", "while"):
+        assert word not in code.source
+    for name in ("torque", "mass_matrix", "gravity", "regressor"):
+        assert f"void arm_{name}(const double q[6]" in code.header
+    assert "PUMA 560" in code.header and "revolute [rad, N m]" in code.header
+    assert f"kM1  = {float(puma_k[0]):.17g} kg m^2" in code.source
+    assert code.source.isascii() and max(map(len, code.source.splitlines())) < 250
+
+
+def test_names_cannot_break_out_of_the_comment(compiled: Compiled) -> None:
+    robot = jc.Manipulator.from_modified_dh(
+        [(0, 0, 0, 0)], name='*/ int main; /* "Ünï" ??/ \\', friction=("viscous",)
+    )
+    network = jc.derive(robot, lengths="numeric")
+    code = jc.c_code(network, np.ones(network.size))
+    assert re.fullmatch(r"[a-z][a-z0-9_]*", code.name)
+    assert compiled(code)("torque", *np.ones((3, 1)), size=1).tolist() == [2.0]
+
+
+@pytest.mark.parametrize("name", ["", "2nd", "a b", "double", "a;b"])
+def test_names_that_c_does_not_have(puma: jc.CSLC, puma_k: Any, name: str) -> None:
+    with pytest.raises(ValueError, match="expected a C identifier"):
+        jc.c_code(puma, puma_k, name=name)
+
+
+def test_coefficients_that_do_not_fit(puma: jc.CSLC) -> None:
+    with pytest.raises(ValueError, match="expected 43 finite coefficients"):
+        jc.c_code(puma, np.ones(3))
+    with pytest.raises(ValueError, match="not all finite"):
+        jc.c_code(puma, np.full(43, np.nan))

@@ -1,0 +1,116 @@
+"""Expressions are computed once, and mean what was written."""
+
+import math
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings, strategies as st
+
+from jaxcslc.export._closed_form import nested
+from jaxcslc.export._expressions import Expressions, Value
+
+
+def value(graph: Expressions, index: int, inputs: dict[str, float]) -> float:
+    """An interpreter of its own."""
+    operation = graph.operations[index]
+    arguments = [value(graph, i, inputs) for i in operation.arguments]
+    match operation.name:
+        case "input":
+            return inputs[operation.text]
+        case "constant":
+            return operation.number
+        case "add":
+            return arguments[0] + arguments[1]
+        case "subtract":
+            return arguments[0] - arguments[1]
+        case "multiply":
+            return arguments[0] * arguments[1]
+        case "negate":
+            return -arguments[0]
+        case name:
+            return float(getattr(math, name)(arguments[0]))
+
+
+# A tree of sums, differences and products over two inputs and small numbers.
+_LEAVES = st.one_of(st.sampled_from(["x", "y"]), st.integers(-2, 2).map(float))
+_TREES = st.recursive(
+    _LEAVES, lambda inner: st.tuples(st.sampled_from("+-*"), inner, inner), max_leaves=12
+)
+
+
+def built(graph: Expressions, tree: Any) -> Value:
+    if isinstance(tree, str):
+        return graph.input(tree)
+    if isinstance(tree, float):
+        return graph.constant(tree)
+    first, second = built(graph, tree[1]), built(graph, tree[2])
+    return {"+": first + second, "-": first - second, "*": first * second}[tree[0]]
+
+
+def meant(tree: Any, inputs: dict[str, float]) -> float:
+    if isinstance(tree, str):
+        return inputs[tree]
+    if isinstance(tree, float):
+        return tree
+    first, second = meant(tree[1], inputs), meant(tree[2], inputs)
+    return {"+": first + second, "-": first - second, "*": first * second}[tree[0]]
+
+
+@settings(max_examples=200, deadline=None)
+@given(_TREES)
+def test_simplifying_keeps_the_value(tree: Any) -> None:
+    graph, inputs = Expressions(), {"x": 3.0, "y": 5.0}  # small integers: no rounding
+    assert value(graph, built(graph, tree).index, inputs) == meant(tree, inputs)
+
+
+@settings(max_examples=100, deadline=None)
+@given(_TREES)
+def test_nothing_trivial_is_left(tree: Any) -> None:
+    """No operation with 0 or 1, none on two constants, no sign that another could take."""
+    graph = Expressions()
+    built(graph, tree)
+    for operation in graph.operations:
+        arguments = [graph.operations[i] for i in operation.arguments]
+        constants = [a.number for a in arguments if a.name == "constant"]
+        if operation.name in ("add", "subtract", "multiply"):
+            assert len(constants) < 2 and 0.0 not in constants
+            assert all(a.name != "negate" for a in arguments)
+        if operation.name == "multiply":
+            assert 1.0 not in constants
+        if operation.name == "negate":
+            assert arguments[0].name not in ("negate",)
+
+
+def test_equal_expressions_are_one() -> None:
+    graph = Expressions()
+    x, y = graph.input("x"), graph.input("y")
+    assert (x * y + 1).index == (1 + y * x).index
+    assert (x - y).index == (-(y - x)).index
+    assert ((x + y) - y).index == x.index and (x - (x - y)).index == y.index
+    assert (2.0 * (x * 3.0)).index == (x * 6.0).index
+    assert (x + x).index == (2 * x).index
+    assert (0.0 * graph.apply("sin", x)).is_zero
+
+
+def test_cost_counts_what_is_needed_once() -> None:
+    graph = Expressions()
+    x = graph.input("x")
+    square = x * x
+    assert graph.cost([square + 1, -square]) == 2
+
+
+def test_nested_polynomials(rng: np.random.Generator) -> None:
+    """Against the sum of monomials."""
+    graph = Expressions()
+    inputs = {"x": 0.7, "y": -1.3, "z": 0.4}
+    variables = [graph.input(name) for name in inputs]
+    polynomial = {
+        tuple(int(p) for p in rng.integers(0, 4, 3)): float(rng.normal()) for _ in range(20)
+    }
+    expected = sum(
+        factor * float(np.prod(np.array(list(inputs.values())) ** np.array(powers)))
+        for powers, factor in polynomial.items()
+    )
+    found = value(graph, nested(graph, polynomial, variables).index, inputs)
+    assert math.isclose(found, expected, rel_tol=1e-12)
+    assert nested(graph, {}, variables).is_zero

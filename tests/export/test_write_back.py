@@ -1,0 +1,303 @@
+"""Parameters into files and back: round trips, and that nothing else changes."""
+
+import difflib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio
+import pytest
+from jaxtyping import Float
+
+import jaxcslc as jc
+from jaxcslc.export._xml_edits import XmlEdits
+from jaxcslc.manipulator import parse_xml
+
+
+Links = tuple[jc.LinkParameters, ...]
+_ROUNDING = 1e-9
+
+URDF = """<?xml version="1.0"?>
+<!-- an arm; 'quotes' and > signs in a comment -->
+<robot name="arm">
+  <link name="floor"/>
+  <link name='upper'>
+    <visual><origin xyz="0 0 1"/><geometry><sphere radius="0.1"/></geometry></visual>
+    <inertial>
+      <!-- turned on purpose -->
+      <mass value='2.0'  />
+      <origin rpy="0.3 -0.2 0.5" xyz="0.1 0 0"/>
+      <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.2"/>
+    </inertial>
+  </link>
+  <link name="fore"/>
+  <link name="tool">
+    <inertial><mass value="0.3"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/>
+    </inertial>
+  </link>
+  <joint name="shoulder" type="continuous">
+    <parent link="floor"/> <child link="upper"/> <origin xyz="0 0 0.3" rpy="0.1 0 0.2"/>
+    <axis xyz="0 1 0"/>
+    <dynamics friction="0.5"/>
+  </joint>
+  <joint name="elbow" type="revolute"><limit lower="-1" upper="1" effort="5" velocity="2"/>
+    <parent link="upper"/> <child link="fore"/> <origin xyz="0.3 0 0"/> <axis xyz="0 0.6 0.8"/>
+  </joint>
+  <joint name="bolt" type="fixed">
+    <parent link="fore"/> <child link="tool"/> <origin xyz="0.2 0.1 0" rpy="0 0 0.4"/>
+  </joint>
+</robot>
+"""
+
+MJCF = """<mujoco model="arm">
+  <compiler angle="radian"/>
+  <default><joint damping="0.3" armature="0.02"/></default>
+  <worldbody>
+    <!-- the arm -->
+    <body name="upper" pos="0 0 0.3" euler="0.1 0.2 0">
+      <joint name="shoulder" axis="0 1 0" pos="0.01 0 0"/>
+      <inertial pos="0.1 0 0.02" quat="1 0.1 0 0" mass="3" diaginertia="0.02 0.03 0.04"/>
+      <body name="fore" pos="0.3 0 0">
+        <joint axis="0 0.2 1" frictionloss="0.4"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.03"/>
+        <body name="tool" pos="0.2 0 0">
+          <inertial pos="0.02 0 0" mass="0.2" diaginertia="1e-3 1e-3 1e-3"/>
+        </body>
+      </body>
+      <body name="side" pos="0 0.2 0.1" quat="0.7 0.7 0.1 0">
+        <joint name="slider" type="slide" axis="1 1 0"/>
+        <inertial pos="0 0.05 0" mass="0.7" fullinertia="0.01 0.02 0.02 0.001 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="shoulder"/></actuator>
+</mujoco>
+"""
+
+TOML = """# An arm of two links.
+name = "arm"   # a remark
+[lengths]
+a1 = 0.4
+
+[[joint]]
+alpha = "pi/2"
+viscous = 0.1
+dry = 0.2
+
+[joint.link]
+inertia = "principal"
+zero = ["ry"]   # by symmetry
+mass = 1.0
+centre_of_gravity = [0.1, 0, 0.2]
+inertia_tensor = [0.1, 0.1, 0.05]
+
+[[joint]]
+a = "a1"
+viscous = 0.3
+dry = 0.4
+link = { mass = 2.0, centre_of_gravity = [0, 0, 0], inertia_tensor = [0.1, 0.1, 0.05] }
+"""
+
+
+class Fit(NamedTuple):
+    k: Float[np.ndarray, " coefficients"]
+    covariance: Float[np.ndarray, "coefficients coefficients"]
+    undetermined: Float[np.ndarray, "rows coefficients"]
+
+
+def found_near(network: jc.CSLC, rng: np.random.Generator) -> jc.PhysicalParameters:
+    """Coefficients that differ from the file's, and bodies nearest to them."""
+    robot = network.robot
+    assert robot.links is not None and robot.source is not None
+    n = network.joint_count
+    k = np.asarray(network.coefficients_from(robot.links, viscous=[1.0] * n, dry=[2.0] * n))
+    k = k * rng.uniform(0.8, 1.2, k.shape)
+    fit = Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k))))
+    fixed = robot.source.carried
+    return jc.physical_parameters(
+        network,
+        fit,
+        fixed=fixed if any(body is not None for body in fixed) else None,
+        motors=robot.source.format != "urdf",
+    )
+
+
+@pytest.fixture(params=["arm.urdf", "arm.xml", "arm.toml"])
+def file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    path = tmp_path / request.param
+    path.write_text({".urdf": URDF, ".xml": MJCF, ".toml": TOML}[path.suffix])
+    return path
+
+
+def changed_lines(before: str, after: str) -> list[str]:
+    """Lines of either that are not in the other."""
+    difference = difflib.ndiff(before.splitlines(), after.splitlines())
+    return [line[2:] for line in difference if line[:2] in ("- ", "+ ")]
+
+
+def test_the_file_predicts_what_was_found(file: Path, rng: np.random.Generator) -> None:
+    network = jc.derive(jc.load_robot(file), lengths="numeric")
+    found = found_near(network, rng)
+    written = jc.write_robot(network, found, file.with_stem("written"))
+    assert written.left_out == ()
+    assert np.all(written.largest < _ROUNDING)
+    assert np.all(written.rms <= written.largest)
+    assert written.robot.links is not None
+    k = network.coefficients_from(
+        written.robot.links, viscous=written.robot.viscous, dry=written.robot.dry
+    )
+    np.testing.assert_allclose(np.asarray(k), found.k, atol=_ROUNDING)
+
+
+def test_nothing_else_changes(file: Path, rng: np.random.Generator) -> None:
+    """Every line that differs holds a number of a body or a drive; without numbers the rest is
+    the same but for elements that were missing."""
+    network = jc.derive(jc.load_robot(file), lengths="numeric")
+    jc.write_robot(network, found_near(network, rng), path := file.with_stem("written"))
+    before, after = file.read_text(), path.read_text()
+    words = {
+        ".urdf": "mass|origin|inertia|dynamics|inertial|link name=.fore|</link|elbow",
+        ".xml": "inertial|joint",
+        ".toml": "viscous|dry|mass|centre_of_gravity|inertia_tensor|motor_inertia|link =",
+    }[file.suffix]
+    lines = changed_lines(before, after)
+    assert lines
+    for line in lines:
+        assert re.search(words, line), line
+    for kept in ("turned on purpose", "'quotes' and > signs", "<visual>", "the arm", "<actuator>"):
+        assert (kept in before) == (kept in after)
+    for kept in ("# An arm", "# a remark", "# by symmetry", "<limit", "<default>", "euler="):
+        assert (kept in before) == (kept in after)
+
+
+def test_writing_twice_is_writing_once(file: Path, rng: np.random.Generator) -> None:
+    network = jc.derive(jc.load_robot(file), lengths="numeric")
+    found = found_near(network, rng)
+    written = jc.write_robot(network, found, file.with_stem("once"))
+    again = jc.derive(written.robot, lengths="numeric")
+    jc.write_robot(again, found, file.with_stem("twice"))
+    assert file.with_stem("twice").read_bytes() == file.with_stem("once").read_bytes()
+
+
+def test_pinocchio_reads_the_same(tmp_path: Path, rng: np.random.Generator) -> None:
+    """An independent reader of URDF: the bodies in the file move as the parameters say."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    network = jc.derive(jc.load_robot(path), lengths="numeric")
+    found = found_near(network, rng)
+    jc.write_robot(network, found, tmp_path / "written.urdf")
+    model = pinocchio.buildModelFromUrdf(str(tmp_path / "written.urdf"))
+    data = model.createData()
+    q, qd, qdd = rng.uniform(-1, 1, (3, 2))
+    # A continuous joint is a point of the circle to Pinocchio.
+    theirs = pinocchio.rnea(model, data, np.array([np.cos(q[0]), np.sin(q[0]), q[1]]), qd, qdd)
+    friction = np.asarray(network.friction_term(found.k, qd))
+    mine = np.asarray(network.torque(found.k, q, qd, qdd)) - friction
+    np.testing.assert_allclose(mine, theirs, atol=1e-9)
+
+
+def test_fixed_bodies_keep_theirs(tmp_path: Path, rng: np.random.Generator) -> None:
+    """The tool is bolted on: its element stays, and the forearm holds the rest."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    network = jc.derive(jc.load_robot(path), lengths="numeric")
+    found = found_near(network, rng)
+    jc.write_robot(network, found, tmp_path / "written.urdf")
+    tool = re.search(r'<link name="tool">.*?</link>', URDF, re.DOTALL)
+    assert tool is not None and tool[0] in (tmp_path / "written.urdf").read_text()
+    assert float(found.links[1].mass) - float(found.own[1].mass) == pytest.approx(0.3)
+
+
+def test_what_urdf_has_no_words_for(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    robot = jc.load_robot(path).with_friction("viscous", "dry", "offset")
+    network = jc.derive(robot, lengths="numeric")
+    k = rng.uniform(0.5, 1.0, network.size)
+    fit = Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k))))
+    assert robot.source is not None
+    found = jc.physical_parameters(network, fit, fixed=robot.source.carried)
+    written = jc.write_robot(network, found, tmp_path / "written.urdf")
+    assert {"ko1", "ko2"} <= set(written.left_out) <= {"ko1", "ko2", "Im1", "Im2"}
+    assert np.all(written.largest < _ROUNDING)
+
+
+def test_what_is_fixed_cannot_be_forgotten(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Parameters that leave no body beside the tool are refused, and no file is written."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    network = jc.derive(jc.load_robot(path), lengths="numeric")
+    light = jc.LinkParameters(0.1, np.zeros(3), 1e-4 * np.eye(3))
+    k = np.asarray(network.coefficients_from([light, light]))
+    found = jc.physical_parameters(
+        network, Fit(k, 1e-8 * np.eye(len(k)), np.zeros((0, len(k)))), (light, light)
+    )
+    with pytest.raises(jc.RobotError, match="'fore' without what the file has fixed"):
+        jc.write_robot(network, found, tmp_path / "written.urdf")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["arm.urdf"]
+
+
+class TestXmlEdits:
+    def test_no_change_is_no_change(self) -> None:
+        assert XmlEdits(URDF.encode()).text() == URDF.encode()
+
+    def test_attributes(self) -> None:
+        text = b"""<a><b  x = '1' y="2>3" >text</b ><c/></a>"""
+        root = parse_xml(text, "test")
+        edits = XmlEdits(text)
+        edits.set(root.children[0], {"x": "4", "new": "5"}, without=("y", "absent"))
+        edits.set(root.children[1], {"z": "6"})
+        assert edits.text() == b"""<a><b  x = '4' new="5" >text</b ><c z="6"/></a>"""
+
+    def test_new_elements_are_indented(self) -> None:
+        text = b"<a>\n  <b/>\n  <c>\n      <d/>\n  </c>\n</a>"
+        root = parse_xml(text, "test")
+        edits = XmlEdits(text)
+        edits.insert(root.children[0], "<new>\n  <inner/>\n</new>")
+        edits.insert(root.children[1], "<new/>")
+        assert edits.text().decode().splitlines() == [
+            *("<a>", "  <b>", "    <new>", "      <inner/>", "    </new>", "  </b>"),
+            *("  <c>", "      <new/>", "      <d/>", "  </c>", "</a>"),
+        ]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace('name="arm"', 'name="arm" x="1"'), None),
+        (
+            lambda text: text.replace("</worldbody>", "</worldbody>").replace(
+                '<joint name="slider"', '<joint name="extra" axis="0 0 1"/>\n<joint name="slider"'
+            ),
+            "body 'side' has several joints",
+        ),
+    ],
+)
+def test_bodies_of_several_joints_are_refused(
+    change: Callable[[str], str], words: str | None, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(change(MJCF))
+    network = jc.derive(jc.load_robot(path), lengths="numeric")
+    found = found_near(network, rng)
+    if words is None:
+        jc.write_robot(network, found, tmp_path / "written.xml")
+        return
+    with pytest.raises(jc.RobotError, match=words):
+        jc.write_robot(network, found, tmp_path / "written.xml")
+    assert not (tmp_path / "written.xml").exists()
+
+
+def test_wrong_files(puma: jc.CSLC, puma_k: Any, tmp_path: Path) -> None:
+    k = np.asarray(puma_k)
+    fit = Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k))))
+    found = jc.physical_parameters(puma, fit)
+    with pytest.raises(jc.RobotError, match="was read from no file"):
+        jc.write_robot(puma, found, tmp_path / "puma.toml")
+    path = tmp_path / "arm.toml"
+    path.write_text(TOML)
+    network = jc.derive(jc.load_robot(path))
+    with pytest.raises(jc.RobotError, match=r"expected a name ending in \.toml"):
+        jc.write_robot(network, found, tmp_path / "arm.urdf")
