@@ -1,11 +1,11 @@
 import os
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
 import jax
 import typer
 
-from .. import __version__
 from ._derive import derive_command
 from ._export import export_command
 from ._identify import identify_command
@@ -35,7 +35,7 @@ def main() -> None:
 
 def _version(asked: bool) -> bool:
     if asked:
-        typer.echo(__version__)
+        typer.echo(version("jaxcslc"))
         raise typer.Exit
     return asked
 

@@ -4,7 +4,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from ..motion import Patterns
 from ..network import CSLC
@@ -202,7 +202,7 @@ def _judged(
     others, others_worth = _root_mean_square(held_out, held_out_mask)
     share = min(rank / max(float(worth.sum()), 1.0), 0.9)
     freedom = np.maximum(worth * (1.0 - share), 1.0)
-    chance = fisher.ppf(1.0 - _CHANCE, np.maximum(others_worth, 1.0), freedom)
+    chance = fdtri(np.maximum(others_worth, 1.0), freedom, 1.0 - _CHANCE)
     return HeldOut(own, others, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ._identification_document import arrays_from, document_of, read_document, write_document
 from ._solution import RESULTS
@@ -113,7 +113,7 @@ class Identification(eqx.Module):
         """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level is {level}; expected more than 0 and less than 1")
-        quantile = float(student.ppf(0.5 + 0.5 * level, float(self.freedom)))
+        quantile = float(stdtrit(float(self.freedom), 0.5 + 0.5 * level))
         half = quantile * np.asarray(self.standard_error)
         k = np.asarray(self.k)
         return np.stack([k - half, k + half], axis=-1)
