@@ -48,6 +48,7 @@ def identification_report(
             "robot": network.robot.name,
             "lengths": network.algebra.lengths,
             "settings": settings_document(settings),
+            **_slopes(network),
             "units": [coefficient.unit for coefficient in network.coefficients],
             "unidentifiable": fit.unidentifiable,
             **fit.document(),  # so that `Identification.load` reads this file too
@@ -62,6 +63,12 @@ def identification_report(
         predicted = np.asarray(predicted_torque(network, pattern, fit.k))
         written += _recording_files(folder, name, network, pattern, predicted, errors[name])
     return written
+
+
+def _slopes(network: CSLC) -> dict[str, Any]:
+    if network.static_slopes is None:
+        return {}
+    return {"static_slopes": np.asarray(network.static_slopes, float)}
 
 
 def _some_motion(patterns: Patterns) -> dict[str, np.ndarray]:

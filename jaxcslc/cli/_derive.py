@@ -1,4 +1,6 @@
+from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated
 
 import typer
@@ -11,6 +13,8 @@ from ..assessment import (
     write_csv,
     write_json,
 )
+from ..derivation import StructuralIdentifiability, structural_identifiability
+from ..network import CSLC
 from ._common import (
     BaseOption,
     LengthsOption,
@@ -36,20 +40,61 @@ def derive_command(
     with one_line_errors():
         network = network_of(robot_named(robot, base, tip), lengths)
         typer.echo(network)
-        counts = network.counts
-        for name in ("mass", "velocity", "gravity"):
-            count = counts[name]
-            typer.echo(
-                f"{name}: {count['inputs']} inputs, {count['links']} links,"
-                f" {count['coefficients']} coefficients"
-            )
-        per_joint = ", ".join(str(order) for order in network.order_per_joint)
-        typer.echo(f"network order {network.order}; per joint {per_joint}\n")
+        tables = _have_practical_tables(network)
+        typer.echo(_sizes(network) if tables else _NO_TABLES)
         rows = coefficient_rows(network)
-        typer.echo(coefficient_text(rows))
+        typer.echo(f"\n{coefficient_text(rows)}\n")
+        told = structural_identifiability(network.algebra)
+        typer.echo(_told(told))
         if output is not None:
             usable(output)
+            written = ["coefficients.csv", "identifiability.csv"]
             with all_or_nothing(output) as folder:
-                write_csv(folder / "coefficients.csv", rows)
-                write_json(folder / "tables.json", derivation_document(network))
-            typer.echo(f"\nwrote {output / 'coefficients.csv'} and {output / 'tables.json'}")
+                write_csv(folder / written[0], rows)
+                write_csv(folder / written[1], [_told_row(one) for one in told])
+                if tables:
+                    written.append("tables.json")
+                    write_json(folder / written[2], derivation_document(network))
+            typer.echo("\nwrote " + ", ".join(str(output / name) for name in written))
+
+
+_NO_TABLES = (
+    "closed-form tables are left out: of twists other than multiples of 90° they have tens of"
+    " thousands of links; torque is computed by recursion"
+)
+
+
+def _have_practical_tables(network: CSLC) -> bool:
+    return all(0 in link.twist and 0 in link.branch for link in network.algebra.chain.links)
+
+
+def _sizes(network: CSLC) -> str:
+    counts = network.counts
+    lines = [
+        f"{name}: {counts[name]['inputs']} inputs, {counts[name]['links']} links,"
+        f" {counts[name]['coefficients']} coefficients"
+        for name in ("mass", "velocity", "gravity")
+    ]
+    per_joint = ", ".join(str(order) for order in network.order_per_joint)
+    return "\n".join([*lines, f"network order {network.order}; per joint {per_joint}"])
+
+
+def _told(rows: Sequence[StructuralIdentifiability]) -> str:
+    """What any motion could tell of the link parameters, in a few lines."""
+    verdicts: dict[str, list[str]] = {"alone": [], "only in combinations": [], "not at all": []}
+    for row in rows:
+        verdicts[row.verdict].append(row.parameter)
+    text = "what motion and torque can tell of link parameters:"
+    for verdict, names in verdicts.items():
+        listed = fill(", ".join(names), 96, initial_indent="    ", subsequent_indent="    ")
+        text += f"\n  {verdict} ({len(names)})" + (f"\n{listed}" if names else "")
+    return text
+
+
+def _told_row(row: StructuralIdentifiability) -> dict[str, str | int]:
+    return {
+        "parameter": row.parameter,
+        "link": row.link,
+        "verdict": row.verdict,
+        "coefficients": " ".join(row.coefficients),
+    }

@@ -56,6 +56,7 @@ def export_command(
         document = _document(identification)
         file = _bundled_file(robot) if robot in BUNDLED else robot
         network = network_of(robot_named(str(file), base, tip), _lengths(document))
+        network = _with_slopes(network, document, identification)
         fit = Identification.load(identification)
         if fit.names != network.names:
             raise ValueError(
@@ -146,6 +147,16 @@ def _document(path: Path) -> dict[str, Any]:
 def _lengths(document: dict[str, Any]) -> str:
     lengths = document.get("lengths", "auto")
     return ",".join(lengths) if isinstance(lengths, list) else str(lengths)
+
+
+def _with_slopes(network: CSLC, document: dict[str, Any], path: Path) -> CSLC:
+    """With the slopes of static friction that were found."""
+    if network.static_slopes is None or "static_slopes" not in document:
+        return network
+    try:
+        return network.with_static_slopes(np.asarray(document["static_slopes"], float))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: static_slopes: {error}") from None
 
 
 def _states(document: dict[str, Any], network: CSLC, path: Path) -> Patterns:

@@ -2,6 +2,7 @@ import json
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from ..assessment import (
@@ -14,8 +15,10 @@ from ..assessment import (
 )
 from ..learning import (
     Settings,
+    SlopeFit,
     choose_settings,
     cross_validated_error,
+    fit_slopes,
     held_out_error,
     settings_from,
 )
@@ -68,6 +71,11 @@ def identify_command(
         patterns = {"training": chosen.patterns(recording)}
         if held_out is not None:
             patterns["validation"] = chosen.patterns(held_out)
+        slopes = ""
+        if "static" in network.robot.friction_terms:
+            step("looking for the slopes of static friction")
+            searched = fit_slopes(network, patterns["training"], joint_weights=chosen.joint_weights)
+            network, slopes = searched.network, _slopes(searched)
         step("solving")
         fit = chosen.fit(network, patterns["training"])
         step("judging")
@@ -91,6 +99,8 @@ def identify_command(
             )
     typer.echo(f"{network}\nsettings: {chosen}\n")
     typer.echo(coefficient_text(coefficient_rows(network, fit, excitation=excitation)))
+    if slopes:
+        typer.echo(f"\n{slopes}")
     typer.echo(
         f"\nlow and high: 95 % intervals for {fit.errors} errors, {float(fit.freedom):.0f} degrees"
         " of freedom"
@@ -109,6 +119,15 @@ def identify_command(
     for sentence in elsewhere.warnings:
         typer.echo(f"warning: {sentence}")
     typer.echo("\nwrote " + ", ".join(str(output / path.name) for path in written))
+
+
+def _slopes(found: SlopeFit) -> str:
+    pairs = zip(np.asarray(found.slopes), np.asarray(found.slope_error), strict=True)
+    listed = ", ".join(f"{slope:.4g} ± {error:.2g}" for slope, error in pairs)
+    return (
+        f"slopes of static friction, joint by joint [s/rad or s/m]: {listed}; the intervals above"
+        " take them as given"
+    )
 
 
 def _settings(path: Path) -> Settings:

@@ -5,7 +5,7 @@ from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any, Literal
 
-from sympy import QQ
+from flint import fmpq
 
 from ..manipulator import Length, Manipulator, Numbering, RobotError, Subnumbering
 from ._base_parameters import base_parameters
@@ -156,7 +156,7 @@ def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
         twists = _twists(robot, ring, lambda length, _: exact_number(length.value or 0.0))
         kept = [terms[index] for index in chosen]
         parts = mass_matrix(ring, twists, kept), gravity_vector(ring, twists, kept)
-        return _in_coefficients(parts, lambda form: {i: QQ(v) for (i, _), v in form.items()})
+        return _in_coefficients(parts, lambda form: {i: fmpq(v) for (i, _), v in form.items()})
 
     tables = Tables(ring, None, elements)
     return Algebra(robot, "numeric", ring, terms, coefficients, chosen, tables)
@@ -326,7 +326,7 @@ def _published_order(
 ) -> list[tuple[int, Any]]:
     """For each basis form, its published index and the factor that scales it to the published."""
     if published is None or not published.coefficients:
-        return [(index, QQ(1)) for index in range(len(basis.forms))]
+        return [(index, fmpq(1)) for index in range(len(basis.forms))]
     place: dict[int, tuple[int, Any]] = {}
     for number, (label, column, multiple) in enumerate(published.coefficients):
         monomial = ring.parse(label)
@@ -353,7 +353,7 @@ def _addends(
 ) -> tuple[Addend, ...]:
     return tuple(
         Addend(
-            Fraction(int(QQ(value).numerator), int(QQ(value).denominator)),
+            Fraction(int(fmpq(value).numerator), int(fmpq(value).denominator)),
             tuple((name, power) for name, power in zip(constants, powers, strict=True) if power),
             terms[index],
         )

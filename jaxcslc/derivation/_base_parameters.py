@@ -4,8 +4,7 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from flint import arb, arb_mat, ctx, fmpz_mod_ctx, fmpz_mod_mat
-from sympy import QQ
+from flint import arb, arb_mat, ctx, fmpq, fmpz_mod_ctx, fmpz_mod_mat
 
 from ..manipulator import Manipulator
 from ._chain import Chain, link_twists
@@ -61,7 +60,7 @@ def base_parameters(
     if not _explains(forms, pivots, fractions):
         fractions = _in_balls(forms, pivots, fractions)
     combinations = [
-        {order[column]: QQ(*fraction) for column, fraction in row.items()} for row in fractions
+        {order[column]: fmpq(*fraction) for column, fraction in row.items()} for row in fractions
     ]
     chosen = [order[column] for column in pivots]
     by_link = sorted(

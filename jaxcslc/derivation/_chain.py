@@ -3,7 +3,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from sympy import QQ
+from flint import fmpq
 
 from ..manipulator import Manipulator
 from ._exact import exact_cos_sin
@@ -70,7 +70,7 @@ class Chain:
                 current, offset = before.angle, _rotate_by(before.offset, branch, before.side)
                 side = before.side * int(twist[0])
             else:
-                side, current, offset = 1, None, (QQ(1), QQ(0))
+                side, current, offset = 1, None, (fmpq(1), fmpq(0))
             offset = _rotate_by(offset, exact_cos_sin(joint.theta), side)
             if joint.kind == "R":
                 terms = () if current is None else angles[current].terms

@@ -1,7 +1,7 @@
 import math
 from fractions import Fraction
 
-from sympy import QQ
+from flint import fmpq
 
 
 # Angles this close to a multiple of 90 degrees are taken as exactly that [rad].
@@ -18,7 +18,7 @@ def exact_number(value: float):
     1/4
     """
     fraction = Fraction(repr(float(value)))
-    return QQ(fraction.numerator, fraction.denominator)
+    return fmpq(fraction.numerator, fraction.denominator)
 
 
 def exact_cos_sin(angle: float):
@@ -35,9 +35,9 @@ def exact_cos_sin(angle: float):
     quarter_turns = round(angle / (math.pi / 2))
     if abs(angle - quarter_turns * (math.pi / 2)) < _RIGHT_ANGLE_TOLERANCE:
         cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter_turns % 4]
-        return QQ(cos), QQ(sin)
+        return fmpq(cos), fmpq(sin)
     remainder = angle - quarter_turns * (math.pi / 2)
-    t = QQ(round(math.tan(remainder / 2) * _TANGENT_DENOMINATOR), _TANGENT_DENOMINATOR)
+    t = fmpq(round(math.tan(remainder / 2) * _TANGENT_DENOMINATOR), _TANGENT_DENOMINATOR)
     cos, sin = (1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)
     for _ in range(quarter_turns % 4):
         cos, sin = -sin, cos

@@ -1,8 +1,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from sympy import QQ
-from sympy.polys.matrices import DomainMatrix
+from flint import fmpq, fmpq_mat
 
 from ._algebra import Algebra
 from ._inertial_terms import InertialTerm
@@ -79,15 +78,15 @@ def structural_identifiability(algebra: Algebra) -> tuple[StructuralIdentifiabil
             names = part_of.setdefault(addend.term, [])
             if coefficient.name not in names:
                 names.append(coefficient.name)
-    rows = [[QQ(0)] * len(columns) for _ in algebra.coefficients]
+    rows = [[fmpq(0)] * len(columns) for _ in algebra.coefficients]
     for row, coefficient in zip(rows, algebra.coefficients, strict=True):
         for addend in coefficient.addends:
-            factor = QQ(addend.factor.numerator, addend.factor.denominator)
+            factor = fmpq(addend.factor.numerator, addend.factor.denominator)
             row[columns[addend.term, addend.constants]] += factor
-    echelon, _ = DomainMatrix(rows, (len(rows), len(columns)), QQ).rref()
+    echelon, _ = fmpq_mat(rows).rref() if rows else (fmpq_mat(0, 0), 0)
     alone = {
         next(index for index, value in enumerate(row) if value)
-        for row in echelon.to_ddm().to_list()
+        for row in echelon.tolist()
         if sum(1 for value in row if value) == 1
     }
     told = {term for (term, _), column in columns.items() if column in alone}

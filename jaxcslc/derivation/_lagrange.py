@@ -1,7 +1,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sympy import QQ
+from flint import fmpq
 
 from ._chain import LinkTwists
 from ._inertial_terms import InertialTerm, gravity_factors, kinetic_factors
@@ -36,7 +36,7 @@ def mass_matrix(
     for index, term in enumerate(terms):
         if term.factors == ("motor",):
             form = elements[term.link, term.link].setdefault(one, {})
-            form[index, (0,) * len(ring.constants)] = QQ(1)
+            form[index, (0,) * len(ring.constants)] = fmpq(1)
     return elements
 
 
@@ -116,7 +116,7 @@ def _collect(
             polynomial = normal.get(entry, 0)
             if not hasattr(polynomial, "items"):  # a plain number
                 constant = (0,) * (split + len(ring.constants))
-                polynomial = {constant: QQ(polynomial)} if polynomial else {}
+                polynomial = {constant: fmpq(polynomial)} if polynomial else {}
             for exponents, value in polynomial.items():
                 form = element.setdefault(exponents[:split], {})
                 key = (index, exponents[split:])

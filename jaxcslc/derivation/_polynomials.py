@@ -3,9 +3,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from sympy import QQ
-from sympy.polys.rings import PolyElement, ring
-
 from ._chain import Chain
 
 
@@ -38,32 +35,36 @@ class PositionRing:
         return tuple(i for i, link in enumerate(self.chain.links) if link.prismatic)
 
     @cached_property
-    def _ring(self) -> tuple[Any, tuple[PolyElement, ...]]:
+    def _ring(self) -> tuple[Any, tuple[Any, ...]]:
+        # Importing sympy takes a second, and who wants base parameters only needs none of it.
+        from sympy import QQ
+        from sympy.polys.rings import ring
+
         domain, *generators = ring((*self.variables, *self.constants), QQ)
         return domain, tuple(generators)
 
     @property
-    def _generators(self) -> tuple[PolyElement, ...]:
+    def _generators(self) -> tuple[Any, ...]:
         return self._ring[1]
 
     @property
-    def cosines(self) -> Sequence[PolyElement]:
+    def cosines(self) -> Sequence[Any]:
         return self._generators[0 : 2 * len(self.chain.angles) : 2]
 
     @property
-    def sines(self) -> Sequence[PolyElement]:
+    def sines(self) -> Sequence[Any]:
         return self._generators[1 : 2 * len(self.chain.angles) : 2]
 
-    def joint_variable(self, joint: int) -> PolyElement:
+    def joint_variable(self, joint: int) -> Any:
         """The variable of a prismatic joint, joints counted from 0."""
         return self._generators[2 * len(self.chain.angles) + self._prismatic.index(joint)]
 
-    def constant(self, name: str) -> PolyElement:
+    def constant(self, name: str) -> Any:
         return self._generators[len(self.variables) + self.constants.index(name)]
 
     def normal_form(self, polynomial: Any) -> Any:
         """The same function with every s² replaced by 1 - c²."""
-        if not isinstance(polynomial, PolyElement):
+        if not hasattr(polynomial, "ring"):  # a plain number
             return polynomial
         for angle in range(len(self.chain.angles)):
             cos, sin = 2 * angle, 2 * angle + 1
@@ -71,7 +72,7 @@ class PositionRing:
                 polynomial = self._without_square(polynomial, cos, sin)
         return polynomial
 
-    def _without_square(self, polynomial: PolyElement, cos: int, sin: int) -> PolyElement:
+    def _without_square(self, polynomial: Any, cos: int, sin: int) -> Any:
         result: dict[Monomial, Any] = {}
         for monomial, coefficient in polynomial.items():
             if monomial[sin] < 2:

@@ -2,7 +2,7 @@ from collections.abc import Callable, Iterable
 from math import gcd, lcm
 from typing import Any
 
-from sympy import QQ
+from flint import fmpq
 
 from ._lagrange import Form
 
@@ -47,7 +47,7 @@ class Basis:
                 self.forms.append(form)
                 self._known[key] = {index: 1 / unit}
                 combination = {i: -value for i, value in used.items()}
-                combination[index] = QQ(1)
+                combination[index] = fmpq(1)
                 self._rows[min(rest)] = rest, combination
             else:
                 self._known[key] = {i: value / unit for i, value in used.items()}
@@ -84,10 +84,10 @@ def _unit(multiples: list[Any]) -> Any:
     """The largest rational that all multiples are integer multiples of, signed as the first."""
     numerator, denominator = 0, 1
     for multiple in multiples:
-        numerator = gcd(numerator, int(QQ(multiple).numerator))
-        denominator = lcm(denominator, int(QQ(multiple).denominator))
+        numerator = gcd(numerator, int(fmpq(multiple).numerator))
+        denominator = lcm(denominator, int(fmpq(multiple).denominator))
     # The gcd of fractions p/q in lowest terms is gcd(p) / lcm(q). Where twists are arbitrary,
     # multiples are cosines of them and have no common measure worth the name.
     if denominator > _LARGEST_DENOMINATOR:
-        return QQ(multiples[0])
-    return QQ(numerator if multiples[0] > 0 else -numerator, denominator)
+        return fmpq(multiples[0])
+    return fmpq(numerator if multiples[0] > 0 else -numerator, denominator)

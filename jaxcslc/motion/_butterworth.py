@@ -1,6 +1,5 @@
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import butter, sosfiltfilt
 
 from ._resampling import uniform_interval
 from ._smoothing import AbstractSmoothing, Derivatives
@@ -126,6 +125,8 @@ def zero_phase(
             f"cut-off is {cutoff} Hz; expected more than 0 and less than half the sampling rate "
             f"of {1.0 / interval:.6g} Hz"
         )
+    from scipy.signal import butter, sosfiltfilt  # takes a second to import
+
     sections = butter(order, cutoff, fs=1.0 / interval, output="sos")
     fewest = 3 * (order + 1)
     if signal.shape[0] < fewest:

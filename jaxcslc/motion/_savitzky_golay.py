@@ -1,6 +1,5 @@
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import savgol_filter
 
 from ._resampling import uniform_interval
 from ._smoothing import AbstractSmoothing, Derivatives
@@ -74,6 +73,8 @@ class SavitzkyGolay(AbstractSmoothing):
             raise ValueError(
                 f"{time.size} samples; expected {self.window} or more for a window of as many"
             )
+        from scipy.signal import savgol_filter  # takes a second to import
+
         return savgol_filter(
             signal, self.window, self.order, deriv=derivative, delta=interval, axis=0
         )
