@@ -34,6 +34,13 @@ class CCode:
     - `name`: what every function's name begins with.
     - `header`, `source`: contents of `NAME.h` and `NAME.c`.
     - `operations`: additions, multiplications and function calls of each function.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> code = jc.c_code(network, np.array([0.5, 0.3, -0.1, 0.2, 0.05]), name="arm")
+    >>> "void arm_gravity(const double q[1], double tau[1]);" in code.header
+    True
     """
 
     name: str

@@ -28,6 +28,12 @@ class WrittenRobot:
     - `left_out`: names of coefficients that the file's format has no words for.
     - `rms`, `largest`: (n,) difference between the torque that the file predicts and that of the
       parameters, those left out aside, over the states [N m or N]: rounding.
+
+    >>> import jaxcslc as jc
+    >>> robot = jc.puma560()
+    >>> nothing = np.zeros(robot.joint_count)
+    >>> jc.WrittenRobot(Path("arm.toml"), robot, ("ko1",), nothing, nothing).left_out
+    ('ko1',)
     """
 
     path: Path
@@ -58,6 +64,23 @@ def write_robot(
 
     - `RobotError`: if the robot comes from no file, or a body or joint cannot be found in it.
     - `OSError`: if the file cannot be read or written.
+
+    >>> import tempfile
+    >>> import numpy as np, jaxcslc as jc
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     folder = Path(name)
+    ...     _ = (folder / "arm.toml").write_text("gravity = [0, -9.81, 0]\\n[[joint]]  # hinge\\n")
+    ...     network = jc.derive(jc.load_robot(folder / "arm.toml"), lengths="numeric")
+    ...     t = np.linspace(0, 5, 500)[:, None]
+    ...     motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    ...     torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
+    ...     torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    ...     patterns = jc.Patterns(t[:, 0], *motion, torque, pairs, pairs)
+    ...     found = jc.physical_parameters(network, jc.least_squares(network, patterns))
+    ...     written = jc.write_robot(network, found, folder / "identified.toml")
+    ...     text = written.path.read_text()
+    >>> "# hinge" in text, "mass = " in text, bool(written.largest.max() < 1e-9)
+    (True, True, True)
     """
     robot, path = network.robot, Path(path)
     source = robot.source

@@ -46,6 +46,18 @@ class PhysicalParameters:
     - `torque_distance`: (n,) root mean square change of each joint's torque over the patterns
       [N m or N]; NaN where no patterns were given.
     - `result`: a member of `POSSIBILITY`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> fit = jc.least_squares(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> found = jc.physical_parameters(network, fit)
+    >>> bool(found.links[0].mass > 0), found.to_pandas().shape[0]
+    (True, 1)
     """
 
     names: tuple[str, ...]

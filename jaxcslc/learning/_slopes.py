@@ -34,6 +34,17 @@ class SlopeFit(eqx.Module):
       zero for joints without static friction.
     - `steps`: of the search, all rounds together.
     - `settled`: whether it came to an end.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(robot.with_friction("dry", "static"), lengths="numeric")
+    >>> t = np.linspace(0, 20, 1000)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> k = np.array([0.5, 0.3, -0.1, 0.2, 0.4])
+    >>> torque = np.asarray(network.with_static_slopes([5.0]).torque(k, *motion))
+    >>> found = jc.fit_slopes(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> bool(found.settled), round(float(found.slopes[0]), 6)
+    (True, 5.0)
     """
 
     network: CSLC

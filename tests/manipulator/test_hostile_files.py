@@ -48,7 +48,10 @@ REFUSED = {
     "wide": ("<robot>" + "<a/>" * 1_000_000, "more than 200000 elements"),
     "no joint": (urdf(link("a")), "has no joint that moves"),
     "negative mass": (urdf(link("a"), link("b", "-2"), ARM[2]), "body 'b': .*mass.*got -2"),
-    "nan": (urdf(link("a"), link("b", "nan"), ARM[2]), "line 1: value of mass is 'nan'; expected numbers"),
+    "nan": (
+        urdf(link("a"), link("b", "nan"), ARM[2]),
+        "line 1: value of mass is 'nan'; expected numbers",
+    ),
     "word": (urdf(link("a"), link("b", "heavy"), ARM[2]), "heavy|mass|number"),
     "negative moment": (
         urdf(link("a"), link("b", moments=(0.1, -0.1, 0.1)), ARM[2]),

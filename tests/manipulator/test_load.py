@@ -16,6 +16,7 @@ import jaxcslc as jc
 
 
 DATA = Path(__file__).parents[1] / "data"
+TX40 = Path(__file__).parents[3] / "shared" / "data" / "staubli_tx40" / "tx40_mdh_modified.urdf"
 STATES = 1000
 AGREEMENT = 1e-9  # of the largest torque
 
@@ -107,7 +108,15 @@ FILES = {
 def test_urdf_is_pinocchios(rng: np.random.Generator, name: str) -> None:
     """Torque on 1,000 states, and as many base parameters as the regressor has rank."""
     file, part = FILES[name]
-    path = example(file)
+    is_pinocchios(rng, example(file), **part)
+
+
+@pytest.mark.skipif(not TX40.is_file(), reason="the TX40's files are not beside the project")
+def test_the_tx40_is_pinocchios(rng: np.random.Generator) -> None:
+    is_pinocchios(rng, TX40)
+
+
+def is_pinocchios(rng: np.random.Generator, path: Path, **part: str) -> None:
     robot = jc.load_robot(path, **part)
     oracle = Oracle.of(path, robot)
     state = tuple(states(rng, STATES, robot.joint_count))

@@ -223,7 +223,7 @@ def test_the_document_names_every_key() -> None:
 MISTAKES = [
     ("name =", "nmae =", ": unknown key 'nmae'; expected some of about, coupled,"),
     ('inertia = "principal"\nm', "form = 1\nm", r", \[links\]: unknown key 'form'; expected some"),
-    ('kind = "P"', 'knd = "P"', ", joint 2: unknown key 'knd'; expected some of a, alpha, d,"),
+    ('kind = "P"', 'knd = "P"', ", joint 2: unknown key 'knd'; expected some of a, alpha, b,"),
     ("mass = 2.0", "weight = 2", ", joint 1, link: unknown key 'weight'; expected some of centre"),
     ('kind = "P"', 'kind = "X"', r", joint 2, kind: expected 'R' \(revolute\) or 'P'.*got 'X'"),
     ('"-pi/2"', '"-pie"', ", joint 2, alpha: expected an angle in rad or a multiple.*got '-pie'"),
@@ -400,8 +400,8 @@ def test_a_motor_inertia_without_a_mass(refusals: dict[str, tuple[str, str]]) ->
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"nowhere\.toml: no such robot file"):
         load_robot(tmp_path / "nowhere.toml")
-    with pytest.raises(RobotError, match=r"arm\.urdf: expected a robot file ending in \.toml"):
-        load_robot(tmp_path / "arm.urdf")
+    with pytest.raises(RobotError, match=r"arm\.step: expected a robot file ending in \.toml"):
+        load_robot(tmp_path / "arm.step")
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(RobotError, match=r"folder\.toml: cannot be read: "):
         load_robot(tmp_path / "folder.toml")
