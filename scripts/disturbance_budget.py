@@ -166,7 +166,7 @@ def true_coefficients(network: jc.CSLC, machine: sim.Machine) -> Float[np.ndarra
     Friction of 1 ± a times v|q̇| + d has the offset a d; what it adds to viscous friction is even
     in velocity, which no term of the network is.
     """
-    friction: dict[str, Sequence[float]] = {"viscous": machine.viscous, "dry": machine.dry}
+    friction: dict[str, Any] = {"viscous": machine.viscous, "dry": machine.dry}
     if "offset" in network.robot.friction:
         pairs = zip(machine.asymmetry, machine.dry, strict=True)
         friction["offset"] = [a * dry for a, dry in pairs]
