@@ -221,7 +221,9 @@ def _standing_still(cells: list[list[str]]) -> list[list[str]]:
             _fewer_joints, ["4 position columns", "expected 6"], id="wrong number of joints"
         ),
         pytest.param(lambda cells: cells[:1], ["rows"], id="no rows"),
-        pytest.param(_standing_still, ["no joint counts"], id="nothing left after masking"),
+        pytest.param(
+            _standing_still, ["none is sliding at joint 1"], id="nothing left after masking"
+        ),
     ],
 )
 def test_a_wrong_recording_gets_one_line_and_leaves_results_alone(
@@ -282,3 +284,47 @@ def test_files_that_are_not_there(recordings: tuple[Path, Path], tmp_path: Path)
     result = run("identify", "puma560", recordings[0], "-o", tmp_path / "file")
     assert result.exit_code == 2 and "expected a folder" in result.stderr
     assert (tmp_path / "file").read_text() == "not a folder"
+
+
+URDF = (
+    '<robot name="arm"><link name="floor"/><link name="bar"><inertial><mass value="2"/>'
+    '<origin xyz="0.5 0 0"/><inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/>'
+    '</inertial></link><link name="tip"/><joint name="hinge" type="continuous">'
+    '<parent link="floor"/><child link="bar"/><axis xyz="0 1 0"/></joint>'
+    '<joint name="wrist" type="continuous"><parent link="bar"/><child link="tip"/>'
+    '<origin xyz="1 0 0"/><axis xyz="0 1 0"/></joint></robot>'
+)
+
+
+def test_a_urdf_with_what_its_file_has_no_words_for(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    result = run("derive", path, "--friction", "viscous, static", "--coupled", "1,2")
+    assert result.exit_code == 0, result.output
+    for name in ("kv2", "ks1", "kcm1_2"):
+        assert name in result.output
+    assert "kd1" not in result.output
+    part = run("derive", path, "--tip", "bar")
+    assert "arm: 1 joints" in part.output
+    wrong = run("derive", path, "--coupled", "one,two")
+    assert wrong.exit_code == 2
+
+
+def test_a_joint_that_stands_still_is_named(
+    identified: tuple[Result, Path], recordings: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Nothing is told of it, the others are as good as ever, and the command says so."""
+    cells = _cells(recordings[0])
+    column = cells[0].index("position_6")
+    for row in cells[1:]:
+        row[column] = "0.3"
+    path = tmp_path / "still.csv"
+    _write(path, cells)
+    settings = identified[1] / "identification.json"
+    result = run("identify", "puma560", path, "-o", tmp_path / "out", "--settings", settings)
+    assert result.exit_code == 0, result.output
+    assert "warning: joint 6 does not move" in result.output
+    (verdict,) = [line for line in result.output.splitlines() if line.startswith("kv6 ")]
+    assert "not determined" in verdict
+    document = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert max(abs(k) for k in document["k"]) < 100

@@ -27,6 +27,8 @@ class ErrorTable(eqx.Module):
 
     Prints itself as the thesis's table; `rows()` has the same as data.
 
+    - `unit`: of it all; of a robot with joints of both kinds, N m or N joint by joint.
+
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> one = jnp.array([[0.25]])
     >>> print(jc.ErrorTable(("fit",), mean_modulus=one, rms=one, epsilon=jnp.array([0.125])))
@@ -39,6 +41,7 @@ class ErrorTable(eqx.Module):
     mean_modulus: Float[Array, "vectors joints"]
     rms: Float[Array, "vectors joints"]
     epsilon: Float[Array, " vectors"]
+    unit: str = eqx.field(static=True, default="N m")
 
     def rows(self) -> list[dict[str, float | str]]:
         """One row a joint and one for ε, one column a coefficient vector."""
@@ -62,7 +65,7 @@ class ErrorTable(eqx.Module):
 
     def __str__(self) -> str:
         return text_table(
-            ["[N m]", *self.names],
+            [f"[{self.unit}]", *self.names],
             [[str(row[""]), *(f"{row[name]:.4g}" for name in self.names)] for row in self.rows()],
         )
 
@@ -97,7 +100,9 @@ def compare(
         jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names]),
         jnp.asarray(patterns.counts_in),
     )
-    return ErrorTable(names, mean_modulus, rms, epsilon)
+    kinds = set(network.robot.kinds)
+    unit = "N m or N" if len(kinds) > 1 else {"R": "N m", "P": "N"}[kinds.pop()]
+    return ErrorTable(names, mean_modulus, rms, epsilon, unit)
 
 
 @jax.jit

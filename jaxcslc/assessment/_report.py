@@ -49,6 +49,9 @@ def identification_report(
             "lengths": network.algebra.lengths,
             "settings": settings_document(settings),
             **_slopes(network),
+            "friction": list(network.robot.friction),
+            "coupled": [list(pair) for pair in network.robot.coupled],
+            "expressions": [coefficient.expression for coefficient in network.coefficients],
             "units": [coefficient.unit for coefficient in network.coefficients],
             "unidentifiable": fit.unidentifiable,
             **fit.document(),  # so that `Identification.load` reads this file too

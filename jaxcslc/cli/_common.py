@@ -34,6 +34,40 @@ TipOption = Annotated[
 ]
 
 
+FrictionOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WORDS",
+        help="Friction terms of every joint in place of the file's, as in viscous,dry,static"
+        " (docs/friction.md).",
+    ),
+]
+CoupledOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="I,J",
+        help="Two joints that share a motor's inertia and friction, as in 5,6 or 5,6,-1;"
+        " may be repeated.",
+    ),
+]
+
+
+def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | None) -> Manipulator:
+    """The robot with friction terms and couplings that its file has no words for."""
+    if friction is not None:
+        robot = robot.with_friction(*(word.strip() for word in friction.split(",") if word.strip()))
+    pairs: list[tuple[int | float, ...]] = []
+    for text in coupled or []:
+        try:
+            first, second, *ratio = (float(number) for number in text.split(","))
+            pairs.append((int(first), int(second), *ratio))
+        except ValueError:
+            raise RobotError(
+                f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got {text!r}"
+            ) from None
+    return robot.with_coupling(*pairs) if pairs else robot
+
+
 def robot_named(name: str, base: str | None = None, tip: str | None = None) -> Manipulator:
     if name not in BUNDLED:
         return load_robot(name, base=base, tip=tip)

@@ -17,6 +17,8 @@ from ..derivation import StructuralIdentifiability, structural_identifiability
 from ..network import CSLC
 from ._common import (
     BaseOption,
+    CoupledOption,
+    FrictionOption,
     LengthsOption,
     RobotArgument,
     TipOption,
@@ -24,6 +26,7 @@ from ._common import (
     one_line_errors,
     robot_named,
     usable,
+    with_drives,
 )
 
 
@@ -32,13 +35,17 @@ def derive_command(
     lengths: LengthsOption = "auto",
     base: BaseOption = None,
     tip: TipOption = None,
+    friction: FrictionOption = None,
+    coupled: CoupledOption = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for the tables, as files.")
     ] = None,
 ) -> None:
     """Derive a robot's inverse dynamics: its inputs, links and named coefficients."""
     with one_line_errors():
-        network = network_of(robot_named(robot, base, tip), lengths)
+        network = network_of(with_drives(robot_named(robot, base, tip), friction, coupled), lengths)
+        if output is not None:
+            usable(output)
         typer.echo(network)
         tables = _have_practical_tables(network)
         typer.echo(_sizes(network) if tables else _NO_TABLES)
@@ -46,8 +53,12 @@ def derive_command(
         typer.echo(f"\n{coefficient_text(rows)}\n")
         told = structural_identifiability(network.algebra)
         typer.echo(_told(told))
+        if network.robot.coupled:
+            typer.echo(
+                "  (coupled joints: what they share is not part of this list, and may stand in for"
+                " motor inertias)"
+            )
         if output is not None:
-            usable(output)
             written = ["coefficients.csv", "identifiability.csv"]
             with all_or_nothing(output) as folder:
                 write_csv(folder / written[0], rows)

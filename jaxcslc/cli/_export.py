@@ -9,6 +9,7 @@ import typer
 from ..assessment import text_table
 from ..export import CCode, WrittenRobot, c_code, write_robot
 from ..learning import Identification, PhysicalParameters, physical_parameters
+from ..manipulator import Manipulator, RobotError
 from ..motion import Patterns
 from ..network import CSLC
 from ._common import (
@@ -21,6 +22,10 @@ from ._common import (
     progress,
     robot_named,
 )
+
+
+# SI units. No robot comes near; and squares, in covariances, are far from overflow.
+_LARGEST = 1e12
 
 
 def export_command(
@@ -45,6 +50,9 @@ def export_command(
     ] = False,
     base: BaseOption = None,
     tip: TipOption = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Let the output be the robot's own file.")
+    ] = False,
 ) -> None:
     """Write what was identified into the robot's own file, or as C code for a controller.
 
@@ -55,13 +63,16 @@ def export_command(
     with one_line_errors(), progress("reading") as step:
         document = _document(identification)
         file = _bundled_file(robot) if robot in BUNDLED else robot
-        network = network_of(robot_named(str(file), base, tip), _lengths(document))
+        path = _default(Path(file)) if output is None else output
+        if not c and not overwrite and _same(path, Path(file)):
+            raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
+        drawn = _with_drives(robot_named(str(file), base, tip), document, identification)
+        network = network_of(drawn, _lengths(document))
         network = _with_slopes(network, document, identification)
-        fit = Identification.load(identification)
-        if fit.names != network.names:
+        fit = _fit(identification)
+        if difference := _difference(network, document, fit.names, robot):
             raise ValueError(
-                f"{identification}: has coefficients {_few(fit.names)}; {robot} has"
-                f" {_few(network.names)}; expected an identification of this robot"
+                f"{identification}: {difference}; expected an identification of this robot"
             )
         states = _states(document, network, identification)
         if c:
@@ -72,7 +83,6 @@ def export_command(
             step("looking for bodies")
             found = _possible(network, fit, states)
             step("writing and reading again")
-            path = _default(Path(file)) if output is None else output
             motion = states.q, states.qd, states.qdd
             written = write_robot(network, found, path, states=motion)
             said = _report(network, found, written, measured="motion" in document)
@@ -111,7 +121,7 @@ def _report(
     if network.robot.source is not None and network.robot.source.format == "urdf":
         lines.append("URDF has no word for motor inertia: it was held at zero")
     if written.left_out:
-        lines.append(f"the file has no words for {', '.join(written.left_out)}: left out")
+        lines.append(f"the file has no place for {', '.join(written.left_out)}: left out")
     lines.append(
         f"\nwrote {written.path}; read again, it predicts the same torques to"
         f" {np.max(written.largest):.1e} {' or '.join(dict.fromkeys(units))}"
@@ -126,6 +136,7 @@ def _write_c(code: CCode, output: Path | None) -> str:
     header = source.with_suffix(".h")
     # The source includes its header by name.
     text = code.source.replace(f'#include "{code.name}.h"', f'#include "{header.name}"')
+    source.parent.mkdir(parents=True, exist_ok=True)
     header.write_text(code.header, encoding="ascii")
     source.write_text(text, encoding="ascii")
     counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
@@ -149,6 +160,67 @@ def _lengths(document: dict[str, Any]) -> str:
     return ",".join(lengths) if isinstance(lengths, list) else str(lengths)
 
 
+def _with_drives(robot: Manipulator, document: dict[str, Any], path: Path) -> Manipulator:
+    """With the friction and couplings of the identification, where the file says nothing of them.
+
+    What a file says of single joints, and its own couplings, are for `_difference` to compare.
+    """
+    words, pairs = document.get("friction"), document.get("coupled")
+    for name, value in (("friction", words), ("coupled", pairs)):
+        if value is not None and not isinstance(value, list):
+            raise ValueError(f"{path}: {name}: expected a list")
+    if robot.own_friction is not None:
+        return robot
+    try:
+        if words is not None and tuple(words) != robot.friction:
+            robot = robot.with_friction(*words)
+        if pairs and not robot.coupled:
+            robot = robot.with_coupling(*pairs)
+    except (RobotError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from None
+    return robot
+
+
+def _difference(
+    network: CSLC, document: dict[str, Any], names: tuple[str, ...], robot: str
+) -> str | None:
+    """In what the identification is another robot's; None if in nothing that can be told."""
+    if names != network.names:
+        return f"has coefficients {_few(names)}; {robot} has {_few(network.names)}"
+    expressions = document.get("expressions")
+    if expressions is None:
+        named = document.get("robot", network.robot.name)
+        if named != network.robot.name:  # nothing else to tell robots of one structure apart by
+            return f"is of robot {named!r}; {robot} is {network.robot.name!r}"
+    elif not isinstance(expressions, list) or len(expressions) != len(names):
+        return f"expressions: is no list of {len(names)}"
+    else:
+        for coefficient, theirs in zip(network.coefficients, expressions, strict=True):
+            if theirs != coefficient.expression:
+                return f"{coefficient.name} is {theirs}; of {robot} it is {coefficient.expression}"
+    own = [list(pair) for pair in network.robot.coupled]
+    if document.get("coupled", own) != own:
+        return f"has coupled joints {document['coupled']}; {robot} has {own}"
+    return None
+
+
+def _fit(path: Path) -> Identification:
+    """**Raises** `ValueError` for numbers that are no robot's, and would overflow on the way."""
+    try:
+        fit = Identification.load(path)
+    except OverflowError as error:
+        raise ValueError(f"{path}: {error}") from None
+    for name, value in zip(fit.names, np.asarray(fit.k), strict=True):
+        if not abs(value) <= _LARGEST:
+            raise ValueError(
+                f"{path}: {name} is {value:.3g}; expected finite coefficients below {_LARGEST:g}"
+            )
+    for name in ("covariance", "independent_covariance"):
+        if np.any(np.abs(np.asarray(getattr(fit, name))) > _LARGEST**2):
+            raise ValueError(f"{path}: {name}: expected variances below {_LARGEST**2:g}")
+    return fit
+
+
 def _with_slopes(network: CSLC, document: dict[str, Any], path: Path) -> CSLC:
     """With the slopes of static friction that were found."""
     if network.static_slopes is None or "static_slopes" not in document:
@@ -170,7 +242,9 @@ def _states(document: dict[str, Any], network: CSLC, path: Path) -> Patterns:
     except (KeyError, TypeError, ValueError):
         raise ValueError(f"{path}: motion: expected arrays q, qd and qdd") from None
     shape = (len(q), network.joint_count)
-    if not q.shape == qd.shape == qdd.shape == shape or not np.isfinite([q, qd, qdd]).all():
+    if not q.shape == qd.shape == qdd.shape == shape or not np.all(
+        np.abs([q, qd, qdd]) <= _LARGEST
+    ):
         raise ValueError(f"{path}: motion: expected finite q, qd and qdd of {shape[1]} joints each")
     every = np.ones(q.shape, bool)
     return Patterns(np.arange(len(q), dtype=float), q, qd, qdd, 0 * q, every, every)
@@ -178,6 +252,10 @@ def _states(document: dict[str, Any], network: CSLC, path: Path) -> Patterns:
 
 def _bundled_file(name: str) -> Path:
     return Path(str(files("jaxcslc.manipulator") / "robots" / f"{name}.toml"))
+
+
+def _same(path: Path, file: Path) -> bool:
+    return path.exists() and file.exists() and path.samefile(file)
 
 
 def _default(path: Path) -> Path:

@@ -1,5 +1,5 @@
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -29,7 +29,14 @@ HELD = {
 }
 
 
-def with_parameters(robot: Manipulator, found: PhysicalParameters, text: bytes) -> bytes:
+def with_parameters(
+    robot: Manipulator,
+    found: PhysicalParameters,
+    text: bytes,
+    *,
+    held: Collection[str],
+    slopes: Mapping[int, float],
+) -> bytes:
     """A robot's file with other link parameters and friction in it, and nothing else changed.
 
     **Arguments**
@@ -37,6 +44,8 @@ def with_parameters(robot: Manipulator, found: PhysicalParameters, text: bytes) 
     - `robot`: as read from the file; `robot.source` says what is where.
     - `found`: its parameters; what the file has fixed to a link is taken off first.
     - `text`: what the file holds: TOML, URDF or MJCF.
+    - `held`: words of friction that a TOML file takes numbers of; the rest stays as it is.
+    - `slopes`: of static friction, by the joint, from 0; for TOML.
 
     In URDF and MJCF, masses, centres and tensors go into the bodies' inertial elements, damping
     and friction loss to their joints, motor inertia to MJCF's armature. Bodies fixed to a link
@@ -49,7 +58,7 @@ def with_parameters(robot: Manipulator, found: PhysicalParameters, text: bytes) 
     """
     source = robot.source
     if source is None or source.format == "toml":
-        return _toml(robot, found, text)
+        return _toml(robot, found, text, held, slopes)
     if len(set(source.links)) < len(source.links):
         twice = next(name for name in source.links if source.links.count(name) > 1)
         raise RobotError(
@@ -185,7 +194,13 @@ def _mjcf(
             edits.set(inertial, words, without=_ORIENTATIONS)
 
 
-def _toml(robot: Manipulator, found: PhysicalParameters, text: bytes) -> bytes:
+def _toml(
+    robot: Manipulator,
+    found: PhysicalParameters,
+    text: bytes,
+    held: Collection[str],
+    slopes: Mapping[int, float],
+) -> bytes:
     import tomlkit
 
     document = tomlkit.parse(text.decode("utf-8"))
@@ -213,8 +228,10 @@ def _toml(robot: Manipulator, found: PhysicalParameters, text: bytes) -> bytes:
         if inertia.motor:
             table["motor_inertia"] = float(link.motor_inertia)
         for term in ("viscous", "dry"):
-            if term in found.friction:
+            if term in held and term in found.friction:
                 entry[term] = float(found.friction[term][i])
+        if i in slopes:
+            entry["static_slope"] = slopes[i]
     return tomlkit.dumps(document).encode("utf-8")
 
 

@@ -1,4 +1,6 @@
+import contextlib
 import dataclasses
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ class WrittenRobot:
 
     - `path`: of the file.
     - `robot`: as it was read again from the file.
-    - `left_out`: names of coefficients that the file's format has no words for.
+    - `left_out`: names of coefficients that the file has no place for.
     - `rms`, `largest`: (n,) difference between the torque that the file predicts and that of the
       parameters, those left out aside, over the states [N m or N]: rounding.
 
@@ -49,14 +51,17 @@ def write_robot(
     """Writes physical parameters into a copy of the robot's own file, and reads it again.
 
     Nothing but numbers of links and joints changes: comments, layout and all that is not dynamics
-    stay byte by byte as they are. TOML, URDF and MJCF.
+    stay byte by byte as they are. TOML, URDF and MJCF. TOML takes viscous and dry friction for all
+    joints or for none: where some joint has not the word, its keys stay as they are. Slopes of
+    static friction go to the TOML joints that have it.
 
     **Arguments**
 
     - `network`: derived from a robot that was read from a file (`load_robot`).
     - `found`: from `physical_parameters`, with `fixed=network.robot.source.carried` for URDF and
       MJCF, so that fixed bodies keep what the file says of them.
-    - `path`: of the file to write, of the same kind; the robot's own is allowed.
+    - `path`: of the file to write, of the same kind; the robot's own is allowed. Folders that are
+      missing are made.
     - `states`: positions, velocities and accelerations at which the file's torques are compared,
       (states, n) each; random ones if omitted.
 
@@ -89,29 +94,37 @@ def write_robot(
     own = Path(source.path)
     if path.suffix.lower() != own.suffix.lower():
         raise RobotError(f"{path}: expected a name ending in {own.suffix}, as {own.name}")
-    text = with_parameters(robot, found, own.read_bytes())
+    # What the file has words for may not be what the network was derived with.
+    filed = load_robot(own, base=source.base, tip=source.tip)
+    held = _held(network, filed)
+    slopes = _slopes(network, filed) if source.format == "toml" else {}
+    text = with_parameters(robot, found, own.read_bytes(), held=held, slopes=slopes)
+    path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        scratch.write_bytes(text)
-        load_robot(scratch, base=source.base, tip=source.tip)
-        scratch.replace(path)  # whole and readable, or not at all
-    finally:
-        scratch.unlink(missing_ok=True)
+    with _named(scratch, path):
+        try:
+            scratch.write_bytes(text)
+            load_robot(scratch, base=source.base, tip=source.tip)
+            scratch.replace(path)  # whole and readable, or not at all
+        finally:
+            with contextlib.suppress(OSError):
+                scratch.unlink(missing_ok=True)
     again = load_robot(path, base=source.base, tip=source.tip)
     q, qd, qdd = _random_states(network.joint_count) if states is None else states
-    held = HELD[source.format]
     file_network = derive(again, lengths=network.algebra.lengths)
     if again.links is None:
         raise RobotError(f"{path}: read again, it has no link parameters")
     drives: dict[str, Any] = {
         word: values
         for word, values in (("viscous", again.viscous), ("dry", again.dry))
-        if values is not None and word in again.friction_terms and word in found.friction
+        if values is not None and word in held and word in found.friction
     }
     from_file = file_network.coefficients_from(again.links, **drives)
     links = [link if "motor_inertia" in held else _without_motor(link) for link in found.links]
     known: dict[str, Any] = {
-        word: found.friction[word] for word in ("viscous", "dry") if word in found.friction
+        word: found.friction[word]
+        for word in ("viscous", "dry")
+        if word in held and word in found.friction
     }
     wanted = network.coefficients_from(links, **known)
     change = np.asarray(file_network.torque(from_file, q, qd, qdd)) - np.asarray(
@@ -124,6 +137,42 @@ def write_robot(
         np.sqrt(np.mean(change**2, axis=0)),
         np.max(np.abs(change), axis=0),
     )
+
+
+@contextlib.contextmanager
+def _named(scratch: Path, path: Path) -> Generator[None]:
+    """Errors that name the file that was asked for, not the one that it is first written to."""
+    try:
+        yield
+    except RobotError as error:
+        raise RobotError(str(error).replace(str(scratch), str(path))) from None
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def _held(network: CSLC, filed: Manipulator) -> tuple[str, ...]:
+    """What the file takes numbers of. TOML: a word of every joint of the network and the file."""
+    assert filed.source is not None
+    words = HELD[filed.source.format]
+    if filed.source.format != "toml":
+        return words
+    joints = (*network.robot.friction_per_joint, *filed.friction_per_joint)
+    return tuple(
+        word for word in words if word == "motor_inertia" or all(word in j for j in joints)
+    )
+
+
+def _slopes(network: CSLC, filed: Manipulator) -> dict[int, float]:
+    """The network's slopes of joints that have static friction in the file too."""
+    if network.static_slopes is None:
+        return {}
+    words = zip(network.robot.friction_per_joint, filed.friction_per_joint, strict=True)
+    given = np.asarray(network.static_slopes, float)
+    return {
+        joint: float(given[joint])
+        for joint, (own, file) in enumerate(words)
+        if "static" in own and "static" in file
+    }
 
 
 def _without_motor(link: LinkParameters) -> LinkParameters:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..motion import AbstractSmoothing, Recording, zero_phase
+from ..motion import AbstractSmoothing, Recording, without_rounding, zero_phase
 from ..network import CSLC
 from ._candidates import Candidates
 from ._compiled import regressor_of, require_float64
@@ -166,7 +166,7 @@ def choose_settings(
     def motion(number: int) -> _Smoothed:
         if number not in smoothed:
             derivatives = among.smoothings[number].smooth(recording.time, recording.position)
-            smoothed[number] = _Smoothed(*derivatives)
+            smoothed[number] = _Smoothed(*without_rounding(recording.position, derivatives))
         return smoothed[number]
 
     # The same ends are cut off for all, so that all are fitted and judged on the same samples.

@@ -1,6 +1,9 @@
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock
 from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +13,8 @@ from ._joint import JointKind
 from ._link_parameters import LinkParameters
 
 
-_ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively
+_ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively ...
+_NOTHING = 1e-15  # ... and absolutely [kg m²]: links of next to no mass are rounding throughout
 
 Pose = Float[np.ndarray, "4 4"]
 
@@ -28,6 +32,7 @@ class FileJoint(NamedTuple):
     damping: float
     friction_loss: float
     stiffness: float
+    fault: str | None  # why it is not represented, though of a kind that is
 
 
 class Body(NamedTuple):
@@ -36,8 +41,9 @@ class Body(NamedTuple):
     name: str
     parent: int  # index of the body that carries it; -1 for the world itself
     pose: Pose  # of its frame in the parent's
-    inertia: LinkParameters | None  # in the body's frame; None: it would be a mesh's
+    inertia: LinkParameters | None  # in the body's frame; None: a mesh's, or none at all
     joints: tuple[FileJoint, ...]
+    fault: str | None  # why the inertia stated is none that a body can have
 
 
 class BodyTree(NamedTuple):
@@ -59,23 +65,28 @@ def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
 
     What can be seen, touched or driven is taken out before the file is compiled, so that no mesh
     is looked for. Bodies without an inertial element weigh nothing in URDF, and what their
-    geometry says in MJCF; where that is a mesh, `inertia` is None.
+    geometry says in MJCF; where that is a mesh, `inertia` is None. Numbers that no body can have
+    are a `fault` of the body: whoever asks for another part of the file need not mind.
 
     **Raises**
 
-    - `RobotError`: in one line, from MuJoCo or for numbers that no body can have.
+    - `RobotError`: in one line, from MuJoCo.
     """
-    import mujoco  # not needed by those who have no such file
+    with _without_warnings():
+        return _read(path, urdf)
 
+
+def _read(path: Path, urdf: bool) -> BodyTree:
     try:
-        spec: Any = mujoco.MjSpec.from_file(str(path))
+        spec = _parsed(path, urdf)
     except ValueError as error:
         raise _refused(path, error) from None
     for i, element in enumerate([*spec.bodies, *spec.joints]):
         element.name = element.name or f"unnamed {i}"
-    own = {body.name: _own_inertia(body, path) for body in spec.bodies if body.explicitinertial}
+    own = {body.name: _own_inertia(body) for body in spec.bodies if body.explicitinertial}
+    faults = {name: _fault(*numbers) for name, numbers in own.items()}
     unknown = _without_looks(spec, urdf)
-    massless = [body.name for body in spec.bodies if urdf and not body.explicitinertial]
+    massless = {b.name for b in spec.bodies if not (b.explicitinertial or b.geoms)} - unknown
     stated = _replaced_inertias(spec, {*own, *unknown, *massless})
     ties = tuple(_ties(spec))
     _delete(spec.equalities, spec)
@@ -88,12 +99,12 @@ def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
     for i in range(model.nbody):
         name = model.body(i).name
         rotation = _rotation(model.body_iquat[i])
-        if name in unknown:
+        if name in unknown or faults.get(name):
             inertia = None
         elif name in massless:
             inertia = _nothing()
         elif name in own:
-            mass, tensor = own[name]
+            mass, _, tensor = own[name]
             inertia = LinkParameters(mass, stated[name], rotation @ tensor @ rotation.T)
         else:
             tensor = rotation @ np.diag(model.body_inertia[i]) @ rotation.T
@@ -101,38 +112,83 @@ def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = _rotation(model.body_quat[i]), model.body_pos[i]
         parent = int(model.body_parentid[i]) if i else -1
-        bodies.append(Body(name, parent, pose, inertia, tuple(_joints(model, i, path))))
+        joints = tuple(_joints(model, i))
+        bodies.append(Body(name, parent, pose, inertia, joints, faults.get(name)))
     x, y, z = (float(g) for g in spec.option.gravity)
     return BodyTree(tuple(bodies), (x, y, z), ties)
 
 
-def _own_inertia(body: Any, path: Path) -> tuple[float, Float[np.ndarray, "3 3"]]:
-    """Mass and tensor that an inertial element states, the tensor in its own axes."""
-    mass, full = float(body.mass), np.asarray(body.fullinertia)
+def _parsed(path: Path, urdf: bool) -> Any:
+    import mujoco  # not needed by those who have no such file
+
+    # MuJoCo chooses its reader by the suffix, and has none for ".URDF" and ".mjcf".
+    if urdf:
+        return mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
+    if path.suffix == ".xml":
+        return mujoco.MjSpec.from_file(str(path))
+    # Read as included, the file finds what it includes itself where it stands.
+    whole = f"<mujoco><include file={quoteattr(str(path.resolve()))}/></mujoco>"
+    return mujoco.MjSpec.from_string(whole)
+
+
+_handler = RLock()  # MuJoCo has one for all threads
+
+
+@contextmanager
+def _without_warnings() -> Generator[None]:
+    """Keep MuJoCo from printing warnings, and from noting them in a file of the current folder.
+
+    They are about limits, looks and the like, which are not read.
+    """
+    import mujoco
+
+    def ignore(_: str) -> None:
+        pass
+
+    with _handler:
+        before: Any = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(ignore)
+        try:
+            yield
+        finally:
+            mujoco.set_mju_user_warning(before)
+
+
+Stated = tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]
+
+
+def _own_inertia(body: Any) -> Stated:
+    """Mass, centre and tensor that an inertial element states, the tensor in its own axes."""
+    full = np.asarray(body.fullinertia)
     if np.isnan(full[0]):
         tensor = np.diag(np.asarray(body.inertia, dtype=float))
     else:
         xx, yy, zz, xy, xz, yz = full
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    at = f"{path}, body {body.name!r}"
-    numbers = np.concatenate([[mass], np.asarray(body.ipos), tensor.ravel()])
-    if not np.isfinite(numbers).all():
-        raise RobotError(f"{at}: expected finite numbers in its inertial element")
+    return float(body.mass), np.array(body.ipos, dtype=float), tensor
+
+
+def _fault(
+    mass: float, centre: Float[np.ndarray, "3"], tensor: Float[np.ndarray, "3 3"]
+) -> str | None:
+    """Why no body has such an inertia."""
+    if not np.isfinite([mass, *centre, *tensor.ravel()]).all():
+        return "expected finite numbers in its inertial element"
     if mass < 0:
-        raise RobotError(f"{at}: expected a mass of zero or more in kg, got {mass}")
+        return f"expected a mass of zero or more in kg, got {mass}"
     moments = np.linalg.eigvalsh(tensor)
     listed = ", ".join(f"{moment:.6g}" for moment in moments)
-    if moments[0] < -_ROUNDING * moments[2]:
-        raise RobotError(
-            f"{at}: expected moments of inertia of zero or more in kg m², got principal"
-            f" moments {listed}"
+    rounding = _ROUNDING * abs(moments[2]) + _NOTHING
+    if moments[0] < -rounding:
+        return (
+            f"expected moments of inertia of zero or more in kg m², got principal moments {listed}"
         )
-    if moments[0] + moments[1] < (1 - _ROUNDING) * moments[2]:
-        raise RobotError(
-            f"{at}: no body has principal moments of inertia {listed} kg m²: the largest must not"
+    if moments[0] + moments[1] < moments[2] - rounding:
+        return (
+            f"no body has principal moments of inertia {listed} kg m²: the largest must not"
             " exceed the sum of the others (triangle inequality)"
         )
-    return mass, tensor
+    return None
 
 
 def _without_looks(spec: Any, urdf: bool) -> set[str]:
@@ -193,7 +249,7 @@ def _ties(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
             yield f"equality of kind {kind!r}", (equality.name1, equality.name2 or "world")
 
 
-def _joints(model: Any, body: int, path: Path) -> Iterator[FileJoint]:
+def _joints(model: Any, body: int) -> Iterator[FileJoint]:
     kinds: dict[int, tuple[JointKind | None, str]] = {
         0: (None, "free"),
         1: (None, "ball"),
@@ -203,14 +259,13 @@ def _joints(model: Any, body: int, path: Path) -> Iterator[FileJoint]:
     for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
         name, dof = model.jnt(j).name, int(model.jnt_dofadr[j])
         kind, word = kinds[int(model.jnt_type[j])]
-        for what in ("damping", "stiffness"):
-            # Further columns are coefficients of higher powers.
-            poly = getattr(model, f"{'dof' if what == 'damping' else 'jnt'}_{what}poly", None)
-            at = dof if what == "damping" else j
-            if kind and poly is not None and np.any(poly[at]):
-                raise RobotError(
-                    f"{path}, joint {name!r}: {what} that is not linear is not modelled"
-                )
+        fault = None
+        for what, poly, at in (
+            ("damping", getattr(model, "dof_dampingpoly", None), dof),
+            ("stiffness", getattr(model, "jnt_stiffnesspoly", None), j),
+        ):
+            if kind and poly is not None and np.any(poly[at]):  # coefficients of higher powers
+                fault = f"{what} that is not linear is not modelled"
         yield FileJoint(
             name,
             kind,
@@ -222,6 +277,7 @@ def _joints(model: Any, body: int, path: Path) -> Iterator[FileJoint]:
             float(model.dof_damping[dof]),
             float(model.dof_frictionloss[dof]),
             float(model.jnt_stiffness[j]),
+            fault,
         )
 
 

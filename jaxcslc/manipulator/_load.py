@@ -33,7 +33,7 @@ def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = N
 
     **Arguments**
 
-    - `path`: a `.toml`, `.urdf` or `.xml` file.
+    - `path`: a `.toml`, `.urdf`, `.xml` or `.mjcf` file.
     - `base`, `tip`: bodies (links, in URDF) between which the robot is; by default the whole
       tree. Joints elsewhere are held at zero, and what they carry is part of the link.
 
@@ -41,7 +41,7 @@ def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = N
 
     - `RobotError`: one line that names the file, the joint or body, and what was expected. What
       is not represented is refused by name: ball and free joints, closed loops, joints that mimic
-      others, all where they move the robot that is asked for.
+      others, inertias that no body has, all where they are part of the robot that is asked for.
 
     >>> import tempfile
     >>> arm = '''<robot name="arm"> <link name="floor"/> <link name="bar"> <inertial>
@@ -101,7 +101,11 @@ def _robot(
             )
         )
     rows, frames = modified_dh(axes)
-    links, placements, carried = _links(tree, start, moved, numbers, poses, frames)
+    attached = _attached(tree, start, numbers)
+    for body in _bodies(tree, numbers, attached):
+        if body.fault:
+            raise RobotError(f"{path}, body {body.name!r}: {body.fault}")
+    links, placements, carried = _links(tree, moved, numbers, attached, poses, frames)
     files = [joint for _, joint in moved]
     friction = ("viscous", "dry")
     if any(joint.stiffness for joint in files):
@@ -157,6 +161,8 @@ def _moving(
 
 def _only_what_is_represented(tree: BodyTree, moved: Sequence[Moved], path: Path) -> None:
     for _, joint in moved:
+        if joint.fault:
+            raise RobotError(f"{path}, joint {joint.name!r}: {joint.fault}")
         if joint.kind is None:
             raise RobotError(
                 f"{path}: joint {joint.name!r} is a {joint.type} joint; only revolute and prismatic"
@@ -196,11 +202,23 @@ def _gravity(tree: BodyTree, start: int) -> tuple[float, float, float]:
     return x, y, z
 
 
+def _attached(tree: BodyTree, start: int, numbers: Mapping[int, int]) -> dict[int, list[int]]:
+    """Bodies that are fixed to each link, or held at zero on it."""
+    attached: dict[int, list[int]] = {number: [] for number in range(max(numbers.values()) + 1)}
+    for i in range(len(tree.bodies)):
+        if i not in numbers and start in tree.path(i):
+            for carrier in tree.path(i):
+                if carrier in numbers:
+                    attached[numbers[carrier]].append(i)
+                    break
+    return attached
+
+
 def _links(
     tree: BodyTree,
-    start: int,
     moved: Sequence[Moved],
     numbers: Mapping[int, int],
+    attached: Mapping[int, Sequence[int]],
     poses: Sequence[Pose],
     frames: Sequence[Pose],
 ) -> tuple[tuple[LinkParameters, ...] | None, tuple[Pose, ...], tuple[LinkParameters | None, ...]]:
@@ -208,13 +226,6 @@ def _links(
 
     No parameters at all if those of one body are a mesh's, which nobody looked for.
     """
-    attached: dict[int, list[int]] = {number: [] for number in range(len(moved))}
-    for i in range(len(tree.bodies)):
-        if i not in numbers and start in tree.path(i):
-            for carrier in tree.path(i):
-                if carrier in numbers:
-                    attached[numbers[carrier]].append(i)
-                    break
     known = all(body.inertia is not None for body in _bodies(tree, numbers, attached))
     links: list[LinkParameters] = []
     placements: list[Pose] = []

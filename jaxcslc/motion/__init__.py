@@ -39,7 +39,10 @@ from ._resolution import encoder_resolution as encoder_resolution, noise_level a
 from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay
 from ._sections import Reversal as Reversal, find_reversals as find_reversals
 from ._selection import choose_spacing as choose_spacing, left_out_error as left_out_error
-from ._smoothing import AbstractSmoothing as AbstractSmoothing
+from ._smoothing import (
+    AbstractSmoothing as AbstractSmoothing,
+    without_rounding as without_rounding,
+)
 from ._splines import AveragedSplines as AveragedSplines
 from ._thresholds import (
     StaticFriction as StaticFriction,

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from ._alignment import TorqueAlignment, align_torque
 from ._masks import Thresholds, away_from_reversals, friction_thresholds, possible_backlash, sliding
 from ._recording import Recording
-from ._smoothing import AbstractSmoothing
+from ._smoothing import AbstractSmoothing, without_rounding
 from ._splines import AveragedSplines
 
 
@@ -147,7 +147,8 @@ def prepare(
     if smoothing is None:
         smoothing = AveragedSplines(spacing)
         trim = max(smoothing.spacings(recording.joints)) if trim is None else trim
-    q, qd, qdd = smoothing.smooth(recording.time, recording.position)
+    derivatives = smoothing.smooth(recording.time, recording.position)
+    q, qd, qdd = without_rounding(recording.position, derivatives)
     torque = align_torque(recording.torque, torque_alignment)
     if smooth_torque:
         torque = smoothing.low_pass(recording.time, torque)

@@ -60,3 +60,20 @@ class AbstractSmoothing(eqx.Module):
 
         The smoothed signal, shape `(samples, joints)`.
         """
+
+
+def without_rounding(
+    position: Float[np.ndarray, "samples joints"], derivatives: Derivatives
+) -> Derivatives:
+    """Velocity and acceleration of joints that stand still all the time set to exactly zero.
+
+    Smoothing leaves rounding of them, whose sign would be taken for the direction of a motion.
+
+    >>> import numpy as np
+    >>> still, noise = np.full((3, 1), 0.3), np.full((3, 1), 1e-17)
+    >>> bool(np.any(without_rounding(still, (still, noise, noise))[1]))
+    False
+    """
+    q, qd, qdd = derivatives
+    moves = np.ptp(position, axis=0) > 1e-12 * np.max(np.abs(position), axis=0)
+    return q, np.where(moves, qd, 0.0), np.where(moves, qdd, 0.0)

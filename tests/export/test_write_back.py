@@ -239,6 +239,57 @@ def test_what_is_fixed_cannot_be_forgotten(tmp_path: Path, rng: np.random.Genera
     assert [entry.name for entry in tmp_path.iterdir()] == ["arm.urdf"]
 
 
+PER_JOINT = TOML.replace('name = "arm"', 'friction = ["viscous", "dry", "static"]\nname = "arm"')
+
+
+def test_words_of_some_joints(tmp_path: Path, rng: np.random.Generator) -> None:
+    """TOML takes viscous friction of all joints or none: here none, and dry of all. Slopes of
+    static friction go where the word is."""
+    path = tmp_path / "arm.toml"
+    words = 'friction = ["asymmetric_viscous", "dry"]\na = "a1"'
+    text = PER_JOINT.replace('a = "a1"', words)
+    path.write_text(text.replace("viscous = 0.1\n", "").replace("viscous = 0.3\n", ""))
+    network = jc.derive(jc.load_robot(path), lengths="numeric").with_static_slopes([7.5, 1.0])
+    k = rng.uniform(0.5, 1.0, network.size)
+    found = jc.physical_parameters(network, Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k)))))
+    written = jc.write_robot(network, found, tmp_path / "written.toml")
+    assert written.left_out == ("kv1", "ks1", "kvp2", "kvn2")
+    assert np.all(written.largest < _ROUNDING)
+    assert written.robot.viscous is None
+    np.testing.assert_allclose(written.robot.dry or (), found.friction["dry"])
+    assert written.robot.static_slopes is not None and written.robot.static_slopes[0] == 7.5
+    assert written.path.read_text().count("static_slope") == 1
+
+
+def test_words_that_only_the_network_has(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Nothing is written that the file's own words forbid."""
+    path = tmp_path / "arm.toml"
+    dry = re.compile(r"^dry = .*\n", re.MULTILINE)
+    path.write_text(dry.sub("", TOML.replace('name = "arm"', 'friction = ["viscous"]\nname="arm"')))
+    robot = jc.load_robot(path).with_friction("viscous", "dry", "static")
+    network = jc.derive(robot, lengths="numeric")
+    k = rng.uniform(0.5, 1.0, network.size)
+    found = jc.physical_parameters(network, Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k)))))
+    written = jc.write_robot(network, found, tmp_path / "written.toml")
+    assert written.left_out == ("kd1", "kd2", "ks1", "ks2")
+    assert np.all(written.largest < _ROUNDING)
+    assert "static_slope" not in written.path.read_text()
+    np.testing.assert_allclose(written.robot.viscous or (), found.friction["viscous"])
+
+
+def test_folders(file: Path, rng: np.random.Generator) -> None:
+    """Missing ones are made; errors name what was asked for and not what is written first."""
+    network = jc.derive(jc.load_robot(file), lengths="numeric")
+    found = found_near(network, rng)
+    written = jc.write_robot(network, found, file.parent / "some" / "where" / file.name)
+    assert written.path.exists() and len(list(written.path.parent.iterdir())) == 1
+    taken = file.parent / f"taken{file.suffix}"
+    taken.mkdir()
+    with pytest.raises(OSError, match=f"'{taken}'") as caught:
+        jc.write_robot(network, found, taken)
+    assert ".part" not in str(caught.value)
+
+
 class TestXmlEdits:
     def test_no_change_is_no_change(self) -> None:
         assert XmlEdits(URDF.encode()).text() == URDF.encode()

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import mujoco
 import pytest
 
 import jaxcslc as jc
@@ -145,6 +146,99 @@ def test_joints_that_mimic_may_be_elsewhere(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(REFUSED["mimic"][0])
     assert jc.load_robot(path, tip="b").joint_count == 1
+
+
+NO_BODIES = {
+    "negative mass": link("x", "-2"),
+    "not finite": link("x", "inf"),
+    "negative moment": link("x", moments=(0.1, -0.1, 0.1)),
+    "triangle": link("x", moments=(0.1, 0.1, 0.3)),
+    "products": link("x").replace('ixy="0"', 'ixy="0.5"'),
+}
+
+
+@pytest.mark.parametrize("name", NO_BODIES)
+def test_inertias_matter_where_they_move(tmp_path: Path, name: str) -> None:
+    """One that no body has is refused in a link or on it, but not in the base or elsewhere."""
+    path = tmp_path / "arm.urdf"
+    x = NO_BODIES[name]
+    hand = (link("c"), joint("k", "b", "c"))
+    path.write_text(urdf(*ARM, *hand, x, joint("fixed to c", "c", "x", "fixed")))
+    for part in ({}, {"tip": "c"}, {"tip": "b"}):  # x is held at zero on what moves
+        with pytest.raises(jc.RobotError, match="body 'x': "):
+            jc.load_robot(path, **part)
+    path.write_text(urdf(*ARM, *hand, x, joint("beside", "a", "x")))
+    assert jc.load_robot(path, tip="c").joint_count == 2
+    path.write_text(urdf(x, joint("before", "x", "a"), *ARM, *hand))
+    assert jc.load_robot(path, base="a").joint_count == 2
+    path.write_text(urdf(x, joint("on it", "x", "b"), link("b")))  # it is the base
+    assert jc.load_robot(path).joint_count == 1
+
+
+def test_damping_elsewhere_may_be_anything(tmp_path: Path) -> None:
+    path = tmp_path / "arms.xml"
+    strange = '<body name="a"><joint name="s" damping="1 2"/><geom size="0.1"/></body>'
+    path.write_text(mjcf(strange + BODY.format("b", "j", "hinge", "")))
+    assert jc.load_robot(path, tip="b").joint_count == 1
+
+
+def test_rounding_of_nearly_nothing_is_none(tmp_path: Path) -> None:
+    """As programs for drawing write links of next to no mass."""
+    path = tmp_path / "arm.urdf"
+    for moments in ((-1.35525e-20, 0.0, 1.35525e-20), (1e-16, 1e-16, 5e-16)):
+        path.write_text(urdf(link("a"), link("b", "1e-9", moments), ARM[2]))
+        assert jc.load_robot(path).joint_count == 1
+
+
+LIMITS = '<limit lower="1" upper="1" effort="1" velocity="1"/>'  # equal: MuJoCo warns
+
+
+def test_mujoco_s_warnings_go_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Neither to the terminal nor to a file of its own, and a handler that was set is kept."""
+    path = tmp_path / "arm.urdf"
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    heard: list[str] = []
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        path.write_text(urdf(*ARM[:2], joint("j", "a", "b", "revolute", LIMITS)))
+        assert jc.load_robot(path).joint_count == 1
+        path.write_text(REFUSED["word"][0])
+        with pytest.raises(jc.RobotError):
+            jc.load_robot(path)
+        assert heard == []
+        mujoco.MjSpec.from_string(urdf(*ARM[:2], joint("j", "a", "b", "revolute", LIMITS)))
+        assert len(heard) == 1
+    finally:
+        mujoco.set_mju_user_warning(None)
+    path.write_text(urdf(*ARM[:2], joint("j", "a", "b", "revolute", LIMITS)))
+    assert jc.load_robot(path).joint_count == 1
+    assert list(here.iterdir()) == []
+    captured = capfd.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+@pytest.mark.parametrize("name", ["my robot ü.URDF", "arm.Xml", "arm.mjcf", "arm.xml", "arm.urdf"])
+def test_suffixes_do_not_matter(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    for text in (urdf(*ARM), mjcf(BODY.format("b", "j", "hinge", ""))):
+        path.write_text(text)
+        robot = jc.load_robot(path)
+        assert robot.source is not None and robot.source.joints == ("j",)
+
+
+@pytest.mark.parametrize("name", ["arm.xml", "arms & 'hands' ü.mjcf"])
+def test_included_files_are_beside_their_file(tmp_path: Path, name: str) -> None:
+    more = BODY.format("b", "j", "hinge", "")
+    (tmp_path / "more.xml").write_text(f"<mujocoinclude>{more}</mujocoinclude>")
+    path = tmp_path / name
+    path.write_text(mjcf('<include file="more.xml"/>', '<option gravity="0 0 -1.6"/>'))
+    robot = jc.load_robot(path)
+    assert robot.kinds == "R"
+    assert robot.gravity == (0.0, 0.0, -1.6)
 
 
 def test_elements_know_where_they_stand() -> None:

@@ -222,6 +222,21 @@ def test_a_mesh_s_inertia_is_not_guessed(tmp_path: Path) -> None:
     assert base_parameters(robot) == 3
 
 
+def test_bodies_without_geometry_weigh_nothing(tmp_path: Path) -> None:
+    """Frames, and what has only geometry that weighs nothing, add nothing to their link."""
+    looks = '<geom type="mesh" mesh="m" mass="0"/>'
+    path = tmp_path / "frames.xml"
+    path.write_text(
+        '<mujoco><asset><mesh name="m" file="none.stl"/></asset><worldbody><body>'
+        '<joint axis="0 1 0"/><geom size="0.1" mass="2"/><body pos="1 0 0"/>'
+        f'<body pos="1 0 0">{looks}</body></body></worldbody></mujoco>'
+    )
+    robot = jc.load_robot(path)
+    assert robot.links is not None and robot.source is not None
+    assert float(robot.links[0].mass) == 2.0
+    assert robot.source.carried == (None,)
+
+
 def test_carried_bodies_are_told_apart() -> None:
     """Composite = the file's own body, in the link's frame, and what is fixed to it."""
     robot = jc.load_robot(example("panda.urdf"), tip="panda_link7")

@@ -11,6 +11,7 @@ from jaxcslc.motion import (
     CentralDifferences,
     Patterns,
     Recording,
+    SavitzkyGolay,
     align_torque,
     as_recorded,
     away_from_reversals,
@@ -289,3 +290,14 @@ def test_chosen_spacing_follows_the_motion() -> None:
         choose_spacing(recording.time, recording.position, candidates=())
     with pytest.raises(ValueError, match="spacing is 1; expected 2 samples or more"):
         left_out_error(recording.time, recording.position, AveragedSplines(1))
+
+
+def test_a_joint_that_stands_still_has_no_direction() -> None:
+    """What smoothing leaves of a constant is rounding: no velocity, and no sign of one."""
+    time = np.arange(400) * 0.005
+    position = np.column_stack([np.sin(time), np.full(400, 0.3), np.zeros(400)])
+    for smoothing in (AveragedSplines(9), Butterworth(20.0), SavitzkyGolay(15)):
+        patterns = prepare(Recording(time, position, 0 * position), smoothing=smoothing)
+        assert not np.any(patterns.qd[:, 1:]) and not np.any(patterns.qdd[:, 1:])
+        assert not np.any(patterns.sliding[:, 1:])
+        assert np.any(patterns.sliding[:, 0])

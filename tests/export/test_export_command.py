@@ -1,0 +1,175 @@
+"""`jaxcslc export`: what it takes for an identification of a robot, and where it writes."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import jaxcslc as jc
+
+
+ARM = """gravity = [0, -9.81, 0]
+[[joint]]
+[[joint]]
+a = 0.4
+"""
+URDF = """<robot name="arm">
+  <link name="floor"/>
+  <link name="upper"><inertial><origin xyz="0.1 0 0"/><mass value="2"/>
+    <inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+    <inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="continuous"><parent link="floor"/><child link="upper"/>
+    <axis xyz="0 1 0"/></joint>
+  <joint name="elbow" type="continuous"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0.3 0 0"/><axis xyz="0 1 0"/></joint>
+</robot>
+"""
+
+
+def run(*arguments: str | Path) -> Result:
+    from jaxcslc.cli import app
+
+    return CliRunner().invoke(app, ["export", *(str(argument) for argument in arguments)])
+
+
+def identification(network: jc.CSLC, path: Path, **changes: Any) -> Path:
+    """What `identify` writes of a fit to random states, as far as `export` reads it."""
+    rng = np.random.default_rng(1)
+    q, qd, qdd = rng.uniform(-2, 2, (3, 60, network.joint_count))
+    robot = network.robot
+    links = [jc.LinkParameters(1.0, np.array([0.1, 0.0, 0.0]), 0.1 * np.eye(3), 0.01)] * 2
+    k = np.asarray(network.coefficients_from(robot.links or links))
+    k = k + 0.3 * (k == 0)
+    torque = np.asarray(network.torque(k, q, qd, qdd)) + 0.01 * rng.normal(size=q.shape)
+    every = np.ones(q.shape, bool)
+    fit = jc.least_squares(network, jc.Patterns(np.arange(60.0), q, qd, qdd, torque, every, every))
+    fit.save(path)
+    document = json.loads(path.read_text()) | {
+        "robot": robot.name,
+        "lengths": "numeric",
+        "friction": list(robot.friction),
+        "coupled": [list(pair) for pair in robot.coupled],
+        "expressions": [coefficient.expression for coefficient in network.coefficients],
+    }
+    document |= changes
+    path.write_text(json.dumps({k: v for k, v in document.items() if v is not None}))
+    return path
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    (tmp_path / "arm.toml").write_text(ARM)
+    return tmp_path / "arm.toml"
+
+
+def refused(result: Result, *words: str) -> None:
+    assert result.exit_code == 2, result.output
+    (line,) = result.stderr.strip().splitlines()
+    for word in words:
+        assert word in line
+    assert "RuntimeWarning" not in line
+
+
+def derived(path: Path) -> jc.CSLC:
+    return jc.derive(jc.load_robot(path), lengths="numeric")
+
+
+def test_another_geometry_is_refused(arm: Path, tmp_path: Path) -> None:
+    """Names and their number agree; a length does not."""
+    path = identification(derived(arm), tmp_path / "found.json")
+    other = tmp_path / "other.toml"
+    other.write_text(ARM.replace("0.4", "0.5"))
+    result = run(other, path, "-o", tmp_path / "out.toml")
+    refused(result, "expected an identification of this robot")
+    pairs = zip(derived(arm).coefficients, derived(other).coefficients, strict=True)
+    first = next((a, b) for a, b in pairs if a.expression != b.expression)
+    refused(result, first[0].name, first[0].expression, first[1].expression)
+    assert not (tmp_path / "out.toml").exists()
+
+
+def test_an_older_file_goes_by_name(arm: Path, tmp_path: Path) -> None:
+    older: dict[str, Any] = {"expressions": None, "coupled": None, "friction": None}
+    path = identification(derived(arm), tmp_path / "found.json", **older)
+    result = run(arm, path, "-o", tmp_path / "out.toml")
+    assert result.exit_code == 0, result.output
+    path = identification(derived(arm), tmp_path / "found.json", **older, robot="leg")
+    refused(run(arm, path, "-o", tmp_path / "out.toml"), "'leg'", "'arm'", "of this robot")
+
+
+def test_other_couplings_are_refused(tmp_path: Path) -> None:
+    arm = tmp_path / "arm.toml"
+    arm.write_text(f"coupled = [[1, 2]]\n{ARM}")
+    path = identification(derived(arm), tmp_path / "found.json", coupled=[[1, 2, -1.0]])
+    refused(run(arm, path, "-o", tmp_path / "out.toml"), "[[1, 2, -1.0]]", "[[1, 2, 1.0]]")
+
+
+def test_friction_that_the_file_has_no_words_for(tmp_path: Path) -> None:
+    """An identification with options of friction is of this robot still."""
+    arm = tmp_path / "arm.urdf"
+    arm.write_text(URDF)
+    robot = jc.load_robot(arm).with_friction("viscous", "dry", "offset").with_coupling((1, 2))
+    network = jc.derive(robot, lengths="numeric")
+    path = identification(network, tmp_path / "found.json")
+    result = run(arm, path, "-o", tmp_path / "new" / "out.urdf")
+    assert result.exit_code == 0, result.output
+    assert "no place for ko1, ko2, kcm1_2, kcv1_2, kcd1_2: left out" in result.output
+    result = run(arm, path, "--c", "-o", tmp_path / "code" / "out.c")
+    assert result.exit_code == 0, result.output
+    assert "void arm_torque" in (tmp_path / "code" / "out.h").read_text()
+    path = identification(network, tmp_path / "found.json", friction=["sticky"])
+    refused(run(arm, path), "found.json", "unknown friction term 'sticky'")
+
+
+def test_the_robots_own_file(arm: Path, tmp_path: Path) -> None:
+    path = identification(derived(arm), tmp_path / "found.json")
+    refused(run(arm, path, "-o", tmp_path / "." / "arm.toml"), "arm.toml", "--overwrite")
+    assert arm.read_text() == ARM
+    result = run(arm, path, "-o", arm, "--overwrite")
+    assert result.exit_code == 0, result.output
+    assert "mass = " in arm.read_text()
+
+
+def _first(document: dict[str, Any], name: str, value: Any) -> None:
+    document[name][0] = value
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda document: _first(document, "k", 1e300), "expected finite coefficients"),
+        (lambda document: _first(document, "k", -1e13), "expected finite coefficients"),
+        (lambda document: _first(document, "k", None), "expected finite coefficients"),
+        (lambda document: _first(document, "k", 10**400), "too large"),
+        (
+            lambda document: _first(document, "covariance", [1e300] * len(document["k"])),
+            "covariance",
+        ),
+        (lambda document: document.update(expressions=["m1"]), "expressions"),
+        (lambda document: document.update(friction="dry"), "friction: expected a list"),
+        (lambda document: document.update(coupled=[3]), "found.json"),
+    ],
+)
+@pytest.mark.parametrize("extra", [(), ("--c",)])
+def test_numbers_of_no_robot(
+    change: Callable[[dict[str, Any]], None],
+    words: str,
+    extra: tuple[str, ...],
+    arm: Path,
+    tmp_path: Path,
+) -> None:
+    path = identification(derived(arm), tmp_path / "found.json")
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    refused(run(arm, path, *extra), "found.json", words)
+
+
+def test_a_folder_that_is_a_file(arm: Path, tmp_path: Path) -> None:
+    path = identification(derived(arm), tmp_path / "found.json")
+    for name, extra in (("out.toml", ()), ("out.c", ("--c",))):
+        refused(run(arm, path, "-o", path / name, *extra), "found.json")
