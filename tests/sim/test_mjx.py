@@ -1,12 +1,21 @@
 """The plant under MJX does what C MuJoCo's does; short, since compiling for a CPU takes long."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import jax
 import numpy as np
 import pytest
 
 import sim
+
+
+@pytest.fixture(autouse=True)
+def optimised() -> Iterator[None]:
+    """Compiles with every optimisation: MJX runs three times as long without."""
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)
 
 
 def test_mjx_records_what_mujoco_records():
