@@ -10,6 +10,10 @@ from ._identifiability import (
     StructuralIdentifiability as StructuralIdentifiability,
     structural_identifiability as structural_identifiability,
 )
-from ._inertial_terms import BODY as BODY, InertialTerm as InertialTerm
+from ._inertial_terms import (
+    BODY as BODY,
+    InertialTerm as InertialTerm,
+    inertial_terms as inertial_terms,
+)
 from ._polynomials import PositionRing as PositionRing
 from ._tables import Link as Link, Table as Table

@@ -6,7 +6,11 @@ from ._friction import (
 )
 from ._inertia import LinkInertia as LinkInertia
 from ._joint import Joint as Joint, Length as Length
-from ._link_parameters import LinkParameters as LinkParameters, seen_from as seen_from
+from ._link_parameters import (
+    LinkParameters as LinkParameters,
+    fixed_together as fixed_together,
+    seen_from as seen_from,
+)
 from ._load import load_robot as load_robot
 from ._manipulator import Manipulator as Manipulator
 from ._numbering import Numbering as Numbering, Subnumbering as Subnumbering

@@ -5,10 +5,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..derivation import Algebra, Coefficient, constant_values
+from ..derivation import Algebra, Coefficient, derive_algebra
 from ..manipulator import LinkParameters, Manipulator
 from ._evaluator import AbstractEvaluator
 from ._friction import (
@@ -20,8 +19,11 @@ from ._friction import (
     friction_terms,
     friction_torque,
 )
+from ._known import known_coefficients
 from ._link_values import coefficient_values
 from ._order import order_per_joint
+from ._payload import carrier, payload_coefficients, payload_evaluator
+from ._recursive import RecursiveEvaluator
 
 
 Numbers = Float[Array | np.ndarray, "... joints"]
@@ -40,7 +42,8 @@ class CSLC(eqx.Module):
 
     and joint springs' torque S(q), where the robot has them. The vector `k` holds the inertial
     coefficients, then one coefficient a joint for each friction term (two for an asymmetric
-    one), then three for each coupled pair of joints, as `coefficients` lists them. Positions,
+    one), then three for each coupled pair of joints, then ten of a payload if it has one
+    (`with_payload`), as `coefficients` lists them. Positions,
     velocities and accelerations are (..., n) with any leading batch axes, in rad (or m), per s
     and per s²; torques are N m (or N). Every method is a pure function that can be jitted,
     vmapped and differentiated, in the precision of its inputs.
@@ -54,12 +57,14 @@ class CSLC(eqx.Module):
     - `evaluator`: how the rigid-body part is computed.
     - `static_slopes`: of each joint's static friction [s/rad or s/m], the one thing that torque
       is not linear in; None without static friction. See `with_static_slopes`.
+    - `payload`: how the torque of a payload is computed; None without one. See `with_payload`.
     """
 
     coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
     algebra: Algebra = eqx.field(static=True)
     evaluator: AbstractEvaluator
     static_slopes: tuple[Any, ...] | Float[Array, "..."] | None = None
+    payload: RecursiveEvaluator | None = None
 
     @property
     def robot(self) -> Manipulator:
@@ -84,6 +89,11 @@ class CSLC(eqx.Module):
     def _inertial(self) -> int:
         return len(self.algebra.coefficients)
 
+    @property
+    def _own(self) -> int:
+        """Number of coefficients without the payload's."""
+        return self.size - (0 if self.payload is None else self.payload.size)
+
     def torque(self, k: Vector, q: Numbers, qd: Numbers, qdd: Numbers) -> Float[Array, "..."]:
         """Torque of every joint, (..., n) [N m]: the output of the whole network.
 
@@ -97,8 +107,10 @@ class CSLC(eqx.Module):
         True
         """
         k, q, qd, qdd = self._checked(k, q, qd, qdd)
-        rigid = self.evaluator.torque(k[: self._inertial], q, qd, qdd)
-        return rigid + self._terms_torque(k, q, qd, qdd) if self.terms else rigid
+        total = self.evaluator.torque(k[: self._inertial], q, qd, qdd)
+        if self.payload is not None:
+            total = total + self.payload.torque(k[self._own :], q, qd, qdd)
+        return total + self._terms_torque(k, q, qd, qdd) if self.terms else total
 
     def regressor(self, q: Numbers, qd: Numbers, qdd: Numbers) -> Float[Array, "..."]:
         """The matrix that `k` is multiplied by: `regressor @ k == torque`, (..., n, p)."""
@@ -107,6 +119,8 @@ class CSLC(eqx.Module):
         if self.terms:
             inputs = self._inputs(self.terms, *(_by_joint(x) for x in (q, qd, qdd)))
             parts.append(friction_regressor(self.terms, inputs, q[..., 0] * 0, self.joint_count))
+        if self.payload is not None:
+            parts.append(self.payload.regressor(q, qd, qdd))
         return jnp.concatenate(parts, axis=-1)
 
     def mass_matrix(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
@@ -117,12 +131,18 @@ class CSLC(eqx.Module):
     def velocity_term(self, k: Vector, q: Numbers, qd: Numbers) -> Float[Array, "..."]:
         """V(q, qd): centrifugal and Coriolis torques (Eqn. 2.4-6), (..., n) [N m]."""
         k, q, qd = self._checked(k, q, qd)
-        return self.evaluator.velocity_term(k[: self._inertial], q, qd)
+        own = self.evaluator.velocity_term(k[: self._inertial], q, qd)
+        if self.payload is None:
+            return own
+        return own + self.payload.velocity_term(k[self._own :], q, qd)
 
     def gravity_term(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
         """G(q): the gravity effect vector (Eqn. 2.4-7), (..., n) [N m]."""
         k, q = self._checked(k, q)
-        return self.evaluator.gravity_term(k[: self._inertial], q)
+        own = self.evaluator.gravity_term(k[: self._inertial], q)
+        if self.payload is None:
+            return own
+        return own + self.payload.gravity_term(k[self._own :], q)
 
     def friction_term(self, k: Vector, qd: Numbers) -> Float[Array, "..."]:
         """F(qd): all friction (Eqn. 2.5-3, 2.5-4) and torque offset, (..., n) [N m]."""
@@ -161,6 +181,7 @@ class CSLC(eqx.Module):
         asymmetric_viscous: PerDirection | None = None,
         asymmetric_dry: PerDirection | None = None,
         coupled: PerPair | None = None,
+        payload: LinkParameters | None = None,
     ) -> Float[Array, " coefficients"]:
         """The vector `k` of a robot whose physical parameters are known, (p,).
 
@@ -171,11 +192,13 @@ class CSLC(eqx.Module):
           terms, zero for joints without the term; all zero if omitted.
         - `asymmetric_viscous`, `asymmetric_dry`: (n, 2), forwards and backwards.
         - `coupled`: (pairs, 3), shared inertia, viscous and dry friction of coupled joints.
+        - `payload`: in the frame of the link that carries it; nothing if omitted.
 
         **Raises**
 
         - `ValueError`: if the number of links or friction values is not that of the joints, or
-          a friction term is given that the network, or one of its joints, does not have.
+          a friction term, or a payload, is given that the network, or one of its joints, does
+          not have.
 
         >>> import jaxcslc as jc
         >>> robot = jc.puma560().with_gravity((0, 0, -9.814))
@@ -184,9 +207,6 @@ class CSLC(eqx.Module):
         >>> round(float(k[network.names.index("kM25")]), 3)  # Appendix B prints 6.792
         6.792
         """
-        n = self.joint_count
-        if len(links) != n:
-            raise ValueError(f"links: expected {n} entries, one a joint, got {len(links)}")
         given = {
             "viscous": viscous,
             "dry": dry,
@@ -198,34 +218,15 @@ class CSLC(eqx.Module):
             "asymmetric_dry": asymmetric_dry,
             "coupled": coupled,
         }
-        parts = [
-            coefficient_values(self.algebra.coefficients, links, constant_values(self.robot))
-            if self.algebra.lengths != "numeric"
-            else coefficient_values(self.algebra.coefficients, links, {})
-        ]
-        names = (*self.robot.friction_terms, *(["coupled"] if self.robot.coupled else []))
-        for word, value in given.items():
-            if value is not None and word not in names:
-                raise ValueError(
-                    f"{word}: the network has no such friction term; it has"
-                    f" {', '.join(names) or 'none'}"
-                )
-        for term in self.terms:
-            word = "coupled" if term.pairs else term.word
-            columns = 3 if term.pairs else 2 if term.part else 0
-            rows = len(term.pairs) if term.pairs else n
-            values = _values(word, given[word], rows, columns)
-            if term.pairs:
-                parts.append(values[:, ("inertia", "viscous", "dry").index(term.word[8:])])
-                continue
-            if not isinstance(values, Tracer):
-                for j in sorted(set(range(n)) - set(term.joints)):
-                    if np.any(np.asarray(values[j]) != 0):
-                        raise ValueError(f"{word}: joint {j + 1} has no such friction term")
-            if columns:
-                values = values[:, "+-".index(term.part)]
-            parts.append(values[np.array(term.joints)])
-        return jnp.concatenate([jnp.asarray(part, parts[0].dtype) for part in parts])
+        own = known_coefficients(self.algebra, self.terms, links, given)
+        if self.payload is None:
+            if payload is not None:
+                raise ValueError("payload: the network has none; expected one `with_payload()`")
+            return own
+        ten = jnp.zeros(self.payload.size)
+        if payload is not None:
+            ten = coefficient_values(self.coefficients[self._own :], [payload] * len(links), {})
+        return jnp.concatenate([own, ten.astype(own.dtype)])
 
     def with_static_slopes(
         self, slopes: Sequence[float] | Float[Array | np.ndarray, " joints"]
@@ -262,6 +263,43 @@ class CSLC(eqx.Module):
             raise ValueError(f"static slopes: expected {n}, one a joint, got {shape}")
         return dataclasses.replace(self, static_slopes=given)
 
+    def with_payload(self, link: int | None = None) -> "CSLC":
+        """The same network with a payload: a body rigidly attached to a link (thesis 8.2.4).
+
+        Its ten inertial parameters are the last coefficients of `k`, in group `"payload"`: the
+        inertia tensor about the origin of the carrying link's frame, the first moments and the
+        mass, pIxx pIyy pIzz pIxy pIxz pIyz phx phy phz pm. Zeros are no payload. A recording of
+        the loaded arm alone cannot tell payload and link apart: know the arm's own coefficients
+        before, or fit an unloaded recording beside it.
+
+        **Arguments**
+
+        - `link`: which one carries, counted from 1; the last one if omitted.
+
+        **Raises**
+
+        - `RobotError`: there is no such link.
+        - `ValueError`: the network has a payload already.
+
+        >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+        >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+        >>> network = jc.derive(arm, lengths="numeric").with_payload()
+        >>> ball = jc.LinkParameters(2.0, np.array([0.5, 0.0, 0.0]), np.zeros((3, 3)))
+        >>> nothing = jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
+        >>> k = network.coefficients_from([nothing], payload=ball)
+        >>> rest = jnp.zeros(1)
+        >>> bool(jnp.allclose(network.torque(k, rest, rest, rest), 2.0 * 9.81 * 0.5))
+        True
+        """
+        if self.payload is not None:
+            raise ValueError(f"{self.robot.name!r} has a payload already")
+        carrying = carrier(self.robot, link)
+        return dataclasses.replace(
+            self,
+            coefficients=(*self.coefficients, *payload_coefficients(carrying)),
+            payload=payload_evaluator(carrying),
+        )
+
     @property
     def terms(self) -> tuple[FrictionTerm, ...]:
         """The groups of coefficients that follow the inertial ones, in the order of `k`."""
@@ -281,9 +319,12 @@ class CSLC(eqx.Module):
             for j, place in zip(term.joints, term.places, strict=True):
                 own[j].append(start + place)
             start += term.size
+        if self.payload is not None:
+            for j, places in enumerate(self.payload.support):
+                own[j] += [self._own + place for place in places]
         return tuple(
-            (*inertial, *sorted(friction))
-            for inertial, friction in zip(self.evaluator.support, own, strict=True)
+            (*inertial, *sorted(added))
+            for inertial, added in zip(self.evaluator.support, own, strict=True)
         )
 
     def columns(
@@ -299,6 +340,10 @@ class CSLC(eqx.Module):
         """
         inputs = self._inputs(self.terms, list(q), list(qd), list(qdd))
         rows = friction_rows(self.terms, inputs, self._inertial)
+        if self.payload is not None:
+            felt = self.payload.columns(q, qd, qdd)
+            for joint, (places, values) in enumerate(zip(self.payload.support, felt, strict=True)):
+                rows |= {(joint, self._own + p): row for p, row in zip(places, values, strict=True)}
         return tuple(
             jnp.concatenate(
                 [rigid, *(rows[joint, p][None] for p in support if p >= self._inertial)]
@@ -331,12 +376,35 @@ class CSLC(eqx.Module):
                 "nodes": len(set(term.joints)),
                 "coefficients": before["coefficients"] + term.size,
             }
+        if self._carrying is not None:
+            added = [getattr(self._carrying, name) for name in ("mass", "velocity", "gravity")]
+            counts["payload"] = {
+                "inputs": sum(len(table.inputs) for table in added),
+                "links": sum(len(table.links) for table in added),
+                "nodes": sum(len(table.columns) for table in added),
+                "coefficients": len(self._carrying.coefficients),
+            }
         return counts
 
     @property
+    def _carrying(self) -> Algebra | None:
+        """The closed form of the payload's torque, in as many coefficients as can be felt."""
+        if self.payload is None:
+            return None
+        (link,) = {addend.term.link for addend in self.coefficients[-1].addends}
+        return derive_algebra(carrier(self.robot, link + 1), "numeric")
+
+    @property
     def order_per_joint(self) -> tuple[int, ...]:
-        """How many coefficients each joint's torque depends on, friction included (5.2.5)."""
-        return order_per_joint(self.algebra, self.robot)
+        """How many coefficients each joint's torque depends on, friction included (5.2.5).
+
+        Of a payload, as many as joints can feel one by one, out of the ten.
+        """
+        own = order_per_joint(self.algebra, self.robot)
+        if self._carrying is None:
+            return own
+        felt = order_per_joint(self._carrying, self._carrying.robot)
+        return tuple(mine + more for mine, more in zip(own, felt, strict=True))
 
     @property
     def order(self) -> int:
@@ -377,11 +445,13 @@ class CSLC(eqx.Module):
         if not terms:
             return jnp.zeros_like(qd)
         inputs = self._inputs(terms, *(_by_joint(x) for x in (q, qd, qdd)))
-        own = k[self._inertial :] if words is None else k[np.array(places)]
+        own = k[self._inertial : self._own] if words is None else k[np.array(places)]
         return friction_torque(terms, inputs, own, jnp.zeros_like(qd[..., 0]), self.joint_count)
 
     def _mass(self, k: Array, q: Array) -> Array:
         mass = self.evaluator.mass_matrix(k[: self._inertial], q)
+        if self.payload is not None:
+            mass = mass + self.payload.mass_matrix(k[self._own :], q)
         start = self._inertial
         for term in self.terms:
             if term.word == "coupled_inertia":
@@ -417,20 +487,3 @@ class CSLC(eqx.Module):
 
 def _by_joint(x: Float[Array, "*batch joints"]) -> list[Float[Array, "*batch"]]:
     return [x[..., joint] for joint in range(x.shape[-1])]
-
-
-def _values(word: str, given: Any, rows: int, columns: int) -> Any:
-    """Coefficients of a term as they were given, or zeros. **Raises** `ValueError` by shape."""
-    shape = (rows, columns) if columns else (rows,)
-    values = np.zeros(shape) if given is None else jnp.asarray(given)
-    if values.shape != shape:
-        if columns == 3:
-            raise ValueError(
-                f"{word}: expected {rows} by 3 values, inertia, viscous and dry of each pair,"
-                f" got {values.shape}"
-            )
-        each = "two a joint, forwards and backwards" if columns else "one a joint"
-        raise ValueError(
-            f"{word}: expected {rows * max(columns, 1)} values, {each}, got {values.shape}"
-        )
-    return values
