@@ -305,6 +305,25 @@ class CSLC(eqx.Module):
         """The groups of coefficients that follow the inertial ones, in the order of `k`."""
         return friction_terms(self.robot)
 
+    def without_friction(self, k: Vector) -> Float[Array, " coefficients"]:
+        """The coefficients of the same robot if nothing rubbed: those of friction set to zero.
+
+        Springs and the inertia that coupled joints share stay.
+
+        >>> import jax.numpy as jnp, jaxcslc as jc
+        >>> network = jc.derive(jc.puma560())
+        >>> float(network.without_friction(jnp.ones(43)).sum())  # 6 viscous and 6 dry less
+        31.0
+        """
+        kept = np.ones(self.size)
+        start = self._inertial
+        for term in self.terms:
+            if term.word not in _NOT_FRICTION:
+                kept[start : start + term.size] = 0.0
+            start += term.size
+        k = jnp.asarray(k)
+        return k * jnp.asarray(kept, k.dtype)
+
     def term_inputs(self, q: Numbers, qd: Numbers, qdd: Numbers) -> list[list[Float[Array, "..."]]]:
         """What the coefficients of each of `terms` multiply: (...,) for each of its `joints`."""
         q, qd, qdd = self._checked(None, q, qd, qdd)[1:]

@@ -13,7 +13,7 @@ from jaxcslc.manipulator import RobotError, fixed_together
 from jaxcslc.network import PAYLOAD, carrier
 
 
-LINKS = jc.puma560().links or ()
+LINKS: tuple[jc.LinkParameters, ...] = jc.puma560().links or ()
 BALL = jc.LinkParameters(
     1.7,
     np.array([0.03, -0.05, 0.12]),
