@@ -1,4 +1,5 @@
 from ._bodies import possible_links as possible_links, tilted_links as tilted_links
+from ._closed_loop import ClosedLoop as ClosedLoop, close_loop as close_loop
 from ._controllers import (
     PID as PID,
     AbbreviatedGravity as AbbreviatedGravity,
@@ -13,17 +14,23 @@ from ._disturbances import (
 )
 from ._drives import Drives as Drives
 from ._encoders import Encoders as Encoders
+from ._faults import Fault as Fault
+from ._film import film as film
 from ._friction import Friction as Friction
 from ._kinematics import Hand as Hand
 from ._linearity import MotorLinearity as MotorLinearity, motor_linearity as motor_linearity
+from ._loads import Load as Load, carrying as carrying
 from ._machine import Machine as Machine
 from ._machine_error import MachineError as MachineError
 from ._mjcf import mjcf as mjcf
+from ._motions import circle as circle, go_to as go_to
 from ._nearest_links import nearest_links as nearest_links
 from ._paths import (
     AbstractPath as AbstractPath,
     MinimumJerk as MinimumJerk,
     Oscillation as Oscillation,
+    SampledPath as SampledPath,
+    ViaPoints as ViaPoints,
     minimum_jerk as minimum_jerk,
 )
 from ._plant import Plant as Plant
@@ -34,6 +41,8 @@ from ._repulsion import (
     HandRepulsion as HandRepulsion,
     Repulsion as Repulsion,
 )
+from ._scene import Scene as Scene
+from ._servo import Servo as Servo, ServoState as ServoState
 from ._simulate import SimulationError as SimulationError, simulate as simulate
 from ._specimen import specimen as specimen
 from ._thesis_machines import (

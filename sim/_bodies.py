@@ -107,14 +107,26 @@ def tilted_links(
     )
 
 
+def is_rigid_body(inertia: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether a body can have this tensor at its centre of gravity [kg m²], to rounding."""
+    return float(np.linalg.eigvalsh(_spread(inertia))[0]) >= -_slack(inertia)
+
+
+def _spread(inertia: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    return np.trace(inertia) / 2 * np.eye(3) - inertia
+
+
+def _slack(inertia: Float[np.ndarray, "3 3"]) -> float:
+    return _ROUNDING * max(float(np.abs(inertia).max()), _ROUNDING)
+
+
 def _lacking(inertia: Float[np.ndarray, "3 3"], number: int) -> float:
     """How much spread along z makes the tensor a body's [kg m²]; 0 if it is one."""
-    spread = np.trace(inertia) / 2 * np.eye(3) - inertia
-    slack = _ROUNDING * max(float(np.abs(inertia).max()), _ROUNDING)
-    if float(np.linalg.eigvalsh(spread)[0]) >= -slack:
+    if is_rigid_body(inertia):
         return 0.0
+    spread = _spread(inertia)
     across = np.linalg.eigvalsh(spread[:2, :2])
-    if float(across[0]) < -slack:
+    if float(across[0]) < -_slack(inertia):
         raise MachineError(
             f"link {number} cannot be a rigid body: its mass would be spread by {across[0]:.3g}"
             " kg m² across its joint's axis; expected zero or more"

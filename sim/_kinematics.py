@@ -77,6 +77,39 @@ class Hand:
         """Where the point is in frame 0 [m], and by how much each joint moves it [m/rad, or 1],
         at joint positions [rad or m]."""
         xp = namespace(position)
+        chain = self._chain(position)  # (*batch, 4, 4, joints)
+        place = (chain[..., :3, :3, -1] @ spread(self.point[:, None], position))[..., 0]
+        place = place + chain[..., :3, 3, -1]
+        axis, origin = chain[..., :3, 2, :], chain[..., :3, 3, :]
+        x, y, z = (place[..., i, None] - origin[..., i, :] for i in range(3))
+        u, v, w = (axis[..., i, :] for i in range(3))
+        circling = xp.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-2)
+        turns = spread(self.turns, position)[..., None, :]
+        return place, turns * circling + (1.0 - turns) * axis
+
+    def turn(
+        self, position: Float[Array, "*batch joints"]
+    ) -> tuple[Float[Array, "*batch 3 3"], Float[Array, "*batch 3 joints"]]:
+        """How the last link is turned in frame 0, and about what each joint turns it [rad/rad, or
+        0], at joint positions [rad or m].
+
+        ```python
+        >>> import numpy as np
+        >>> import jaxcslc
+        >>> from sim import Hand
+        >>> rotation, axes = Hand.of(jaxcslc.puma560()).turn(np.zeros(6))
+        >>> axes.round(3)[:, 1]
+        array([-0.,  1.,  0.])
+
+        ```
+        """
+        chain = self._chain(position)
+        turns = spread(self.turns, position)[..., None, :]
+        return chain[..., :3, :3, -1], turns * chain[..., :3, 2, :]
+
+    def _chain(self, position: Array) -> Array:
+        """Every link's frame in frame 0, along the last axis."""
+        xp = namespace(position)
         turns = spread(self.turns, position)
         angle = (spread(self.theta, position) + turns * position)[..., None, None]
         steps = (
@@ -88,12 +121,4 @@ class Hand:
         frames = [steps[..., 0, :, :]]
         for i in range(1, len(self.turns)):
             frames.append(frames[-1] @ steps[..., i, :, :])
-        place = (frames[-1][..., :3, :3] @ spread(self.point[:, None], position))[..., 0]
-        place = place + frames[-1][..., :3, 3]
-        chain = xp.stack(frames, axis=-1)  # (*batch, 4, 4, joints)
-        axis, origin = chain[..., :3, 2, :], chain[..., :3, 3, :]
-        x, y, z = (place[..., i, None] - origin[..., i, :] for i in range(3))
-        u, v, w = (axis[..., i, :] for i in range(3))
-        circling = xp.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-2)
-        turns = turns[..., None, :]
-        return place, turns * circling + (1.0 - turns) * axis
+        return xp.stack(frames, axis=-1)

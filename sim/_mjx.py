@@ -13,7 +13,9 @@ from ._circumstances import Circumstances
 from ._controllers import AbstractController
 from ._drives import Drives
 from ._encoders import Encoders
+from ._faults import Faults
 from ._friction import Friction
+from ._loads import Carried, carrying
 from ._machine import Machine
 from ._machine_error import MachineError
 from ._models import check_time_step, model_of, rubbing
@@ -49,9 +51,16 @@ def perform_mjx(
         for machine, seed in zip(machines, seeds, strict=True)
     ]
     plan = Plan.of(machines, trajectory.sample_interval)
-    compiled = {id(machine): model_of(machine, plan.step) for machine in machines}
-    for machine, one in zip(machines, given, strict=True):
-        check_time_step(machine, compiled[id(machine)], one.start)
+    time = sample_times(trajectory)
+    faults = Faults.of(trajectory.faults, machines[0].joint_count, time)
+    carried = Carried.of(trajectory.loads, time)
+    models: list[list[mujoco.MjModel]] = []  # a row for each body carried
+    for body in carried.bodies:
+        each = {id(machine): carrying(machine, body) for machine in machines}
+        compiled = {key: model_of(machine, plan.step) for key, machine in each.items()}
+        for machine, one in zip(machines, given, strict=True):
+            check_time_step(machine, compiled[id(machine)], one.start)
+        models.append([compiled[id(machine)] for machine in machines])
     chance = stacked(given)
     parts = _Parts(
         stacked(
@@ -67,17 +76,16 @@ def perform_mjx(
     )
     # MJX broadcasts across ranks inside.
     with jax.numpy_rank_promotion("allow"):
-        model, differing = _side_by_side([compiled[id(machine)] for machine in machines])
+        model, differing = _side_by_side(models)
         told = _run(
             model,
-            mjx.make_data(compiled[id(machines[0])]),
+            differing,
+            mjx.make_data(models[0][0]),
             parts,
             chance.start,
-            chance.jitter,
-            sample_times(trajectory),
+            (time, chance.jitter.T, faults, carried.which),
             controller=trajectory.controller,
             flexible=machines[0].flexible,
-            differing=differing,
         )
     host = {name: np.asarray(values) for name, values in told.items()}
     reading, demand = host.pop("reading"), host.pop("demand")
@@ -105,18 +113,17 @@ for _part in (Encoders, Drives, Friction):
     )
 
 
-@partial(jax.jit, static_argnames=("controller", "flexible", "differing"))
+@partial(jax.jit, static_argnames=("controller", "flexible"))
 def _run(
     model: mjx.Model,
+    differing: dict[str, jax.Array],
     data: mjx.Data,
     parts: _Parts,
     start: jax.Array,
-    jitter: jax.Array,
-    times: jax.Array,
+    samples: tuple[Any, ...],
     *,
     controller: AbstractController,
     flexible: tuple[bool, ...],
-    differing: tuple[str, ...],
 ) -> dict[str, jax.Array]:
     """The signals of every sample, each (samples, machines, joints): what `perform` and `Plant`
     do, over arrays of all machines."""
@@ -138,24 +145,26 @@ def _run(
         return after.qpos, after.qvel, after.qacc_warmstart
 
     def sample(carry: Any, at: Any) -> tuple[Any, dict[str, Any]]:
-        q, qd, warm, before, memory = carry
-        time, late = at
+        q, qd, warm, before, shown, received, memory = carry
+        time, late, wrong, which = at
+        now = model.tree_replace({name: rows[which] for name, rows in differing.items()})
         reading = parts.encoders.read(q[:, rotor] + late[:, None] * qd[:, rotor])
+        reading, shown, received = wrong.read(reading, shown, received)
         demand, memory = controller.demand(memory, time, reading)
-        torque = parts.drives.torque(demand)
+        torque = parts.drives.torque(wrong.sense * demand)
 
         def acting(share: Any) -> Any:
             return share[:, None] * before + (1 - share[:, None]) * torque
 
         given = acting(parts.stale[:, 0])
         helped = parts.friction.help(qd)
-        acceleration, held, warm = over(forward)(model, (q, qd, warm, given, helped))
+        acceleration, held, warm = over(forward)(now, (q, qd, warm, given, helped))
         taken = parts.friction.viscous * qd - helped - held
         on_rotor = jnp.where(soft, taken[:, rotor], (1 - parts.link_share) * taken[:, :n])
         on_link = jnp.where(soft, taken[:, :n], parts.link_share * taken[:, :n])
         inertial = parts.motor_inertia * acceleration[:, rotor]
         told = {
-            "reading": reading,
+            "reading": received,
             "demand": demand,
             "position": q[:, :n],
             "velocity": qd[:, :n],
@@ -173,34 +182,42 @@ def _run(
         def one_step(moving: Any, share: Any) -> tuple[Any, None]:
             q, qd, warm, acceleration = moving
             applied = parts.friction.help(qd + 0.5 * parts.step * acceleration)
-            q, faster, warm = over(step)(model, (q, qd, warm, acting(share), applied))
+            q, faster, warm = over(step)(now, (q, qd, warm, acting(share), applied))
             return (q, faster, warm, (faster - qd) / parts.step), None
 
         moving, _ = jax.lax.scan(one_step, (q, qd, warm, acceleration), parts.stale.T)
-        return (*moving[:3], torque, memory), told
+        return (*moving[:3], torque, shown, received, memory), told
 
     at_rest = jnp.zeros((start.shape[0], transmission.freedoms))
+    begun = parts.encoders.read(start)
     first = (
         at_rest.at[:, :n].set(start).at[:, rotor].set(start),
         at_rest,
         at_rest,
         jnp.zeros_like(start),
-        controller.begin(parts.encoders.read(start)),
+        begun,
+        begun,
+        controller.begin(begun),
     )
-    _, told = jax.lax.scan(sample, first, (times, jitter.T))
+    _, told = jax.lax.scan(sample, first, samples)
     return told
 
 
-def _side_by_side(models: Sequence[mujoco.MjModel]) -> tuple[mjx.Model, tuple[str, ...]]:
-    """An MJX model in which the constants that differ between the models are stacked, by name."""
-    model = mjx.put_model(models[0])
+def _side_by_side(
+    models: Sequence[Sequence[mujoco.MjModel]],
+) -> tuple[mjx.Model, dict[str, jax.Array]]:
+    """An MJX model, and the constants in which the models differ, by name: stacked, with an axis
+    for the rows given and one for the models of a row."""
+    first, every = models[0][0], [model for row in models for model in row]
+    model = mjx.put_model(first)
     differing: dict[str, jax.Array] = {}
     for field in dataclasses.fields(model):
         shared = getattr(model, field.name)
-        if not isinstance(shared, jax.Array) or not hasattr(models[0], field.name):
+        if not isinstance(shared, jax.Array) or not hasattr(first, field.name):
             continue
-        values = [np.asarray(getattr(each, field.name)) for each in models]
+        values = [np.asarray(getattr(each, field.name)) for each in every]
         if any(not np.array_equal(values[0], value) for value in values[1:]):
             rows = np.stack([value.reshape(shared.shape) for value in values])
+            rows = rows.reshape(len(models), len(models[0]), *shared.shape)
             differing[field.name] = jnp.asarray(rows, shared.dtype)
-    return model.tree_replace(differing), tuple(differing)
+    return model, differing

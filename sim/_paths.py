@@ -4,18 +4,27 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from jaxcslc.control import Reference
+
 from ._arrays import Array, namespace, spread
+from ._machine_error import MachineError
 
 
 class AbstractPath(abc.ABC):
     """Where the joints should be, as a function of the time and of where they were at first."""
 
     @abc.abstractmethod
+    def reference(
+        self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
+    ) -> Reference:
+        """Positions, velocities and accelerations at `time` [s] on the way from `origin`, where the
+        joints rest at time 0 [rad or m]."""
+
     def position(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
     ) -> Float[Array, "*batch joints"]:
-        """Positions at `time` [s] on the way from `origin`, where the joints rest at time 0
-        [rad or m]."""
+        """The positions alone [rad or m]."""
+        return self.reference(time, origin).q
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +35,8 @@ class MinimumJerk(AbstractPath):
     >>> import numpy as np
     >>> from sim import MinimumJerk
     >>> path = MinimumJerk(end=np.array([1.0, -1.0]), duration=2.0)
-    >>> path.position(np.array([1.0]), np.zeros(2))
-    array([ 0.5, -0.5])
+    >>> path.reference(np.array([1.0]), np.zeros(2)).qd
+    array([ 0.9375, -0.9375])
 
     ```
     """
@@ -38,11 +47,74 @@ class MinimumJerk(AbstractPath):
     duration: float
     """[s]; afterwards the end is held."""
 
-    def position(
+    def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
-    ) -> Float[Array, "*batch joints"]:
+    ) -> Reference:
         """As the abstract method."""
-        return origin + (spread(self.end, origin) - origin) * minimum_jerk(time / self.duration)
+        way = spread(self.end, origin) - origin
+        s, rate, change = _minimum_jerk(time / self.duration)
+        return Reference(
+            origin + way * s, way * (rate / self.duration), way * (change / self.duration**2)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ViaPoints(AbstractPath):
+    """From pose to pose, each time from rest to rest along `minimum_jerk`, with a stay at each.
+
+    ```python
+    >>> import numpy as np
+    >>> from sim import ViaPoints
+    >>> path = ViaPoints(np.array([[1.0], [0.5]]), np.array([2.0, 1.0]), np.array([0.5, 0.0]))
+    >>> [float(path.position(np.array([t]), np.zeros(1))[0]) for t in (1.0, 2.2, 3.0, 9.0)]
+    [0.5, 1.0, 0.75, 0.5]
+    >>> path.arrivals
+    array([2. , 3.5])
+
+    ```
+
+    **Raises**
+
+    - `MachineError`: not one duration and one stay a pose, or a duration that is not positive.
+    """
+
+    poses: Float[np.ndarray, "poses joints"]
+    """Where it stops [rad or m]."""
+
+    durations: Float[np.ndarray, " poses"]
+    """Of the way to each pose [s]."""
+
+    stays: Float[np.ndarray, " poses"]
+    """How long it stays there before it goes on [s]; the last pose is held for ever."""
+
+    def __post_init__(self) -> None:
+        count = len(self.poses)
+        if not count or self.durations.shape != (count,) or self.stays.shape != (count,):
+            raise MachineError(
+                f"path of {count} poses, {self.durations.size} durations and {self.stays.size}"
+                " stays; expected one of each a pose"
+            )
+        if not (np.all(self.durations > 0) and np.all(self.stays >= 0)):
+            raise MachineError("path: expected durations above zero, and no negative stays")
+
+    @property
+    def arrivals(self) -> Float[np.ndarray, " poses"]:
+        """When each pose is reached [s]."""
+        return np.cumsum(self.durations) + np.cumsum(self.stays) - self.stays
+
+    def reference(
+        self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
+    ) -> Reference:
+        """As the abstract method."""
+        duration = spread(self.durations, time)
+        first = spread(self.poses[0], origin) - origin
+        rest = namespace(origin).asarray(np.diff(self.poses, axis=0), dtype=origin.dtype)
+        s, rate, change = _minimum_jerk(1 + (time - spread(self.arrivals, time)) / duration)
+
+        def along(each: Array) -> Array:
+            return first * each[..., :1] + each[..., 1:] @ rest
+
+        return Reference(origin + along(s), along(rate / duration), along(change / duration**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +142,81 @@ class Oscillation(AbstractPath):
     period: float
     """[s]."""
 
-    def position(
+    def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
-    ) -> Float[Array, "*batch joints"]:
+    ) -> Reference:
         """As the abstract method."""
-        wave = namespace(time).cos(2 * np.pi / self.period * time)
-        return spread(self.mean, origin) - spread(self.amplitude, origin) * wave
+        xp, rate = namespace(time), 2 * np.pi / self.period
+        amplitude = spread(self.amplitude, origin)
+        wave = amplitude * xp.cos(rate * time)
+        return Reference(
+            spread(self.mean, origin) - wave,
+            amplitude * (rate * xp.sin(rate * time)),
+            rate**2 * wave,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPath(AbstractPath):
+    """A path that was computed beforehand, row by row; the last row is held.
+
+    It begins at its own first row, wherever the joints are found.
+
+    ```python
+    >>> import numpy as np
+    >>> from sim import SampledPath
+    >>> rows = np.array([[0.0], [0.1], [0.2]])
+    >>> path = SampledPath(rows, np.full((3, 1), 50.0), np.zeros((3, 1)), interval=0.002)
+    >>> path.reference(np.array([0.004]), np.zeros(1)).q
+    array([0.2])
+
+    ```
+
+    **Raises**
+
+    - `MachineError`: tables of different shapes.
+    """
+
+    q: Float[np.ndarray, "rows joints"]
+    """[rad or m]."""
+
+    qd: Float[np.ndarray, "_ _"]
+    """[rad/s or m/s]."""
+
+    qdd: Float[np.ndarray, "_ _"]
+    """[rad/s² or m/s²]."""
+
+    interval: float = 0.002
+    """Between rows [s]. At times between two rows it is at the nearer one."""
+
+    def __post_init__(self) -> None:
+        if not self.q.shape == self.qd.shape == self.qdd.shape:
+            raise MachineError(
+                f"path with tables of shapes {self.q.shape}, {self.qd.shape}, {self.qdd.shape};"
+                " expected the same"
+            )
+
+    @property
+    def start(self) -> Float[np.ndarray, " joints"]:
+        """Where it begins [rad or m]."""
+        return self.q[0]
+
+    @property
+    def duration(self) -> float:
+        """When the last row is reached [s]."""
+        return self.interval * (len(self.q) - 1)
+
+    def reference(
+        self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
+    ) -> Reference:
+        """As the abstract method."""
+        xp = namespace(time)
+        row = xp.clip(xp.round(time[..., 0] / self.interval), 0, len(self.q) - 1).astype(int)
+        q, qd, qdd = (
+            namespace(origin).asarray(table, dtype=origin.dtype)[row]
+            for table in (self.q, self.qd, self.qdd)
+        )
+        return Reference(q, qd, qdd)
 
 
 def minimum_jerk(s: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -92,5 +233,15 @@ def minimum_jerk(s: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 
     ```
     """
+    return _minimum_jerk(s)[0]
+
+
+def _minimum_jerk(s: Array) -> tuple[Array, Array, Array]:
+    """The quintic and its first two derivatives."""
     s = namespace(s).clip(s, 0.0, 1.0)
-    return s * s * s * (10.0 + s * (6.0 * s - 15.0))
+    left = 1.0 - s
+    return (
+        s * s * s * (10.0 + s * (6.0 * s - 15.0)),
+        30.0 * (s * left) * (s * left),
+        60.0 * s * left * (1.0 - 2.0 * s),
+    )

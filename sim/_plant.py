@@ -2,9 +2,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
+from mujoco import MjModel
 from mujoco.batch import Batch
 
+from jaxcslc.manipulator import LinkParameters
+
 from ._drives import Drives
+from ._loads import carrying
 from ._machine import Machine
 from ._models import check_time_step, model_of, rubbing
 from ._plan import Plan
@@ -80,14 +84,11 @@ class Plant:
         links = [machine.links for machine in group]
         self._inertia = np.array([[float(link.motor_inertia) for link in row] for row in links])
 
-        # Machines of many recordings are often the same one.
-        models = {id(machine): model_of(machine, self._step) for machine in group}
         at = np.atleast_2d(position)
-        for machine, row in zip(group, at, strict=True):
-            check_time_step(machine, models[id(machine)], row)
-        self._batch = Batch(models[id(first)], len(group), nthread=threads)
-        if len(models) > 1:
-            self._batch.set_models([models[id(machine)] for machine in group])
+        self._group, self._start = group, at
+        self._compiled: dict[int, tuple[LinkParameters | None, list[MjModel]]] = {}
+        self._batch = Batch(self._models(None)[0], len(group), nthread=threads)
+        self.carry(None)
         self._q, self._qd = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._control, self._applied = self._batch.bind("ctrl"), self._batch.bind("qfrc_applied")
         self._qdd = self._batch.bind("qacc")
@@ -158,6 +159,37 @@ class Plant:
         apart = self._transmission.apart(rotor, link)
         return apart[0] if self._alone else apart
 
+    def carry(self, body: LinkParameters | None) -> None:
+        """Fixes a body to the last link from now on, in place of any before, or lets go of it.
+
+        Positions and velocities stay as they are; the next `drive` tells the accelerations. The
+        models of a body are compiled when it is carried first, and kept.
+
+        **Arguments**
+
+        - `body`: in the last link's frame; None for none.
+
+        **Raises**
+
+        - `MachineError`: as for a machine with such a link.
+
+        ```python
+        >>> import numpy as np
+        >>> import jaxcslc, sim
+        >>> plant = sim.Plant(sim.undisturbed(sim.puma560()), np.zeros(6), interval=0.002)
+        >>> ball = jaxcslc.LinkParameters(2.0, np.array([0.0, 0.0, 0.1]), np.zeros((3, 3)))
+        >>> accelerations = []
+        >>> for body in (None, ball):
+        ...     plant.carry(body)
+        ...     plant.drive(np.array([0.0, 0.0, 0.0, 0.0, 5.0, 0.0]))
+        ...     accelerations.append(plant.acceleration[4])
+        >>> bool(accelerations[1] < accelerations[0])
+        True
+
+        ```
+        """
+        self._batch.set_models(self._models(body))
+
     def drive(self, demand: Float[np.ndarray, "*machines joints"]) -> None:
         """Makes the drives give the torque demanded, as far and as soon as they can [N m or N]."""
         self._before = self._torque
@@ -183,6 +215,17 @@ class Plant:
             self._applied[:] = self._friction.help(before + half * acceleration)
             self._batch.step()
             acceleration = (self._qd - before) / self._step
+
+    def _models(self, body: LinkParameters | None) -> list[MjModel]:
+        """Each machine's mechanics with a body."""
+        if id(body) not in self._compiled:
+            # Machines of many recordings are often the same one.
+            each = {id(machine): carrying(machine, body) for machine in self._group}
+            models = {key: model_of(machine, self._step) for key, machine in each.items()}
+            for machine, row in zip(self._group, self._start, strict=True):
+                check_time_step(machine, models[id(machine)], row)
+            self._compiled[id(body)] = body, [models[id(machine)] for machine in self._group]
+        return self._compiled[id(body)][1]
 
     def _acting(self, step: int) -> Float[np.ndarray, "machines joints"]:
         """The drives' mean torque over a step of the interval."""

@@ -1,4 +1,3 @@
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -9,7 +8,7 @@ from ._fingerprint import fingerprint
 from ._machine import Machine
 from ._machine_error import MachineError
 from ._plan import structure
-from ._simulate import SimulationError, perform
+from ._simulate import SimulationError, perform, thread_count
 from ._store import load, save
 from ._trajectories import Trajectory
 from ._truth import SimulatedRecording
@@ -169,14 +168,12 @@ def _runner(
             [job.seed for job in jobs],
             advanced=advanced,
         )
-    count = len(os.sched_getaffinity(0)) if threads is None else threads
-    if count < 1:
-        raise ValueError(f"threads is {count}; expected 1 or more")
+    thread_count(threads, 1)  # refused before anything runs
     return lambda jobs, advanced: perform(
         [job.machine for job in jobs],
         jobs[0].trajectory,
         [job.seed for job in jobs],
-        threads=min(count, len(jobs)),
+        threads=thread_count(threads, len(jobs)),
         advanced=advanced,
     )
 

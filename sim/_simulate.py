@@ -1,4 +1,6 @@
+import os
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -7,6 +9,8 @@ from jaxcslc.motion import Recording
 
 from ._circumstances import Circumstances
 from ._encoders import Encoders
+from ._faults import Faults
+from ._loads import Carried
 from ._machine import Machine
 from ._plant import Plant
 from ._stacking import stacked
@@ -82,6 +86,7 @@ def perform(
     *,
     threads: int = 1,
     advanced: Callable[[int], object] | None = None,
+    observe: Callable[[Any], object] | None = None,
 ) -> list[SimulatedRecording | SimulationError]:
     """Lets machines of one structure perform a trajectory side by side.
 
@@ -91,6 +96,7 @@ def perform(
     - `trajectory`: what they are asked to do.
     - `threads`: how many to use.
     - `advanced`: called now and then with the number of samples simulated since the last time.
+    - `observe`: called at each sample with what the controller remembers after it.
 
     **Returns**
 
@@ -104,28 +110,53 @@ def perform(
     encoders = stacked(
         [Encoders.of(machine, one.phase) for machine, one in zip(machines, given, strict=True)]
     )
-    plant = Plant(machines, chance.start, interval=trajectory.sample_interval, threads=threads)
     controller, samples = trajectory.controller, trajectory.samples
-    shape = (*chance.start.shape, samples)
     time = sample_times(trajectory)
+    faults = Faults.of(trajectory.faults, machines[0].joint_count, time)
+    carried = Carried.of(trajectory.loads, time)
+    plant = Plant(machines, chance.start, interval=trajectory.sample_interval, threads=threads)
+    for body in carried.bodies:  # so that what cannot be is refused before anything moves
+        plant.carry(body)
 
-    reading, demand = np.empty((2, samples, *chance.start.shape))
+    recorded, demand = np.empty((2, samples, *chance.start.shape))
     told = {
-        name: np.empty(reading.shape, dtype=bool if name == "apart" else float) for name in TOLD
+        name: np.empty(recorded.shape, dtype=bool if name == "apart" else float) for name in TOLD
     }
-    state = controller.begin(encoders.read(chance.start))
+    shown = received = encoders.read(chance.start)
+    state = controller.begin(received)
     for sample in range(samples):
+        if sample == 0 or carried.which[sample] != carried.which[sample - 1]:
+            plant.carry(carried.bodies[carried.which[sample]])
         late = chance.jitter[:, sample, None]
-        reading[sample] = encoders.read(plant.rotor_position + late * plant.rotor_velocity)
-        demand[sample], state = controller.demand(state, time[sample], reading[sample])
-        plant.drive(demand[sample])
+        reading = encoders.read(plant.rotor_position + late * plant.rotor_velocity)
+        wrong = faults.at(sample)
+        reading, shown, received = wrong.read(reading, shown, received)
+        recorded[sample] = received
+        demand[sample], state = controller.demand(state, time[sample], reading)
+        # A demand that is no number ends in an error below; MuJoCo would also log it in a file.
+        plant.drive(wrong.sense * np.where(np.isfinite(demand[sample]), demand[sample], 0.0))
         for name, values in told.items():
             values[sample] = getattr(plant, name)
+        if observe is not None:
+            observe(state)
         if sample + 1 < samples:
             plant.advance()
         if advanced is not None:
-            advanced(shape[0])
-    return assembled(machines, trajectory, reading, demand, told)
+            advanced(len(machines))
+    return assembled(machines, trajectory, recorded, demand, told)
+
+
+def thread_count(threads: int | None, machines: int) -> int:
+    """How many threads to use: as many as the process has cores, if not said otherwise.
+
+    **Raises**
+
+    - `ValueError`: fewer than one.
+    """
+    count = len(os.sched_getaffinity(0)) if threads is None else threads
+    if count < 1:
+        raise ValueError(f"threads is {count}; expected 1 or more")
+    return min(count, machines)
 
 
 def sample_times(trajectory: Trajectory) -> Float[np.ndarray, " samples"]:
@@ -164,15 +195,22 @@ def _assembled(
     time = sample_times(trajectory)
     low, high = np.array(machine.position_range).T
     within = (told["position"] >= low) & (told["position"] <= high)  # NaN is not
-    if not within.all():
-        sample, joint = np.argwhere(~within)[0]
+    demanded = np.isfinite(demand)
+    if not (within & demanded).all():
+        sample, joint = np.argwhere(~(within & demanded))[0]
+        where = f"{trajectory.name} trajectory, {time[sample]:.4g} s: joint {joint + 1}"
+        if within[sample, joint]:
+            return SimulationError(
+                f"{where}: its controller demands {demand[sample, joint]}; expected a torque"
+            )
         return SimulationError(
-            f"{trajectory.name} trajectory, {time[sample]:.4g} s: joint {joint + 1} is at"
-            f" {told['position'][sample, joint]:.4g}, outside its range from {low[joint]:.4g} to"
-            f" {high[joint]:.4g}"
+            f"{where} is at {told['position'][sample, joint]:.4g}, outside its range from"
+            f" {low[joint]:.4g} to {high[joint]:.4g}"
         )
     own = {name: np.ascontiguousarray(values) for name, values in told.items()}
+    faults = Faults.of(trajectory.faults, machine.joint_count, time)
+    carried = Carried.of(trajectory.loads, time)
     return SimulatedRecording(
         Recording(time, np.ascontiguousarray(reading), np.ascontiguousarray(demand)),
-        Truth(time=time, **own),
+        Truth(time=time, **own, carried=carried.mass, lost=faults.lost),
     )

@@ -6,11 +6,14 @@ from jaxtyping import Float
 from jaxcslc.manipulator import Manipulator, puma560 as puma560_robot
 
 from ._controllers import PID, AbbreviatedGravity, AbstractController, SinusoidalTorque
+from ._faults import Fault
 from ._kinematics import Hand
+from ._loads import Load
 from ._machine import MachineError
 from ._paths import MinimumJerk
 from ._puma560 import puma560
 from ._repulsion import HandRepulsion, Repulsion
+from ._servo import Servo
 
 
 # The PUMA 560 around the frames of Fig. 2.6-3, in metres; not in the thesis. Frame 0 is at the
@@ -41,6 +44,12 @@ class Trajectory:
     sample_interval: float = 0.002
     """Between samples; the demand is updated at each of them and held in between [s] (7.4)."""
 
+    loads: tuple[Load, ...] = ()
+    """What the last link carries, and when."""
+
+    faults: tuple[Fault, ...] = ()
+    """What goes wrong, and when."""
+
     def __post_init__(self) -> None:
         if self.samples < 1:
             raise MachineError(
@@ -50,6 +59,12 @@ class Trajectory:
             raise MachineError(
                 f"trajectory {self.name!r} has a sample interval of {self.sample_interval} s;"
                 " expected more than zero"
+            )
+        servo = self.controller
+        if isinstance(servo, Servo) and servo.interval != self.sample_interval:
+            raise MachineError(
+                f"trajectory {self.name!r} has a sample interval of {self.sample_interval} s,"
+                f" and its servo one of {servo.interval} s; expected the same"
             )
 
 

@@ -69,6 +69,12 @@ class Truth(eqx.Module):
     apart: Bool[np.ndarray, "samples joints"]
     """Whether the gears are apart: whether the joint is experiencing backlash (2.5.3)."""
 
+    carried: Float[np.ndarray, " samples"]
+    """Mass of the loads that the last link carries (`Trajectory.loads`) [kg]."""
+
+    lost: Bool[np.ndarray, "samples joints"]
+    """Whether the controller was given NaN in place of a reading (`Trajectory.faults`)."""
+
 
 class SimulatedRecording(NamedTuple):
     """A recording as the machine's computer would have made it, and the truth beside it."""

@@ -136,6 +136,12 @@ class ComputedTorque(AbstractController):
         """The same controller with other coefficients, (p,), which may be traced."""
         return eqx.tree_at(lambda controller: controller.k, self, k)
 
+    def with_network(self, network: CSLC, k: Float[Array, " coefficients"]) -> "ComputedTorque":
+        """The same controller over another network of as many joints and its coefficients."""
+        return eqx.tree_at(
+            lambda controller: (controller.network, controller.k), self, (network, k)
+        )
+
     def begin(self, q: Joints) -> Float[Array, "*batch joints"]:
         """The integral: zero."""
         return jnp.zeros_like(jnp.asarray(q))

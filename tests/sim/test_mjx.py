@@ -1,13 +1,17 @@
 """The plant under MJX does what C MuJoCo's does; short, since compiling for a CPU takes long."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import sim
+from jaxcslc.control import Reference
+from jaxcslc.manipulator import LinkParameters
 
 
 @pytest.fixture(autouse=True)
@@ -25,6 +29,60 @@ def test_mjx_records_what_mujoco_records():
     ]
     trajectory = dataclasses.replace(sim.comparison(), samples=25)
     jobs = [sim.Job(machine, trajectory, seed) for seed, machine in enumerate(machines)]
+    _agree(jobs)
+
+
+PATH = sim.MinimumJerk(np.array([0.3]), 0.1)
+
+
+class Drive(eqx.Module):
+    """A loop with an array and a state."""
+
+    gain: jax.Array
+
+    def begin(self, q: jax.Array) -> jax.Array:
+        return q
+
+    def step(
+        self, state: jax.Array, reference: Reference, q: jax.Array, interval: float
+    ) -> tuple[jax.Array, jax.Array]:
+        q = jnp.where(jnp.isnan(q), state, q)
+        rate = reference.qd - (q - state) / interval
+        return self.gain * (50.0 * (reference.q - q) + rate + 0.1 * reference.qdd), q
+
+
+def test_mjx_does_with_servos_loads_and_faults_what_mujoco_does(
+    one_joint: Callable[..., sim.Machine],
+):
+    """One loop a machine; a body that comes and goes; every kind of fault."""
+    machines = [
+        one_joint(mass=mass, length=0.3, inertia=0.1, gravity=(0.0, -9.81, 0.0))
+        for mass in (1.0, 1.2)
+    ]
+    ball = LinkParameters(2.0, np.array([0.1, 0.4, 0.0]), 0.001 * np.eye(3))
+    trajectory = sim.Trajectory(
+        "servo",
+        np.array([0.2]),
+        sim.Servo(Drive(jnp.array([[9.0], [8.0]])), PATH, per_machine=True),
+        samples=40,
+        loads=(sim.Load(0.01, ball, 0.05),),
+        faults=(
+            sim.Fault("lost samples", 1, 0.02, 0.03),
+            sim.Fault("stuck encoder", None, 0.04, 0.05),
+            sim.Fault("reversed torque", 1, 0.07),
+        ),
+    )
+    jobs = [sim.Job(machine, trajectory, seed) for seed, machine in enumerate(machines)]
+    _agree(jobs)
+    without = dataclasses.replace(trajectory, loads=(), faults=())
+    (one, _), (other, _) = (
+        sim.record([job._replace(trajectory=each) for job in jobs])
+        for each in (trajectory, without)
+    )
+    assert np.abs(one.truth.position - other.truth.position).max() > 1e-3
+
+
+def _agree(jobs: list[sim.Job]) -> None:
     for one, other in zip(sim.record(jobs, backend="mjx"), sim.record(jobs), strict=True):
         np.testing.assert_allclose(one.recording.position, other.recording.position, atol=1e-12)
         np.testing.assert_allclose(one.recording.torque, other.recording.torque, atol=1e-9)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import sim
+from jaxcslc.manipulator import LinkParameters
 from sim._fingerprint import fingerprint
 
 
@@ -123,6 +124,23 @@ def test_names_tell_machines_trajectories_and_seeds_apart(jobs: list[sim.Job]):
     with pytest.raises(TypeError, match="no name for a function"):
         fingerprint(lambda: None)
     assert len({fingerprint(x) for x in (1, 1.0, "1", True, (1,), np.array(1), None)}) == 7
+
+
+def test_loads_and_faults_are_part_of_a_name_and_of_what_is_kept(tmp_path: Path):
+    plain = dataclasses.replace(sim.comparison(), samples=20)
+    ball = LinkParameters(1.0, np.array([0.0, 0.0, 0.1]), np.zeros((3, 3)))
+    fault = sim.Fault("stuck encoder", 1, 0.01)
+    trajectories = [
+        plain,
+        dataclasses.replace(plain, loads=(sim.Load(0.01, ball),)),
+        dataclasses.replace(plain, loads=(sim.Load(0.012, ball),)),
+        dataclasses.replace(plain, faults=(fault,)),
+    ]
+    jobs = [sim.Job(sim.puma560(), trajectory) for trajectory in trajectories]
+    assert len({fingerprint(*job) for job in jobs}) == 4
+    made = sim.record(jobs, store=tmp_path)
+    assert eqx.tree_equal(sim.record(jobs, store=tmp_path), made)
+    assert made[1].truth.carried[[4, 5]].tolist() == [0.0, 1.0]
 
 
 def test_machines_side_by_side_must_be_alike():
