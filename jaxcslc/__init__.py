@@ -28,6 +28,7 @@ from .learning import (
     least_squares_stream as least_squares_stream,
     physical_parameters as physical_parameters,
     refine_thresholds as refine_thresholds,
+    relearn as relearn,
 )
 from .manipulator import (
     LinkInertia as LinkInertia,
@@ -51,6 +52,7 @@ from .motion import (
     save_recording as save_recording,
 )
 from .network import CSLC as CSLC, derive as derive
+from .payload import PayloadFit as PayloadFit, fit_payload as fit_payload
 
 
 __version__ = _version("jaxcslc")

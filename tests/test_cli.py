@@ -1,5 +1,6 @@
 """The command line: what it writes, and what it says of wrong input."""
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from typer.testing import CliRunner, Result
 
 import jaxcslc as jc
 import sim
+from jaxcslc.manipulator import fixed_together
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +170,123 @@ class TestExport:
             )
             assert result.exit_code == 2 and "expected a name ending in" in result.stderr
         assert list(tmp_path.iterdir()) == []
+
+
+class TestRelearn:
+    def test_friction_alone(
+        self, identified: tuple[Result, Path], recordings: tuple[Path, Path], tmp_path: Path
+    ) -> None:
+        """From the first second: the rest of the coefficients is as it was, errors included."""
+        cells = _cells(recordings[0])
+        _write(tmp_path / "short.csv", cells[:500])
+        known = identified[1] / "identification.json"
+        result = run(
+            *("identify", "puma560", tmp_path / "short.csv", "--relearn", "viscous, dry"),
+            *("--known", known, "--validate", recordings[1], "-o", tmp_path / "out"),
+        )
+        assert result.exit_code == 0, result.output
+        for text in ("learnt again: viscous, dry", "rank 12 of 12", "before", "held out"):
+            assert text in result.output
+        before, after = (
+            jc.Identification.load(path)
+            for path in (known, tmp_path / "out" / "identification.json")
+        )
+        np.testing.assert_array_equal(after.k[:31], before.k[:31])
+        np.testing.assert_allclose(after.standard_error[:31], before.standard_error[:31])
+        assert np.all(np.abs(after.k[31:] / before.k[31:] - 1) < 0.1)
+        assert not np.any(after.k[31:] == before.k[31:])
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (["--relearn", "viscous"], ["--relearn and --known", "both or neither"]),
+            (["--known", "KNOWN"], ["--relearn and --known", "both or neither"]),
+            (["--relearn", "oil", "--known", "KNOWN"], ["'oil'", "viscous, dry"]),
+            (["--relearn", "dry", "--known", "none.json"], ["none.json", "no such"]),
+            (
+                ["--relearn", "dry", "--known", "KNOWN", "--friction", "dry"],
+                ["not with --known"],
+            ),
+        ],
+    )
+    def test_wrong_input_gets_one_line(
+        self,
+        options: list[str],
+        words: list[str],
+        identified: tuple[Result, Path],
+        recordings: tuple[Path, Path],
+        tmp_path: Path,
+    ) -> None:
+        known = str(identified[1] / "identification.json")
+        given = [known if option == "KNOWN" else option for option in options]
+        result = run("identify", "puma560", recordings[1], *given, "-o", tmp_path / "o")
+        assert result.exit_code == 2
+        (line,) = result.stderr.strip().splitlines()
+        for word in words:
+            assert word in line
+        assert not (tmp_path / "o").exists()
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three seconds of the training trajectory with 1.5 kg fixed to the last link."""
+    machine = sim.puma560()
+    body = jc.LinkParameters(1.5, np.array([0.02, 0.0, 0.1]), 3e-3 * np.eye(3))
+    assert machine.robot.links is not None
+    links = (*machine.robot.links[:-1], fixed_together([machine.robot.links[-1], body]))
+    robot = dataclasses.replace(machine.robot, links=links)
+    carrying = dataclasses.replace(machine, robot=robot)
+    path = tmp_path_factory.mktemp("loaded") / "loaded.csv"
+    performed = sim.simulate(carrying, sim.training(samples=1500), seed=5)
+    jc.save_recording(performed.recording, path)
+    return path
+
+
+class TestPayload:
+    @pytest.mark.parametrize("together", [False, True])
+    def test_finds_the_payload(
+        self,
+        together: bool,
+        loaded: Path,
+        identified: tuple[Result, Path],
+        recordings: tuple[Path, Path],
+        tmp_path: Path,
+    ) -> None:
+        result = run(
+            *("payload", "puma560", loaded, "--known", identified[1] / "identification.json"),
+            *(("--unloaded", recordings[0]) if together else ()),
+            *("-o", tmp_path / "out"),
+        )
+        assert result.exit_code == 0, result.output
+        for text in ("10 payload", "possible", "without the payload's part", "95 % intervals"):
+            assert text in result.output
+        document = json.loads((tmp_path / "out" / "payload.json").read_text())
+        physical = document["physical"]
+        assert physical["m"]["value"] == pytest.approx(1.5, rel=0.02)
+        assert physical["rz"]["value"] == pytest.approx(0.1, abs=2e-3)
+        assert physical["m"]["low"] < physical["m"]["value"] < physical["m"]["high"]
+        assert np.shape(document["covariance"]) == (10, 10)
+        for error, more in zip(*document["torque_error_rms"].values(), strict=True):
+            assert error < more
+        header, *lines = (tmp_path / "out" / "payload.csv").read_text().splitlines()
+        assert header == "name,unit,value,standard_error,low,high,possible" and len(lines) == 10
+
+    def test_wrong_input_gets_one_line(
+        self, loaded: Path, identified: tuple[Result, Path], tmp_path: Path
+    ) -> None:
+        known = identified[1] / "identification.json"
+        for arguments, words in (
+            (["panda", loaded, "--known", known], ["expected an identification of this robot"]),
+            (["puma560", tmp_path / "none.csv", "--known", known], ["none.csv"]),
+            (["puma560", loaded, "--known", tmp_path / "no.json"], ["no.json", "no such"]),
+            (["puma560", loaded, "--known", loaded], ["loaded.csv", "not valid JSON"]),
+        ):
+            result = run("payload", *arguments, "-o", tmp_path / "o")
+            assert result.exit_code == 2
+            (line,) = result.stderr.strip().splitlines()
+            for word in words:
+                assert word in line
+        assert not (tmp_path / "o").exists()
 
 
 def _cells(path: Path) -> list[list[str]]:

@@ -31,7 +31,8 @@ LAYERS = {
     "assessment": {"learning"},
     "control": {"network"},
     "export": {"learning"},
-    "cli": {"assessment", "training", "control", "export"},
+    "payload": {"network", "motion", "learning", "control"},
+    "cli": {"assessment", "training", "control", "export", "payload"},
 }
 
 

@@ -45,6 +45,19 @@ def test_the_examples_of_friction_run_one_after_the_other(
     for example in examples_of("docs/friction.md"):
         exec(compile(example, "docs/friction.md", "exec"), known)
         printed.append(capsys.readouterr().out)
-    names, slopes = printed
+    names, slopes, relearnt = printed
     assert names == "('ks6', 'kvp3', 'kvn3')\n"
     assert slopes.startswith("[5.")
+    assert "0.03" in relearnt  # dry friction of 0.05, cleaned
+
+
+def test_the_examples_of_payload_run_one_after_the_other(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    known: dict[str, object] = {}
+    printed: list[str] = []
+    for example in examples_of("docs/payload.md"):
+        exec(compile(example, "docs/payload.md", "exec"), known)
+        printed.append(capsys.readouterr().out)
+    assert "'pIxx', " in printed[0]
+    assert "PayloadFit(1.5" in printed[1] and "LinkParameters(" in printed[1]

@@ -34,6 +34,7 @@ from ._output import (
     write_json as write_json,
 )
 from ._pictures import save_picture as save_picture, torque_picture as torque_picture
+from ._relearning_picture import relearning_picture as relearning_picture
 from ._report import (
     derivation_document as derivation_document,
     identification_report as identification_report,

@@ -9,6 +9,7 @@ import typer
 from ._derive import derive_command
 from ._export import export_command
 from ._identify import identify_command
+from ._payload import payload_command
 
 
 app = typer.Typer(
@@ -20,6 +21,7 @@ app = typer.Typer(
 app.command("derive")(derive_command)
 app.command("identify")(identify_command)
 app.command("export")(export_command)
+app.command("payload")(payload_command)
 
 
 def main() -> None:

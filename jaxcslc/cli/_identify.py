@@ -1,11 +1,10 @@
-import contextlib
-import json
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from jaxtyping import Array
 
 from ..assessment import (
     ErrorTable,
@@ -17,13 +16,10 @@ from ..assessment import (
     identification_report,
 )
 from ..learning import (
-    Settings,
     SlopeFit,
-    choose_settings,
     cross_validated_error,
     fit_slopes,
     held_out_error,
-    settings_from,
 )
 from ..motion import Recording, load_recording
 from ..network import CSLC
@@ -41,6 +37,8 @@ from ._common import (
     usable,
     with_drives,
 )
+from ._identified import identified
+from ._recorded import SettingsOption, of_file, settings_for
 
 
 def identify_command(
@@ -57,47 +55,68 @@ def identify_command(
     tip: TipOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
-    settings: Annotated[
-        Path | None,
+    settings: SettingsOption = None,
+    relearn: Annotated[
+        str | None,
         typer.Option(
-            help="Settings from an earlier run's identification.json, or written by hand;"
-            " chosen by cross-validation within TRAIN if omitted."
+            metavar="WORDS",
+            help="Learn only these coefficients, by group or name as in viscous,dry; the others"
+            " stay as in --known.",
         ),
+    ] = None,
+    known: Annotated[
+        Path | None,
+        typer.Option(help="The identification.json of an earlier run, for --relearn."),
     ] = None,
 ) -> None:
     """Identify a robot's coefficients from a recording of positions and torques."""
     with one_line_errors(), progress("reading") as step:
         usable(output)
-        network = network_of(with_drives(robot_named(robot, base, tip), friction, coupled), lengths)
+        if (relearn is None) != (known is None):
+            raise ValueError("--relearn and --known: expected both or neither")
+        drawn = robot_named(robot, base, tip)
+        if known is None:
+            before = None
+            network = network_of(with_drives(drawn, friction, coupled), lengths)
+        elif lengths != "auto" or friction is not None or coupled:
+            raise ValueError("--lengths, --friction and --coupled: not with --known, which has own")
+        else:
+            before = identified(drawn, known, robot)
+            network = before.network
         recording = load_recording(train, joints=network.joint_count)
         held_out = None if validate is None else load_recording(validate, network.joint_count)
-        if settings is None:
-            step("choosing smoothing and masks by cross-validation")
-            with _of_file(train):
-                chosen = choose_settings(network, recording).settings
-        else:
-            chosen = _settings(settings)
+        step("choosing smoothing and masks")
+        chosen = settings_for(network, recording, train, settings, before)
         step("preparing patterns")
-        with _of_file(train):
+        with of_file(train):
             patterns = {"training": chosen.patterns(recording)}
         if held_out is not None and validate is not None:
-            with _of_file(validate):
+            with of_file(validate):
                 patterns["validation"] = chosen.patterns(held_out)
-        slopes = ""
-        if "static" in network.robot.friction_terms:
+        slopes, words = "", [word.strip() for word in (relearn or "").split(",")]
+        if before is None and "static" in network.robot.friction_terms:
             step("looking for the slopes of static friction")
             searched = fit_slopes(network, patterns["training"], joint_weights=chosen.joint_weights)
             network, slopes = searched.network, _slopes(searched.network, searched)
         step("solving")
-        fit = chosen.fit(network, patterns["training"])
-        step("judging")
-        excitation = degree_of_excitation(network, patterns["training"])
-        if held_out is None:
-            elsewhere = cross_validated_error(network, patterns["training"], chosen)
+        vectors: dict[str, Array] = {}
+        if before is None:
+            fit = chosen.fit(network, patterns["training"])
         else:
+            fit = chosen.relearn(network, patterns["training"], before.fit, words)
+            vectors["before"] = before.fit.k
+        step("judging")
+        excitation = elsewhere = None
+        if before is None:  # what the whole recording tells of all coefficients
+            excitation = degree_of_excitation(network, patterns["training"])
+        if held_out is None and before is None:
+            elsewhere = cross_validated_error(network, patterns["training"], chosen)
+        elif held_out is not None:
             elsewhere = held_out_error(network, fit, patterns["training"], patterns["validation"])
         step("writing")
-        errors = {name: compare(network, p, {"fit": fit.k}) for name, p in patterns.items()}
+        errors = {
+            name: compare(network, p, {"fit": fit.k, **vectors}) for name, p in patterns.items()
+        }
         with all_or_nothing(output) as folder:
             written = identification_report(
                 folder,
@@ -110,6 +129,8 @@ def identify_command(
                 held_out=elsewhere,
             )
     typer.echo(f"{network}\nsettings: {chosen}\n")
+    if before is not None:
+        typer.echo(f"learnt again: {', '.join(words)}; all others are those of {known}\n")
     typer.echo(coefficient_text(coefficient_rows(network, fit, excitation=excitation)))
     if slopes:
         typer.echo(f"\n{slopes}")
@@ -119,17 +140,17 @@ def identify_command(
     )
     for sentence in fit.unidentifiable:
         typer.echo(f"not determined: {sentence}")
-    typer.echo(
-        f"rank {int(fit.rank)} of {network.size}, condition {float(fit.condition):.4g}; told least:"
-        f" {excitation.worst_combination}"
-    )
+    fitted = network.size if before is None else _count(network, words)
+    least = "" if excitation is None else f"; told least: {excitation.worst_combination}"
+    typer.echo(f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}{least}")
     for name, table in errors.items():
         typer.echo(f"\ntorque error, {name} recording\n{table}")
-    kind = "cross-validated within the training recording" if held_out is None else "held out"
-    ratios = ", ".join(f"{ratio:.3g}" for ratio in elsewhere.ratio)
-    typer.echo(f"\ntorque error, {kind}, over training error, joint by joint: {ratios}")
-    for sentence in elsewhere.warnings:
-        typer.echo(f"warning: {sentence}")
+    if elsewhere is not None:
+        kind = "cross-validated within the training recording" if held_out is None else "held out"
+        ratios = ", ".join(f"{ratio:.3g}" for ratio in elsewhere.ratio)
+        typer.echo(f"\ntorque error, {kind}, over training error, joint by joint: {ratios}")
+        for sentence in elsewhere.warnings:
+            typer.echo(f"warning: {sentence}")
     for sentence in (*_standstills(recording), *_unexplained(recording, errors["training"])):
         typer.echo(f"warning: {sentence}")
     if held_out is None:  # of an earlier run
@@ -138,13 +159,8 @@ def identify_command(
     typer.echo("\nwrote " + ", ".join(str(output / path.name) for path in written))
 
 
-@contextlib.contextmanager
-def _of_file(path: Path) -> Generator[None]:
-    """Says which file it was that something cannot be made of."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+def _count(network: CSLC, words: list[str]) -> int:
+    return sum(c.group in words or c.name in words for c in network.coefficients)
 
 
 def _standstills(recording: Recording) -> Iterator[str]:
@@ -182,16 +198,3 @@ def _slopes(network: CSLC, found: SlopeFit) -> str:
         f"slopes of static friction [s/rad or s/m]: {listed};"
         " the intervals above take them as given"
     )
-
-
-def _settings(path: Path) -> Settings:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path}: not valid JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise ValueError(f"{path}: expected settings as a JSON object")
-    try:
-        return settings_from(document.get("settings", document))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None

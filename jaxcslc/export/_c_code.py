@@ -10,6 +10,7 @@ from ..derivation import BODY
 from ..learning import body_map
 from ..network import CSLC
 from ._c_friction import coupled_inertias, friction_entries
+from ._c_payload import carrying_link, payload_bodies
 from ._c_text import definitions, statements
 from ._closed_form import ClosedForm
 from ._expressions import Expressions, Value
@@ -69,7 +70,8 @@ def c_code(
     state, nothing but `math.h`. The coefficients are numbers in the text; sines, cosines and all
     common products are computed once. Rigid-body torque comes from Newton-Euler recursion
     over the coefficients, unrolled for this robot, or from the closed form, whichever needs fewer
-    operations; friction, offsets, springs and couplings are all of the network's.
+    operations; friction, offsets, springs and couplings are all of the network's. A payload
+    (`network.with_payload()`) is one body with the link that carries it.
 
     Functions, for n joints and p coefficients:
 
@@ -126,7 +128,10 @@ def identifier(text: str) -> str:
 def _functions(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[_Function]:
     n, p = network.joint_count, network.size
     inertial = k[: len(network.algebra.coefficients)]
+    load = payload_bodies(network, k)
     given = _bodies(network, inertial)
+    if given is not None:
+        given = given[0] + load, given[1]
     tables = network.algebra.lengths != "numeric" or hasattr(network.evaluator, "ring")
 
     def cheapest(
@@ -143,6 +148,13 @@ def _functions(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[_Fu
             graph = Expressions()
             found.append((graph, of_tables(ClosedForm(graph, network.algebra))))
         return min(found, key=lambda way: way[0].cost(value for _, value in way[1]))
+
+    def loaded(closed: ClosedForm, own: list[Value], of: Callable[[RigidBodies], list[Value]]):
+        """What the tables say, which have no payload, and what it adds."""
+        if not np.any(load):
+            return own
+        added = of(RigidBodies(closed.graph, network.robot))
+        return [x + y for x, y in zip(own, added, strict=True)]
 
     def torque_of(dynamics: RigidBodies | ClosedForm, rigid: list[Value]):
         graph = dynamics.graph
@@ -165,20 +177,33 @@ def _functions(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[_Fu
             network, dynamics.graph, dynamics.q, dynamics.qd, dynamics.qdd
         ):
             wide[joint][place] = wide[joint][place] + value
+        if (link := carrying_link(network)) is not None:
+            rigid = RigidBodies(dynamics.graph, network.robot)
+            for row, own in zip(wide, rigid.columns([(link, x) for x in np.eye(10)]), strict=True):
+                row[p - 10 :] = own
         return _matrix("regressor", wide)
 
-    motion, column = ("q", "qd", "qdd"), _unit_columns(network)
+    motion, still, column = ("q", "qd", "qdd"), np.zeros(n), _unit_columns(network)
     torque = cheapest(
         lambda rigid, bodies, motors: torque_of(rigid, rigid.torque(bodies, motors)),
-        lambda closed: torque_of(closed, closed.torque(inertial)),
+        lambda closed: torque_of(
+            closed, loaded(closed, closed.torque(inertial), lambda x: x.torque(load, still))
+        ),
     )
     mass = cheapest(
         lambda rigid, bodies, motors: mass_of(rigid.mass_matrix(bodies, motors)),
-        lambda closed: mass_of(closed.mass_matrix(inertial)),
+        lambda closed: mass_of(
+            [
+                loaded(closed, row, lambda x, i=i: x.mass_matrix(load, still)[i])
+                for i, row in enumerate(closed.mass_matrix(inertial))
+            ]
+        ),
     )
     gravity = cheapest(
         lambda rigid, bodies, motors: _vector("tau", rigid.gravity(bodies)),
-        lambda closed: _vector("tau", closed.gravity(inertial)),
+        lambda closed: _vector(
+            "tau", loaded(closed, closed.gravity(inertial), lambda x: x.gravity(load))
+        ),
     )
     if column is None:
         graph = Expressions()

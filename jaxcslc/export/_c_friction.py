@@ -17,7 +17,7 @@ def friction_entries(
     slopes = network.static_slopes
     held = [1.0] * network.joint_count if slopes is None else np.asarray(slopes, float).tolist()
     entries: list[tuple[int, int, Value]] = []
-    start = network.size - sum(term.size for term in network.terms)
+    start = len(network.algebra.coefficients)
     for term in network.terms:
         if term.pairs:
             inputs = [
@@ -82,7 +82,7 @@ def coupled_inertias(
 ) -> list[tuple[int, int, float]]:
     """What coupled joints add to the mass matrix above its diagonal: row, column, value."""
     found: list[tuple[int, int, float]] = []
-    start = network.size - sum(term.size for term in network.terms)
+    start = len(network.algebra.coefficients)
     for term in network.terms:
         if term.word == "coupled_inertia":
             for place, pair in enumerate(term.pairs):

@@ -53,7 +53,8 @@ def write_robot(
     Nothing but numbers of links and joints changes: comments, layout and all that is not dynamics
     stay byte by byte as they are. TOML, URDF and MJCF. TOML takes viscous and dry friction for all
     joints or for none: where some joint has not the word, its keys stay as they are. Slopes of
-    static friction go to the TOML joints that have it.
+    static friction go to the TOML joints that have it. A payload is no part of the robot: it is
+    left out, and the file is that of the arm without it.
 
     **Arguments**
 
@@ -186,7 +187,7 @@ def _left_out(network: CSLC, found: PhysicalParameters, held: tuple[str, ...]) -
     for term in network.terms:
         if term.word not in held:
             names += term.names
-    return names
+    return names + [c.name for c in network.coefficients if c.group == "payload"]
 
 
 def _random_states(n: int) -> States:

@@ -1,3 +1,5 @@
+from collections.abc import Collection
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -53,6 +55,22 @@ class Equations(eqx.Module):
             for support, own in zip(network.support, joints, strict=True)
         ]
         return cls(tuple(rows), tuple(filtered.sample[own] for own in joints))
+
+    def without(self, network: CSLC, places: Collection[int]) -> "Equations":
+        """The same with nothing that depends on these coefficients."""
+        kept = [[*(place not in places for place in own), True] for own in network.support]
+        rows = (rows * np.array(own) for rows, own in zip(self.rows, kept, strict=True))
+        return Equations(tuple(rows), self.sample)
+
+    def followed_by(self, other: "Equations", after: int) -> "Equations":
+        """Both sets, the other's recording so many samples later."""
+        return Equations(
+            tuple(np.concatenate(rows) for rows in zip(self.rows, other.rows, strict=True)),
+            tuple(
+                np.concatenate([mine, after + theirs])
+                for mine, theirs in zip(self.sample, other.sample, strict=True)
+            ),
+        )
 
     def factors(self) -> JointFactors:
         """The factors of all equations."""

@@ -12,6 +12,7 @@ from ._compiled import filled_up, regressor_of, require_float64
 from ._correlated import ERRORS, Errors
 from ._equations import Equations
 from ._factors import JointFactors, factorise
+from ._held import Held
 from ._identification import Identification
 from ._losses import LOSSES, Loss
 from ._robust import ordinary_residuals, robust_residuals, with_errors
@@ -88,7 +89,33 @@ def least_squares(
     >>> bool(jnp.allclose(jc.least_squares(network, patterns).k, k))
     True
     """
-    _check(network, patterns)
+    return checked(
+        fit_patterns(
+            network,
+            patterns,
+            cutoff=cutoff,
+            joint_weights=joint_weights,
+            loss=loss,
+            errors=errors,
+            rcond=rcond,
+        ),
+        throw,
+    )
+
+
+def fit_patterns(
+    network: CSLC,
+    patterns: Patterns,
+    *,
+    cutoff: float | None,
+    joint_weights: JointWeights,
+    loss: Loss,
+    errors: Errors,
+    rcond: float | None,
+    held: Held | None = None,
+) -> Identification:
+    """The fit of patterns, of all coefficients or of those that are not held."""
+    check_patterns(network, patterns)
     check_words(loss, errors)
     # The ordinary fit needs no more of its equations than their factors.
     again = loss != "squared" or errors != "independent"
@@ -103,29 +130,54 @@ def least_squares(
             phase = (jnp.arange(len(q)) + 0.5) / samples
             rows = PatternRows(q, qd, qdd, torque, weight, phase)
         elif again:
-            rows = KeptRows.of(_equations(network, patterns, None), samples)
+            rows = KeptRows.of(equations_of(network, patterns, None), samples)
     else:
-        equations = _equations(network, patterns, cutoff)
+        equations = equations_of(network, patterns, cutoff)
         factors = equations.factors()
         rows = KeptRows.of(equations, samples) if again else None
-    fit, solution, weights = _fit(network, factors, joint_weights, rcond)
-    if rows is not None:
-        if loss == "squared":
-            found = _ordinary(network, rows, solution, weights)
-        else:
-            residual = isinstance(joint_weights, str) and joint_weights == "residual"
-            found = _robust(
-                network,
-                rows,
-                factors,
-                solution,
-                weights,
-                residual_weights=residual,
-                loss=loss,
-                rcond=rcond,
-            )
-        fit = _with_errors(network, rows, factors, found, errors)
-    return _checked(fit, throw)
+    return fit_rows(
+        network,
+        factors,
+        rows,
+        joint_weights=joint_weights,
+        loss=loss,
+        errors=errors,
+        rcond=rcond,
+        held=held,
+    )
+
+
+def fit_rows(
+    network: CSLC,
+    factors: JointFactors,
+    rows: AbstractRows | None,
+    *,
+    joint_weights: JointWeights,
+    loss: Loss,
+    errors: Errors,
+    rcond: float | None,
+    held: Held | None = None,
+) -> Identification:
+    """The fit of equations, which are gone over again if there are `rows` of them."""
+    fit, solution, weights = _fit(network, factors, joint_weights, rcond, held)
+    if rows is None:
+        return fit
+    if loss == "squared":
+        found = _ordinary(network, rows, solution, weights)
+    else:
+        residual = isinstance(joint_weights, str) and joint_weights == "residual"
+        found = _robust(
+            network,
+            rows,
+            factors,
+            solution,
+            weights,
+            residual_weights=residual,
+            loss=loss,
+            rcond=rcond,
+            held=held,
+        )
+    return _with_errors(network, rows, factors, found, errors, held)
 
 
 def fit_factors(
@@ -140,11 +192,15 @@ def fit_factors(
 
     Arguments, result and errors as of `least_squares`.
     """
-    return _checked(_fit(network, factors, joint_weights, rcond)[0], throw)
+    return checked(_fit(network, factors, joint_weights, rcond)[0], throw)
 
 
 def _fit(
-    network: CSLC, factors: JointFactors, joint_weights: JointWeights, rcond: float | None
+    network: CSLC,
+    factors: JointFactors,
+    joint_weights: JointWeights,
+    rcond: float | None,
+    held: Held | None = None,
 ) -> tuple[Identification, Solution, Float[Array, " joints"]]:
     """The ordinary fit, and the weights of joints that it ended with."""
     n = network.joint_count
@@ -159,15 +215,16 @@ def _fit(
         weights = jnp.asarray(joint_weights, float)
         if weights.shape != (n,):
             raise ValueError(f"joint_weights: expected shape ({n},), got {weights.shape}")
-    solution, fit = _solve(network, factors, weights, rcond)
+    solution, fit = _solve(network, factors, weights, rcond, held)
     if isinstance(joint_weights, str) and joint_weights == "residual":
         for _ in range(_ROUNDS):
             weights = _residual_weights(fit)
-            solution, fit = _solve(network, factors, weights, rcond)
+            solution, fit = _solve(network, factors, weights, rcond, held)
     return fit, solution, weights
 
 
-def _checked(fit: Identification, throw: bool) -> Identification:
+def checked(fit: Identification, throw: bool) -> Identification:
+    """**Raises** `RuntimeError` for results that are failures, if `throw` says so."""
     if not throw:
         return fit
     # Rank deficiency is an answer, not a failure.
@@ -183,7 +240,8 @@ def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
     return jnp.where(fit.equations > 0, 1.0 / jnp.maximum(error, floor), 1.0)
 
 
-def _equations(network: CSLC, patterns: Patterns, cutoff: float | None) -> Equations:
+def equations_of(network: CSLC, patterns: Patterns, cutoff: float | None) -> Equations:
+    """One a pair that counts, or those that a parallel filter makes of them; on the host."""
     return Equations.of(
         network,
         np.asarray(regressor_of(network, patterns)),
@@ -212,7 +270,8 @@ def check_words(loss: str, errors: str) -> None:
         raise ValueError(f"errors is {errors!r}; expected {' or '.join(map(repr, ERRORS))}")
 
 
-def _check(network: CSLC, patterns: Patterns) -> None:
+def check_patterns(network: CSLC, patterns: Patterns) -> None:
+    """**Raises** `ValueError` for another robot's patterns, and for others than float64."""
     if patterns.q.shape[-1] != network.joint_count:
         raise ValueError(
             f"patterns have {patterns.q.shape[-1]} joints, {network.robot.name!r} has"

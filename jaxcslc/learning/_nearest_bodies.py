@@ -6,8 +6,9 @@ from jaxtyping import Float
 
 from ..manipulator import LinkParameters
 from ..network import CSLC
-from ._bodies import bodies_of, body_map, body_of_pseudo_inertia, pseudo_inertia, ties
+from ._bodies import bodies_of, body_map, ties
 from ._coefficient_metric import Fitted, whitening
+from ._nearest_body import in_units_of
 from ._principal_programme import BodyChart, nearest_in_charts
 from ._prior_bodies import Prior, balls, prior_of
 
@@ -75,7 +76,7 @@ class NearestBodies:
         of_others[:inertial, : sum(driven)] = motors[:, driven]
         of_others[inertial:, sum(driven) :] = np.eye(p - inertial)
         of_others *= scales
-        sizes = [of_bodies[:, i] @ _unit(body) for i, body in enumerate(before.bodies)]
+        sizes = [of_bodies[:, i] @ in_units_of(body) for i, body in enumerate(before.bodies)]
         typical = np.linalg.norm(np.concatenate([*sizes, of_others], axis=1), axis=1)
         return cls(
             network,
@@ -114,7 +115,7 @@ class NearestBodies:
         from ._semidefinite import semidefinite_least_squares  # cvxpy takes a second to import
 
         count = len(self.prior.bodies)
-        units = [_unit(body) for body in self.prior.bodies]
+        units = [in_units_of(body) for body in self.prior.bodies]
         columns = [self.of_bodies[:, i] @ unit for i, unit in enumerate(units)]
         matrix = self.white @ np.concatenate([*columns, self.of_others], axis=1)
         held = np.einsum("ple,le->p", self.of_bodies, self.fixed)
@@ -157,16 +158,6 @@ class NearestBodies:
             self.bounded,
             self.weight,
         )
-
-
-def _unit(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 16"]:
-    """From the entries of J̃ to the ten numbers of J = L J̃ Lᵀ, with L Lᵀ the prior's."""
-    scale = np.linalg.cholesky(pseudo_inertia(body))
-    columns: list[np.ndarray] = []
-    for entry in np.eye(16):
-        matrix = scale @ entry.reshape(4, 4) @ scale.T
-        columns.append(body_of_pseudo_inertia((matrix + matrix.T) / 2))
-    return np.stack(columns, axis=1)
 
 
 def _unit_balls(network: CSLC) -> Float[np.ndarray, "links 10"]:

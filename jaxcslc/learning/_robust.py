@@ -1,3 +1,4 @@
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -7,6 +8,7 @@ from jaxtyping import Array, Float
 from ..network import CSLC
 from ._correlated import Errors, correlated_covariance, effective_counts, waves_for
 from ._factors import JointFactors
+from ._held import Held
 from ._identification import Identification
 from ._losses import Loss, influence, robust_scale, slope, weight
 from ._rows import AbstractRows
@@ -46,6 +48,7 @@ def robust_residuals(
     residual_weights: bool,
     loss: Loss,
     rcond: float | None,
+    held: Held | None = None,
 ) -> Residuals:
     """A fit by iteratively reweighted least squares (Holland and Welsch 1977).
 
@@ -62,21 +65,17 @@ def robust_residuals(
     """
     k = solution.k
     for stage in ("huber",) if loss == "huber" else ("huber", "bisquare"):
-        k = _reweighted(network, rows, k, weights, residual_weights, stage, rcond)
+        k = _reweighted(network, rows, k, weights, residual_weights, stage, rcond, held)
     error, scale = _errors(network, rows, k)
     weights = 1.0 / scale if residual_weights else weights
     residual = _pseudo_residuals(rows, error, scale, loss)
-    whole = minimum(network, factors, weights, rcond)
+    whole = minimum(network, factors, weights, rcond, held)
     squares = jnp.sum((weights[None, :] * residual) ** 2)
     return Residuals(
-        Solution(
+        dataclasses.replace(
+            whole,
             k=k,
-            bread=whole.bread,
             variance=squares / jnp.maximum(jnp.sum(rows.counts) - whole.rank, 1.0),
-            rank=whole.rank,
-            condition=whole.condition,
-            undetermined=whole.undetermined,
-            determined=whole.determined,
             result=RESULTS.where(jnp.all(jnp.isfinite(k)), whole.result, RESULTS.nonfinite),
         ),
         weights,
@@ -90,6 +89,7 @@ def with_errors(
     factors: JointFactors,
     found: Residuals,
     errors: Errors,
+    held: Held | None = None,
 ) -> Identification:
     """The fit with standard errors that allow for independent or for correlated errors."""
     solution, weights, residual = found
@@ -111,6 +111,7 @@ def with_errors(
         freedom=freedom,
         effective=effective,
         errors=errors,
+        held=held,
     )
 
 
@@ -133,13 +134,14 @@ def _reweighted(
     residual_weights: bool,
     loss: Loss,
     rcond: float | None,
+    held: Held | None,
 ) -> Float[Array, " coefficients"]:
     def improve(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         k, _, rounds = state
         error, scale = _errors(network, rows, k)
         root = jnp.sqrt(weight(loss, error / scale[None, :]))
         own = 1.0 / scale if residual_weights else weights
-        better = minimum(network, rows.factors(network, root), own, rcond).k
+        better = minimum(network, rows.factors(network, root), own, rcond, held).k
         return better, jnp.max(jnp.abs(better - k)) / jnp.max(jnp.abs(better)), rounds + 1
 
     def unsettled(state: tuple[Array, Array, Array]) -> Array:

@@ -1,5 +1,6 @@
 import dataclasses
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,9 +16,11 @@ from ..motion import (
 )
 from ..network import CSLC
 from ._correlated import ERRORS, Errors
+from ._held import Known
 from ._identification import Identification
 from ._least_squares import least_squares
 from ._losses import LOSSES, Loss
+from ._relearn import relearn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,14 +129,22 @@ alike at 15 Hz, joints weighted by residual
 
         **Raises** as `least_squares`.
         """
-        return least_squares(
-            network,
-            patterns,
-            cutoff=self.cutoff,
-            joint_weights=self.joint_weights,
-            loss=self.loss,
-            errors=self.errors,
-        )
+        return least_squares(network, patterns, **self.options)
+
+    def relearn(
+        self, network: CSLC, patterns: Patterns, known: Known, groups: Sequence[str]
+    ) -> Identification:
+        """A part of the coefficients under these settings.
+
+        **Raises** as `relearn`.
+        """
+        return relearn(network, patterns, known, groups=groups, **self.options)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Those of the solvers: `cutoff`, `joint_weights`, `loss` and `errors`."""
+        names = ("cutoff", "joint_weights", "loss", "errors")
+        return {name: getattr(self, name) for name in names}
 
     def trimmed(self, recording: Recording) -> int:
         """How many samples `patterns` drops at both ends of a recording."""

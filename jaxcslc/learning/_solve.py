@@ -1,9 +1,11 @@
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..network import CSLC
 from ._factors import JointFactors
+from ._held import Held
 from ._identification import Identification
 from ._solution import RESULTS
 
@@ -12,8 +14,9 @@ class Solution(eqx.Module):
     """The minimum of factorised equations, before anything is said of errors.
 
     `bread` (p, p) is the pseudo-inverse of the weighted regressor's Gram matrix, `variance` the
-    mean square of the weighted residual for the degrees of freedom that are left; the others are
-    as in `Identification`.
+    mean square of the weighted residual for the degrees of freedom that are left; `inherited`
+    (p, p) is what errors of coefficients that were held do to all, None if none were; the others
+    are as in `Identification`.
     """
 
     k: Float[Array, " coefficients"]
@@ -24,6 +27,7 @@ class Solution(eqx.Module):
     undetermined: Float[Array, "coefficients coefficients"]
     determined: Bool[Array, " coefficients"]
     result: RESULTS
+    inherited: Float[Array, "coefficients coefficients"] | None = None
 
 
 def minimum(
@@ -31,15 +35,25 @@ def minimum(
     factors: JointFactors,
     weights: Float[Array, " joints"],
     rcond: float | None,
+    held: Held | None = None,
 ) -> Solution:
     """The least-squares solution of factorised equations, joints weighted.
 
     A singular value decomposition of the one triangle that is left, its columns scaled to unit
-    length so that neither rank nor condition depends on units.
+    length so that neither rank nor condition depends on units. What held coefficients explain is
+    taken off the target; their columns come behind those that are fitted, whose triangle then
+    tells how the fitted ones would follow the held.
     """
-    triangle = jnp.linalg.qr(factors.stacked(network, weights), mode="r")
-    p = network.size
-    matrix, target, rest = triangle[:p, :p], triangle[:p, p], triangle[p, p]
+    size = network.size
+    free = np.arange(size) if held is None else np.array(held.free)
+    p, columns = len(free), factors.stacked(network, weights)
+    if held is not None:
+        order = np.concatenate([free, held.rest])
+        columns = columns[:, np.append(order, size)]
+        # Fitted ones too: what they change by is then looked for, and nothing where they are free.
+        columns = columns.at[:, size].add(-columns[:, :size] @ held.k[order])
+    triangle = jnp.linalg.qr(columns, mode="r")
+    matrix, target, rest = triangle[:p, :p], triangle[:p, size], triangle[p:, size]
     scale = jnp.linalg.norm(matrix, axis=0)
     scale = jnp.where(scale > 0, scale, 1.0)
     left, singular, right = jnp.linalg.svd(matrix / scale[None, :], full_matrices=False)
@@ -59,7 +73,7 @@ def minimum(
     # Residual of the weighted equations: what the triangle leaves out, and what rank left out.
     lost = jnp.where(counts, 0.0, left.T @ target)
     freedom = jnp.maximum(equations - rank, 1.0)
-    variance = (rest**2 + jnp.sum(lost**2)) / freedom
+    variance = (jnp.sum(rest**2) + jnp.sum(lost**2)) / freedom
     half = (right.T * inverse[None, :]) / scale[:, None]
 
     # Null space of the scaled matrix, brought back to the coefficients' units.
@@ -68,7 +82,7 @@ def minimum(
     finite = jnp.all(jnp.isfinite(triangle))
     result = RESULTS.where(rank < p, RESULTS.rank_deficient, RESULTS.successful)
     result = RESULTS.where(equations < p, RESULTS.no_equations, result)
-    return Solution(
+    solution = Solution(
         k=k,
         bread=half @ half.T,
         variance=variance,
@@ -78,6 +92,32 @@ def minimum(
         determined=share < 1e-6,
         result=RESULTS.where(finite, result, RESULTS.nonfinite),
     )
+    return (
+        solution if held is None else _among(solution, held, -half @ left.T @ triangle[:p, p:size])
+    )
+
+
+def _among(part: Solution, held: Held, follow: Float[Array, "fitted held"]) -> Solution:
+    """The solution for some coefficients as one for all.
+
+    - `follow`: how the fitted coefficients change with those that are held.
+    """
+    free, rest = np.array(held.free), held.rest
+    p = len(held.k)
+    square = jnp.zeros((p, p))
+    inherited = square.at[np.ix_(free, rest)].set(follow).at[rest, rest].set(1.0)
+    finite = jnp.all(jnp.isfinite(held.k))
+    return Solution(
+        k=held.k.at[free].add(part.k),
+        bread=square.at[np.ix_(free, free)].set(part.bread),
+        variance=part.variance,
+        rank=part.rank,
+        condition=part.condition,
+        undetermined=square.at[: len(free), free].set(part.undetermined),
+        determined=held.determined.at[free].set(part.determined),
+        result=RESULTS.where(finite, part.result, RESULTS.nonfinite),
+        inherited=inherited,
+    )
 
 
 def solve(
@@ -85,9 +125,10 @@ def solve(
     factors: JointFactors,
     weights: Float[Array, " joints"],
     rcond: float | None,
+    held: Held | None = None,
 ) -> tuple[Solution, Identification]:
     """The least-squares fit of factorised equations, for errors that are independent."""
-    solution = minimum(network, factors, weights, rcond)
+    solution = minimum(network, factors, weights, rcond, held)
     total = jnp.sum(factors.counts)
     return solution, identification(
         network,
@@ -97,6 +138,7 @@ def solve(
         freedom=jnp.maximum(total - solution.rank, 1.0),
         effective=factors.counts,
         errors="independent",
+        held=held,
     )
 
 
@@ -109,14 +151,25 @@ def identification(
     freedom: Float[Array, ""],
     effective: Float[Array, " joints"],
     errors: str,
+    held: Held | None = None,
 ) -> Identification:
-    """What users are handed; `factors` are those of all equations that count, unweighted."""
+    """What users are handed; `factors` are those of all equations that count, unweighted.
+
+    Errors of coefficients that were held have nothing to do with this recording's: covariances
+    add up.
+    """
+    independent = solution.variance * solution.bread
+    if held is not None and solution.inherited is not None:
+        inherited = solution.inherited
+        covariance = covariance + inherited @ held.covariance @ inherited.T
+        independent = independent + inherited @ held.independent_covariance @ inherited.T
+        freedom = jnp.minimum(freedom, held.freedom)
     norms = factors.residual_norms(network, solution.k)
     return Identification(
         k=solution.k,
         standard_error=jnp.where(solution.determined, jnp.sqrt(jnp.diag(covariance)), jnp.inf),
         covariance=covariance,
-        independent_covariance=solution.variance * solution.bread,
+        independent_covariance=independent,
         torque_error=norms / jnp.sqrt(jnp.maximum(factors.counts, 1.0)),
         equations=factors.counts,
         effective_equations=effective,

@@ -157,3 +157,32 @@ def test_coefficients_that_do_not_fit(puma: jc.CSLC) -> None:
         jc.c_code(puma, np.ones(3))
     with pytest.raises(ValueError, match="not all finite"):
         jc.c_code(puma, np.full(43, np.nan))
+
+
+@pytest.mark.parametrize("link", [None, 4])
+def test_a_payload(
+    link: int | None, puma: jc.CSLC, puma_k: Any, compiled: Compiled, rng: np.random.Generator
+) -> None:
+    """One body with its link; beside the closed form where coefficients belong to no bodies."""
+    network = puma.with_payload(link)
+    ten = rng.normal(size=10)
+    code = jc.c_code(network, np.concatenate([puma_k, ten]))
+    _agrees(network, jnp.concatenate([puma_k, ten]), compiled(code), rng)
+    # A link of ten numbers in place of one of three, and no second recursion.
+    assert code.operations["torque"] < jc.c_code(puma, puma_k).operations["torque"] + 80
+
+
+def test_a_payload_beside_the_closed_form(
+    puma: jc.CSLC, compiled: Compiled, rng: np.random.Generator
+) -> None:
+    network = puma.with_payload()
+    k = rng.normal(size=network.size)
+    _agrees(network, k, compiled(jc.c_code(network, k)), rng)
+
+
+def test_a_payload_of_a_tree_with_every_friction_word(
+    compiled: Compiled, rng: np.random.Generator
+) -> None:
+    network = jc.derive(_WORDS.with_coupling((1, 3)), lengths="numeric").with_payload(2)
+    k = rng.normal(size=network.size)
+    _agrees(network, k, compiled(jc.c_code(network, k)), rng)

@@ -181,6 +181,19 @@ def test_writing_twice_is_writing_once(file: Path, rng: np.random.Generator) -> 
     assert file.with_stem("twice").read_bytes() == file.with_stem("once").read_bytes()
 
 
+def test_a_payload_is_no_part_of_the_robot(file: Path, rng: np.random.Generator) -> None:
+    """The file is that of the arm without it, and says that it was left out."""
+    network = jc.derive(jc.load_robot(file), lengths="numeric")
+    loaded = network.with_payload()
+    found = found_near(loaded, rng)
+    assert found.k.shape == (loaded.size,)
+    written = jc.write_robot(loaded, found, file.with_stem("loaded"))
+    jc.write_robot(network, found, file.with_stem("alone"))
+    assert written.left_out == loaded.names[-10:]
+    assert np.max(written.largest) < _ROUNDING
+    assert file.with_stem("loaded").read_bytes() == file.with_stem("alone").read_bytes()
+
+
 def test_pinocchio_reads_the_same(tmp_path: Path, rng: np.random.Generator) -> None:
     """An independent reader of URDF: the bodies in the file move as the parameters say."""
     path = tmp_path / "arm.urdf"
