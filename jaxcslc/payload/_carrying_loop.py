@@ -53,7 +53,7 @@ class CarryingLoop(eqx.Module):
     estimator: PayloadEstimator
     filter: LowPassChain
     fade: float
-    compensating: float
+    compensating: float | Float[Array, ""]
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class CarryingLoop(eqx.Module):
         *,
         filter: LowPassChain | None = None,
         fade: float = 0.05,
-        compensating: float = 1.0,
+        compensating: float | Float[Array, ""] = 1.0,
     ) -> None:
         """**Raises** `ValueError` if controller and estimator have not the same coefficients."""
         own = controller.network.size - (0 if controller.network.payload is None else 10)

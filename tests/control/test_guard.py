@@ -1,0 +1,119 @@
+"""Faults are found, named, and the arm is brought to rest; a healthy arm is left alone."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+
+import jaxcslc as jc
+import sim
+from jaxcslc.control import FAULTS, ComputedTorque, Guard, Loop, Reference
+
+
+MACHINE = sim.disturbed(sim.puma560(), "quantisation", "static friction")
+LIMIT = np.array(MACHINE.maximum_torque)
+START = np.array([0.0, -1.2, 0.6, 0.3, 0.5, 0.2])
+PATH = sim.MinimumJerk(START + np.array([0.8, 0.5, -0.5, 0.9, -0.8, 1.0]), 1.0)
+BEGINS = 0.3  # of each fault [s]
+
+
+@pytest.fixture(scope="module")
+def guard(puma: jc.CSLC) -> Guard:
+    assert puma.robot.links is not None
+    k = puma.coefficients_from(puma.robot.links, viscous=MACHINE.viscous, dry=MACHINE.dry)
+    # A model that is some percent off, as identified ones are.
+    k = k * jnp.asarray(1 + 0.05 * np.random.default_rng(0).uniform(-1, 1, k.shape))
+    controller = ComputedTorque(
+        puma, k, 20.0, friction_at="reference", friction_width=0.02, torque_limit=LIMIT
+    )
+    return Guard(Loop(controller), puma, k, torque_limit=LIMIT)
+
+
+def _performed(guard: Guard, *faults: sim.Fault) -> tuple[sim.ClosedLoop, tuple[str, ...]]:
+    def seen(state: Any) -> dict[str, Array]:
+        return {"fault": state.loop.fault, "found": state.loop.found, "torque": state.loop.torque}
+
+    # One guard sees one arm: servos hand it rows of one.
+    loops = jax.tree_util.tree_map(lambda x: x[None] if eqx.is_array(x) else x, guard)
+    trajectory = sim.Trajectory(
+        "guarded", START, sim.Servo(loops, PATH, per_machine=True), 600, faults=faults
+    )
+    (result,) = sim.close_loop([MACHINE], trajectory, [1], observe=seen)
+    assert isinstance(result, sim.ClosedLoop)
+    found = [
+        f"joint {j + 1}: {FAULTS[code]}"
+        for j, code in enumerate(result.observed["fault"][-1])
+        if code
+    ]
+    return result, tuple(found)
+
+
+def test_a_healthy_arm_is_left_alone(guard: Guard) -> None:
+    result, found = _performed(guard)
+    assert found == ()
+    end = np.asarray(PATH.reference(np.array([1.0]), START).q)
+    assert np.max(np.abs(result.truth.position[-1] - end)) < 0.02
+
+
+@pytest.mark.parametrize("kind", FAULTS[1:])
+@pytest.mark.parametrize("joint", [1, 2, 5])
+def test_faults_are_named_and_the_arm_comes_to_rest(guard: Guard, kind: str, joint: int) -> None:
+    result, found = _performed(guard, sim.Fault(kind, joint, start=BEGINS))
+    assert found == (f"joint {joint}: {kind}",)
+    when = result.observed["found"][-1][joint - 1]
+    assert 0 < when - BEGINS < 0.06
+    assert np.all(np.abs(result.observed["torque"]) <= LIMIT)
+    late = result.truth.time > when + guard.stop + 0.5  # friction stops what model error leaves
+    assert np.max(np.abs(result.truth.velocity[late])) < 0.02
+    assert np.max(np.abs(result.truth.position - START)) < 1.2
+
+
+def test_a_few_lost_samples_are_bridged(guard: Guard) -> None:
+    result, found = _performed(
+        guard, sim.Fault("lost samples", None, start=BEGINS, stop=BEGINS + 0.01)
+    )
+    assert found == ()
+    assert np.count_nonzero(result.truth.lost[:, 0]) == guard.allowed
+
+
+def test_all_samples_lost(guard: Guard) -> None:
+    """Without any reading the arm follows its model to rest."""
+    result, found = _performed(guard, sim.Fault("lost samples", None, start=BEGINS))
+    assert found == tuple(f"joint {j}: lost samples" for j in range(1, 7))
+    late = result.truth.time > BEGINS + guard.stop + 0.2
+    assert np.max(np.abs(result.truth.velocity[late])) < 0.02
+
+
+def test_the_report_names_joint_fault_and_time(guard: Guard) -> None:
+    q = jnp.asarray(START)
+    state, step = guard.begin(q), eqx.filter_jit(guard.step)
+    gone = q.at[3].set(jnp.nan)
+    for n in range(20):
+        torque, state = step(state, Reference.rest(q), gone if n >= 5 else q, 0.002)
+        assert np.all(np.isfinite(torque))
+    assert guard.report(state) == ("joint 4: lost samples, found at 0.020 s",)
+    assert guard.report(guard.begin(q)) == ()
+
+
+def test_side_by_side_as_alone(guard: Guard, rng: np.random.Generator) -> None:
+    q = START + 0.01 * rng.normal(size=(3, 6))
+    reference = Reference(q, 0 * q, 0 * q)
+    states = jax.vmap(guard.begin)(q)
+    step = eqx.filter_jit(eqx.filter_vmap(guard.step, in_axes=(0, 0, 0, None)))
+    torque, states = step(states, reference, q, 0.002)
+    alone, _ = eqx.filter_jit(guard.step)(guard.begin(q[1]), Reference.rest(q[1]), q[1], 0.002)
+    np.testing.assert_allclose(torque[1], alone, atol=1e-9)
+    assert states.fault.shape == (3, 6)
+
+
+def test_refusals(puma: jc.CSLC, puma_k: Array, guard: Guard) -> None:
+    with pytest.raises(ValueError, match="k: expected shape"):
+        Guard(guard.loop, puma, puma_k[:3], torque_limit=1.0)
+    with pytest.raises(ValueError, match="torque_limit: expected one number or 6"):
+        Guard(guard.loop, puma, puma_k, torque_limit=[1.0, 2.0])
+    with pytest.raises(ValueError, match=r"breakaway of joint 1 is -1\.0"):
+        Guard(guard.loop, puma, puma_k, torque_limit=1.0, breakaway=-1.0)
