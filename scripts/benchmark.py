@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio
 from benchmark_metrics import Metric, best_of, report
+from control_benchmark import metrics as control_metrics
 from robot_benchmark import metrics as robot_metrics
 from training_benchmark import training
 
@@ -237,6 +238,7 @@ def main() -> None:
         training(),
         waiting(),
         robot_metrics(),
+        control_metrics(),
     ]
     if arguments.full:
         Path("build").mkdir(exist_ok=True)

@@ -2,6 +2,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..control import ComputedTorque, Loop, LoopState, LowPassChain, Reference
@@ -79,7 +80,7 @@ class CarryingLoop(eqx.Module):
         self.filter = Loop(controller).filter if filter is None else filter
         self.fade, self.compensating = fade, compensating
 
-    def begin(self, q: Float[Array, " joints"]) -> CarryingState:
+    def begin(self, q: Float[Array | np.ndarray, " joints"]) -> CarryingState:
         """The state before the first sample, without payload, the joints at rest at `q` (n,)."""
         loop = Loop(self.controller, self.filter)
         return CarryingState(loop.begin(q), self.estimator.begin(q), jnp.zeros(10))
@@ -88,7 +89,7 @@ class CarryingLoop(eqx.Module):
         self,
         state: CarryingState,
         reference: Reference,
-        q: Float[Array, " joints"],
+        q: Float[Array | np.ndarray, " joints"],
         interval: float | Array,
     ) -> tuple[Float[Array, " joints"], CarryingState]:
         """The torque to ask for when encoders read `q`, and the state to go on with.
