@@ -62,6 +62,9 @@ class MinimumJerk(AbstractPath):
 class ViaPoints(AbstractPath):
     """From pose to pose, each time from rest to rest along `minimum_jerk`, with a stay at each.
 
+    With a first axis of machines in all three tables, each machine has a way of its own, as many
+    poses long.
+
     ```python
     >>> import numpy as np
     >>> from sim import ViaPoints
@@ -78,18 +81,18 @@ class ViaPoints(AbstractPath):
     - `MachineError`: not one duration and one stay a pose, or a duration that is not positive.
     """
 
-    poses: Float[np.ndarray, "poses joints"]
+    poses: Float[np.ndarray, "*machines poses joints"]
     """Where it stops [rad or m]."""
 
-    durations: Float[np.ndarray, " poses"]
+    durations: Float[np.ndarray, "... _"]
     """Of the way to each pose [s]."""
 
-    stays: Float[np.ndarray, " poses"]
+    stays: Float[np.ndarray, "... _"]
     """How long it stays there before it goes on [s]; the last pose is held for ever."""
 
     def __post_init__(self) -> None:
-        count = len(self.poses)
-        if not count or self.durations.shape != (count,) or self.stays.shape != (count,):
+        shape, count = self.poses.shape[:-1], self.poses.shape[-2]
+        if not count or self.durations.shape != shape or self.stays.shape != shape:
             raise MachineError(
                 f"path of {count} poses, {self.durations.size} durations and {self.stays.size}"
                 " stays; expected one of each a pose"
@@ -98,21 +101,24 @@ class ViaPoints(AbstractPath):
             raise MachineError("path: expected durations above zero, and no negative stays")
 
     @property
-    def arrivals(self) -> Float[np.ndarray, " poses"]:
+    def arrivals(self) -> Float[np.ndarray, "*machines poses"]:
         """When each pose is reached [s]."""
-        return np.cumsum(self.durations) + np.cumsum(self.stays) - self.stays
+        return np.cumsum(self.durations, -1) + np.cumsum(self.stays, -1) - self.stays
 
     def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
     ) -> Reference:
         """As the abstract method."""
-        duration = spread(self.durations, time)
-        first = spread(self.poses[0], origin) - origin
-        rest = namespace(origin).asarray(np.diff(self.poses, axis=0), dtype=origin.dtype)
-        s, rate, change = _minimum_jerk(1 + (time - spread(self.arrivals, time)) / duration)
+        alike = self.poses.ndim == 2
+        own = spread if alike else _of_each
+        duration = own(self.durations, time)
+        first = own(self.poses[..., 0, :], origin) - origin
+        rest = namespace(origin).asarray(np.diff(self.poses, axis=-2), dtype=origin.dtype)
+        s, rate, change = _minimum_jerk(1 + (time - own(self.arrivals, time)) / duration)
 
         def along(each: Array) -> Array:
-            return first * each[..., :1] + each[..., 1:] @ rest
+            later = each[..., 1:] @ rest if alike else (each[..., None, 1:] @ rest)[..., 0, :]
+            return first * each[..., :1] + later
 
         return Reference(origin + along(s), along(rate / duration), along(change / duration**2))
 
@@ -234,6 +240,11 @@ def minimum_jerk(s: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     ```
     """
     return _minimum_jerk(s)[0]
+
+
+def _of_each(values: np.ndarray, like: Array) -> Array:
+    """A row for each row of another array (machines, n), in its library and of its type."""
+    return namespace(like).asarray(values, dtype=like.dtype)
 
 
 def _minimum_jerk(s: Array) -> tuple[Array, Array, Array]:

@@ -41,7 +41,8 @@ def kinds(notebook: nbformat.NotebookNode) -> list[list[tuple[str, ...]]]:
 
 
 def test_there_are_notebooks() -> None:
-    assert [path.name for path in NOTEBOOKS] == ["learning_networks.ipynb"]
+    names = ["control.ipynb", "learning_networks.ipynb", "payload.ipynb"]
+    assert [path.name for path in NOTEBOOKS] == names
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -5,6 +5,11 @@ from ._coefficient_table import (
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,
 )
+from ._control_pictures import (
+    control_error_picture as control_error_picture,
+    joint_error_picture as joint_error_picture,
+    traced_path_picture as traced_path_picture,
+)
 from ._errors import (
     ErrorTable as ErrorTable,
     compare as compare,
@@ -32,6 +37,12 @@ from ._output import (
     all_or_nothing as all_or_nothing,
     write_csv as write_csv,
     write_json as write_json,
+)
+from ._payload_pictures import (
+    PayloadCurve as PayloadCurve,
+    Spread as Spread,
+    hand_error_picture as hand_error_picture,
+    payload_picture as payload_picture,
 )
 from ._pictures import save_picture as save_picture, torque_picture as torque_picture
 from ._relearning_picture import relearning_picture as relearning_picture

@@ -68,7 +68,7 @@ def budget_picture(
     axes.grid(False, axis="y")
     axes.grid(alpha=0.15, axis="x", which="minor")
     axes.tick_params(axis="y", length=0)
-    _readable_decades(axes)
+    readable_decades(axes)
     low, high = (f"{100 * quantile:.3g} %" for quantile in quantiles)
     axes.set_xlabel(f"{quantity}: mean, and {low} to {high} of the seeds")
     legend_below(axes)
@@ -96,7 +96,7 @@ def _bars(
     )
 
 
-def _readable_decades(axes: "Axes") -> None:
+def readable_decades(axes: "Axes") -> None:
     """Ticks at 1, 2 and 5 of every decade, as plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 

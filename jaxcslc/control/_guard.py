@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..network import CSLC
+from ._computed_torque import smooth_friction
 from ._gains import PerJoint, per_joint
 from ._low_pass import LowPassChain
 from ._reference import Reference
@@ -19,6 +20,7 @@ _NONE, _LOST, _STUCK, _REVERSED = range(4)
 _WEIGHED = 0.02  # s
 # A healthy encoder shows a motion of this much; some counts of the coarsest.
 _UNSEEN = 1e-3  # rad or m
+_SLOW = 0.02  # rad/s or m/s
 # Samples that read the same before a reading is looked at as stuck.
 _ALIKE = 5
 
@@ -129,7 +131,7 @@ class Guard(eqx.Module):
         """**Arguments**
 
         - as the attributes. `breakaway`, if omitted, is 1.6 times the friction of a very slow joint
-          and a hundredth of the torque limit; the filter has three lags of 30 Hz.
+          and a fiftieth of the torque limit; the filter has three lags of 30 Hz.
 
         **Raises**
 
@@ -143,7 +145,7 @@ class Guard(eqx.Module):
         self.torque_limit = per_joint("torque_limit", torque_limit, n, 0.0)
         if breakaway is None:
             slow = jnp.abs(network.friction_term(self.k, jnp.full(n, 1e-6)))
-            breakaway = 1.6 * slow + 0.01 * self.torque_limit
+            breakaway = 1.6 * slow + 0.02 * self.torque_limit
         self.breakaway = per_joint("breakaway", breakaway, n, 0.0)
         self.filter = LowPassChain(30.0, lags=3) if filter is None else filter
         self.patience, self.stop, self.allowed = patience, stop, allowed
@@ -230,7 +232,7 @@ class Guard(eqx.Module):
 
         missing = jnp.where(lost, state.missing + 1, 0)
         alike = jnp.where(~lost & (q == state.position), state.alike + 1, 0)
-        needed = self.network.torque(self.k, *self.filter.read(motion))
+        needed = self._needed(*self.filter.read(motion))
         asked = self.filter.read(effort).value
         pushed = (alike >= _ALIKE) & (jnp.abs(asked - needed) > self.breakaway)
         held = jnp.where(pushed, state.held + interval, 0.0)
@@ -265,6 +267,12 @@ class Guard(eqx.Module):
             held=held,
             evidence=evidence,
         )
+
+    def _needed(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """The torque of a motion; at rest without friction, whose sign nobody knows there."""
+        rigid = self.network.torque(self.network.without_friction(self.k), q, qd, qdd)
+        width = jnp.full(qd.shape, _SLOW)
+        return rigid + smooth_friction(self.network, self.k, qd, width)
 
     def _stopping(self, state: GuardState, reference: Reference) -> Reference:
         """The reference, or the way to rest: slower at a constant rate, then still."""

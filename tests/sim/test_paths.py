@@ -65,6 +65,29 @@ def test_via_points_rest_at_every_pose():
             np.testing.assert_allclose(at.qdd, 0.0, atol=1e-8)
 
 
+def test_via_points_of_each_machine_are_its_own(rng: np.random.Generator):
+    poses, durations, stays = (
+        rng.normal(size=(3, 4, 2)),
+        rng.uniform(0.2, 0.5, (3, 4)),
+        rng.uniform(0.0, 0.2, (3, 4)),
+    )
+    together = ViaPoints(poses, durations, stays)
+    time, origin = rng.uniform(0, 2, (3, 1)), rng.normal(size=(3, 2))
+    found = together.reference(time, origin)
+    traced = jax.jit(together.reference)(jnp.asarray(time), jnp.asarray(origin))
+    for i in range(3):
+        alone = ViaPoints(poses[i], durations[i], stays[i])
+        np.testing.assert_allclose(together.arrivals[i], alone.arrivals)
+        expected = alone.reference(time[i], origin[i])
+        for name in ("q", "qd", "qdd"):
+            np.testing.assert_allclose(getattr(found, name)[i], getattr(expected, name), atol=1e-12)
+            np.testing.assert_allclose(
+                getattr(traced, name)[i], getattr(expected, name), atol=1e-11
+            )
+    with pytest.raises(sim.MachineError, match="expected one of each a pose"):
+        ViaPoints(poses, durations[0], stays)
+
+
 def test_one_pose_is_minimum_jerk(rng: np.random.Generator):
     end, time, origin = rng.normal(size=3), rng.uniform(0, 3, (9, 1)), rng.normal(size=(9, 3))
     one = ViaPoints(end[None], np.array([2.0]), np.zeros(1)).reference(time, origin)

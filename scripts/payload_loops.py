@@ -1,0 +1,98 @@
+"""Feedback loops of the payload study: several robots' in one, and one that is told its payload."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxcslc import CSLC, LinkParameters
+from jaxcslc.control import ComputedTorque, Loop, LoopState, Reference
+
+
+class Team(eqx.Module):
+    """Loops of several robots, alike but for their arrays, as one of (robots, joints).
+
+    One after the other on purpose: under `vmap` every robot's `PayloadEstimator` would do at each
+    sample what it is to do at every tenth.
+    """
+
+    loops: Any
+    """One loop, whose arrays have a first axis of robots."""
+
+    @classmethod
+    def of(cls, loops: Sequence[Any]) -> "Team":
+        def stacked(*leaves: Any) -> Any:
+            return jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0]
+
+        return cls(jax.tree_util.tree_map(stacked, *loops))
+
+    def begin(self, q: Float[Array, "robots joints"]) -> Any:
+        """Each robot's state."""
+        arrays, rest = eqx.partition(self.loops, eqx.is_array)
+
+        def one(own: Any) -> Any:
+            return eqx.combine(own[0], rest).begin(own[1])
+
+        return jax.lax.map(one, (arrays, q))
+
+    def step(
+        self, state: Any, reference: Reference, q: Float[Array, "robots joints"], interval: float
+    ) -> tuple[Float[Array, "robots joints"], Any]:
+        """Each robot's torque and state."""
+        arrays, rest = eqx.partition(self.loops, eqx.is_array)
+
+        def one(own: Any) -> Any:
+            return eqx.combine(own[0], rest).step(*own[1:], interval)
+
+        return jax.lax.map(one, (arrays, state, reference, q))
+
+
+class Told(eqx.Module):
+    """Computed torque that is told when it carries which body."""
+
+    loop: Loop
+    body: Float[Array, "10"]
+    start: Float[Array, ""]
+    stop: Float[Array, ""]
+
+    @classmethod
+    def of(
+        cls,
+        controller: ComputedTorque,
+        network: CSLC,
+        body: LinkParameters | None = None,
+        start: float = 0.0,
+        stop: float = 0.0,
+    ) -> "Told":
+        """From the arm's controller, and the arm's network with payload."""
+        own = network.coefficients_from
+        k = jnp.concatenate([controller.k, jnp.zeros(10)])
+        links = [LinkParameters(0.0, jnp.zeros(3), jnp.zeros((3, 3)))] * network.joint_count
+        ten = jnp.zeros(10) if body is None else jnp.asarray(own(links, payload=body))[-10:]
+        return cls(
+            Loop(controller.with_network(network, k)), ten, jnp.asarray(start), jnp.asarray(stop)
+        )
+
+    def begin(self, q: Float[Array, " joints"]) -> tuple[Float[Array, ""], LoopState]:
+        """Its clock, and the loop's state."""
+        return jnp.zeros(()), self.loop.begin(q)
+
+    def step(
+        self,
+        state: tuple[Float[Array, ""], LoopState],
+        reference: Reference,
+        q: Float[Array, " joints"],
+        interval: float,
+    ) -> tuple[Float[Array, " joints"], tuple[Float[Array, ""], LoopState]]:
+        """As `Loop.step`."""
+        clock, own = state
+        carrying = (clock > self.start - 0.5 * interval) & (clock < self.stop - 0.5 * interval)
+        controller = self.loop.controller
+        assert isinstance(controller, ComputedTorque)
+        k = controller.k.at[-10:].set(jnp.where(carrying, self.body, 0.0))
+        loop = Loop(controller.with_coefficients(k), self.loop.filter)
+        torque, own = loop.step(own, reference, q, interval)
+        return torque, (clock + interval, own)
