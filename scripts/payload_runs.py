@@ -41,7 +41,7 @@ class Case(NamedTuple):
 CASES = {
     "encoders": Case("quantised encoders", ("quantisation",)),
     "friction": Case("static friction as well", ("quantisation", "static friction")),
-    "slowly": Case("the same, placed slowly", ("quantisation", "static friction"), 2.5),
+    "slowly": Case("static friction, placed slowly", ("quantisation", "static friction"), 2.5),
     "everything": Case("all disturbances", ()),
 }
 
@@ -135,7 +135,8 @@ class Study:
         arms: list[Arm] = []
         for machine, each, run, controller in zip(machines, found, empty, controllers, strict=True):
             top = np.abs(np.asarray(each.patterns.qd)).max(axis=0)
-            slowest = np.maximum(np.array(each.settings.thresholds), 0.1 * top)
+            # A threshold that leaves hardly any motion would leave hardly any payload to be seen.
+            slowest = np.clip(np.array(each.settings.thresholds), 0.1 * top, 0.2 * top)
             settings = dataclasses.replace(each.settings, thresholds=tuple(slowest.tolist()))
             # On the way gears that are apart are not left out: their errors count.
             open_eyed = dataclasses.replace(settings, backlash=False).patterns(run.recording)
