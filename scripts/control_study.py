@@ -21,7 +21,8 @@ machines run side by side.
   and of the flange. Effort is of the torque demanded.
 
 `--ideal` prints what a perfect model without disturbances does beside the response that the gains
-prescribe; `--stability N` lets the arm make N random motions a controller instead of the study.
+prescribe; `--stability N` lets the arm make N random motions a controller instead of the study,
+many of them faster than the drives can follow, each loop kept within joint ranges by `WithinRange`.
 Rows of finished machines are kept in `rows.jsonl`, by the options that made them: a call that was
 interrupted goes on from there, with the coefficients in `coefficients.npz`. Remove both after a
 change of the code.
@@ -45,7 +46,14 @@ from tqdm import tqdm
 import jaxcslc as jc
 import sim
 from jaxcslc.assessment import write_csv
-from jaxcslc.control import PID, ComputedTorque, Loop, LowPassChain, abbreviated_gravity
+from jaxcslc.control import (
+    PID,
+    ComputedTorque,
+    Loop,
+    LowPassChain,
+    WithinRange,
+    abbreviated_gravity,
+)
 from sim._fingerprint import fingerprint
 from sim._trajectories import FLANGE
 
@@ -73,7 +81,12 @@ START = np.array([0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0])  # the comparison 
 MARGIN = 0.2  # of a joint's range at either end, that targets keep away from
 CENTRE, RADIUS, NORMAL = (0.6, 0.15, -0.1), 0.1, (1.0, 0.0, 1.0)
 NEAR = np.array([0.0, -0.5, 2.9, 0.0, 0.8, 0.0])
-STEADY = [("computed torque", name) for name in ("truth", "CSLC", "30 % wrong")]
+STEADY = [
+    *[("computed torque", name) for name in ("truth", "CSLC", "30 % wrong")],
+    *[(name, "CSLC") for name in ("PID", "PID, thesis", "PID + gravity")],
+]
+MARGIN = 0.15  # rad of joint ranges that the random motions' loops keep away from
+APPROACH = 5.0  # 1/s, at which they come near them
 EVERY = 5  # samples of a trace
 
 
@@ -111,6 +124,15 @@ class Loopings(NamedTuple):
             torque_limit=self.limit, friction_at="reference", pose=start,
         )  # fmt: skip
         return Loop(computed, low_pass)
+
+    def kept(self, controller: str, k: Any, machine: sim.Machine) -> Loop:
+        """The same, kept within the machine's joint ranges by the same coefficients."""
+        loop = self.loop(controller, k, START)
+        ends = np.array(machine.position_range) + MARGIN * np.array([1.0, -1.0])
+        within = WithinRange(
+            loop.controller, self.network, k, ends, torque_limit=self.limit, rate=APPROACH
+        )
+        return Loop(within, loop.filter)
 
 
 def machine_of(seed: int) -> sim.Machine:
@@ -396,14 +418,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             vectors = kept_coefficients(
                 network, seeds, given.samples, given.output / "coefficients.npz"
             )
+            machines = [machine_of(seed) for seed in range(seeds)]
             cases = {
                 f"{controller}, {name}": functools.partial(
-                    lambda controller, vectors, i: looping.loop(controller, vectors[i], START),
+                    lambda controller, k, i: looping.kept(controller, k[i], machines[i]),
                     controller, vectors[name],
                 )
                 for controller, name in STEADY
+                if controller in given.controllers
             }  # fmt: skip
-            machines = [machine_of(seed) for seed in range(seeds)]
             rows = stability_rows(cases, machines, given.stability, START, side_by_side)
             print(table(rows, list(rows[0])))
             write_csv(given.output / "stability.csv", rows)

@@ -17,6 +17,7 @@ from where it should have been, and what `fit_payload` says afterwards of the sa
 """
 
 import argparse
+import ctypes.util
 import hashlib
 import json
 import os
@@ -40,8 +41,10 @@ from jaxcslc.assessment import (
 )
 
 
-# Before MuJoCo is loaded: a film needs OpenGL, and no screen.
-os.environ.setdefault("MUJOCO_GL", "egl")
+# Before MuJoCo is loaded: a film needs OpenGL, and no screen. Without the library MuJoCo would not
+# load at all.
+if ctypes.util.find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 from payload_runs import (
     CASES,

@@ -12,3 +12,4 @@ from ._loop import Loop as Loop, LoopState as LoopState
 from ._low_pass import LowPassChain as LowPassChain, Smoothed as Smoothed
 from ._pid import PID as PID
 from ._reference import Reference as Reference
+from ._within_range import WithinRange as WithinRange
