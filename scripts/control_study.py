@@ -85,7 +85,7 @@ STEADY = [
     *[("computed torque", name) for name in ("truth", "CSLC", "30 % wrong")],
     *[(name, "CSLC") for name in ("PID", "PID, thesis", "PID + gravity")],
 ]
-MARGIN = 0.15  # rad of joint ranges that the random motions' loops keep away from
+KEPT_FREE = 0.15  # rad of joint ranges that the random motions' loops keep away from
 APPROACH = 5.0  # 1/s, at which they come near them
 EVERY = 5  # samples of a trace
 
@@ -128,7 +128,7 @@ class Loopings(NamedTuple):
     def kept(self, controller: str, k: Any, machine: sim.Machine) -> Loop:
         """The same, kept within the machine's joint ranges by the same coefficients."""
         loop = self.loop(controller, k, START)
-        ends = np.array(machine.position_range) + MARGIN * np.array([1.0, -1.0])
+        ends = np.array(machine.position_range) + KEPT_FREE * np.array([1.0, -1.0])
         within = WithinRange(
             loop.controller, self.network, k, ends, torque_limit=self.limit, rate=APPROACH
         )
