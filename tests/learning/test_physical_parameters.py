@@ -135,7 +135,7 @@ class TestIdentity:
         assert found.result == POSSIBILITY.successful
         np.testing.assert_allclose(found.k, np.asarray(k), atol=1e-6)
         np.testing.assert_allclose(np.asarray(found.viscous), [1, 2, 3], atol=1e-6)
-        again = elbow.coefficients_from(found.links, **found.friction)
+        again = elbow.coefficients_from(found.links, **dict[str, Any](found.friction))
         np.testing.assert_allclose(np.asarray(again), found.k, atol=_ROUNDING)
 
     def test_the_prior_is_its_own_answer(
@@ -177,7 +177,7 @@ class TestIdentity:
         assert np.count_nonzero(tensors) == 9
         assert tensors[2, 0, 0] == pytest.approx(tensors[2, 1, 1])
         assert np.asarray(found.links[1].centre_of_gravity)[1] == 0.0
-        again = network.coefficients_from(found.links, **found.friction)
+        again = network.coefficients_from(found.links, **dict[str, Any](found.friction))
         np.testing.assert_allclose(np.asarray(again), found.k, atol=_ROUNDING)
 
     def test_of_an_identification(self, elbow: jc.CSLC, random_links: Any, rng: Any) -> None:
@@ -292,7 +292,7 @@ def test_all_friction_words_come_back(rng: np.random.Generator) -> None:
     found = jc.physical_parameters(network, known(rng.uniform(0.5, 1.0, network.size)))
     assert found.friction["asymmetric_dry"].shape == (2, 2)
     assert found.friction["coupled"].shape == (1, 3)
-    again = network.coefficients_from(found.links, **found.friction)
+    again = network.coefficients_from(found.links, **dict[str, Any](found.friction))
     np.testing.assert_allclose(np.asarray(again), found.k, atol=_ROUNDING)
 
 
