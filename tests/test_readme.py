@@ -61,3 +61,16 @@ def test_the_examples_of_payload_run_one_after_the_other(
         printed.append(capsys.readouterr().out)
     assert "'pIxx', " in printed[0]
     assert "PayloadFit(1.5" in printed[1] and "LinkParameters(" in printed[1]
+
+
+def test_the_examples_of_control_run_one_after_the_other(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    known: dict[str, object] = {}
+    printed: list[str] = []
+    for example in examples_of("docs/control.md"):
+        exec(compile(example, "docs/control.md", "exec"), known)
+        printed.append(capsys.readouterr().out)
+    torque, off, found = printed
+    assert torque.startswith("[") and off.count("off by at most 0.00") == 2
+    assert found == "('joint 3: lost samples, found at 0.010 s',)\n"

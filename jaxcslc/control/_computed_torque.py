@@ -133,7 +133,10 @@ class ComputedTorque(AbstractController):
             self.inertia = jnp.diagonal(network.mass_matrix(self.k, at))
 
     def with_coefficients(self, k: Float[Array, " coefficients"]) -> "ComputedTorque":
-        """The same controller with other coefficients, (p,), which may be traced."""
+        """The same controller with other coefficients, (p,), which may be traced.
+
+        The constant diagonal that stands in for a mass term that is left out stays what it was.
+        """
         return eqx.tree_at(lambda controller: controller.k, self, k)
 
     def with_network(self, network: CSLC, k: Float[Array, " coefficients"]) -> "ComputedTorque":
@@ -184,6 +187,7 @@ class ComputedTorque(AbstractController):
             torque = self.network.torque(k, q, turning, acceleration)
             return torque if gravity else torque - self.network.gravity_term(k, q)
         torque = jnp.broadcast_to(self.inertia, acceleration.shape) * acceleration
+        torque = torque + self.network.spring_term(k, q)
         if "velocity" in self.compensation:
             torque = torque + self.network.velocity_term(k, q, turning)
         return torque + self.network.gravity_term(k, q) if gravity else torque
@@ -220,8 +224,14 @@ def smooth_friction(
     width = jnp.broadcast_to(jnp.asarray(width, qd.dtype), qd.shape)
     within = jnp.abs(qd) < width
     share = jnp.where(within, 0.5 + 0.5 * qd / jnp.where(width > 0, width, 1.0), 1.0)
-    forwards = network.friction_term(k, jnp.where(within, width, qd))
-    backwards = network.friction_term(k, jnp.where(within, -width, qd))
+    # One joint's speed at a time: coupled joints rub by each other's.
+    own = jnp.broadcast_to(jnp.eye(qd.shape[-1], dtype=bool), (*qd.shape, qd.shape[-1]))
+
+    def beside(ends: Array) -> Array:
+        each = jnp.where(own & within[..., None, :], ends[..., None, :], qd[..., None, :])
+        return jnp.diagonal(network.friction_term(k, each), axis1=-2, axis2=-1)
+
+    forwards, backwards = beside(width), beside(-width)
     return share * forwards + (1.0 - share) * backwards
 
 

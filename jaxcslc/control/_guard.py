@@ -3,6 +3,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ..network import CSLC
@@ -77,6 +78,7 @@ class Guard(eqx.Module):
     The first fault ends the motion: from where it is the arm is slowed down uniformly within
     `stop` seconds and held. Joints without a reading follow the model alone, and then friction
     and gravity compensation hold them; a reversed drive is driven reversed. What was found stays.
+    What comes later is named only if readings are lost: a fault shakes the other joints.
 
     One robot at a time, (n,); `vmap` over several.
 
@@ -144,10 +146,27 @@ class Guard(eqx.Module):
             raise ValueError(f"k: expected shape ({network.size},), got {self.k.shape}")
         self.torque_limit = per_joint("torque_limit", torque_limit, n, 0.0)
         if breakaway is None:
-            slow = jnp.abs(network.friction_term(self.k, jnp.full(n, 1e-6)))
-            breakaway = 1.6 * slow + 0.02 * self.torque_limit
+            slow = [
+                jnp.abs(network.friction_term(self.k, jnp.full(n, speed)))
+                for speed in (1e-6, -1e-6)
+            ]
+            breakaway = 1.6 * jnp.maximum(*slow) + 0.02 * self.torque_limit
         self.breakaway = per_joint("breakaway", breakaway, n, 0.0)
+        if not isinstance(self.breakaway, Tracer):
+            each = np.asarray(self.breakaway)
+            for joint in np.flatnonzero(~((each > 0) & np.isfinite(each))):
+                raise ValueError(
+                    f"breakaway of joint {joint + 1} is {each[joint]}; expected a finite torque"
+                    " above 0"
+                )
         self.filter = LowPassChain(30.0, lags=3) if filter is None else filter
+        if self.filter.lags < 3:
+            raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
+        for name, time in (("patience", patience), ("stop", stop)):
+            if not time > 0:
+                raise ValueError(f"{name} is {time} s; expected more than 0")
+        if allowed < 0:
+            raise ValueError(f"allowed is {allowed}; expected 0 or more samples")
         self.patience, self.stop, self.allowed = patience, stop, allowed
 
     def begin(self, q: Float[Array | np.ndarray, " joints"]) -> GuardState:
@@ -227,7 +246,8 @@ class Guard(eqx.Module):
         )
         # Before the first sample the drives held the arm.
         first = state.time == 0
-        held_still = self.filter.begin(self.network.gravity_term(self.k, seen))
+        still = jnp.zeros_like(seen)
+        held_still = self.filter.begin(self._needed(seen, still, still))
         effort = jnp.where(first, held_still, effort)
 
         missing = jnp.where(lost, state.missing + 1, 0)
@@ -253,8 +273,9 @@ class Guard(eqx.Module):
                 jnp.where(evidence > 1.0, _REVERSED, _NONE),
             ),
         )
-        # What one joint does wrong shakes the others: only the first counts.
-        new = (state.fault == _NONE) & (code != _NONE) & ~jnp.any(state.fault != _NONE)
+        # What one joint does wrong shakes the others, but does not take their readings away.
+        later = jnp.any(state.fault != _NONE)
+        new = (state.fault == _NONE) & (code != _NONE) & (~later | (code == _LOST))
         return state._replace(
             fault=jnp.where(new, code, state.fault),
             found=jnp.where(new, state.time, state.found),

@@ -26,7 +26,8 @@ class Loop(eqx.Module):
     An arm without tachometers has to find its velocities. The rate of the *error* is filtered
     rather than that of the position: along the path the filter then has nothing to delay, and the
     velocity handed to the controller is qd_d less the filtered rate of e. The position handed on
-    is the reading.
+    is the reading; where none has come (NaN), the error is taken to be what it was. A `Guard`
+    around the loop ends the motion if none comes for longer.
 
     **Attributes**
 
@@ -59,6 +60,9 @@ class Loop(eqx.Module):
         Arguments and results as of `AbstractController.step`, without velocities.
         """
         error = jnp.asarray(reference.q - q)
+        lost = jnp.isnan(error)
+        error = jnp.where(lost, state.error, error)
+        q = jnp.where(lost, reference.q - error, q)
         chain = self.filter.step(state.chain, state.error, error, interval)
         qd = reference.qd - self.filter.read(chain).rate
         torque, own = self.controller.step(state.controller, reference, q, qd, interval)

@@ -1,6 +1,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -25,7 +26,8 @@ class WithinRange(AbstractController):
     controller's torque goes through as it is; where something has, the torque is what the model
     needs for the accelerations that are left, within the drives' limits. A joint arrives at an end
     at the rate r: one that comes too fast for its drive, or whose drive is needed for its weight,
-    can still pass it, so a slow rate and some margin are worth having.
+    can still pass it, so a slow rate and some margin are worth having. While something is cut off,
+    the controller's state stays as it was: no integral winds up against the end of a range.
 
     **Attributes**
 
@@ -40,7 +42,8 @@ class WithinRange(AbstractController):
     >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
     >>> network = jc.derive(arm.with_friction(), lengths="numeric")
     >>> pid = PID(1, position_gain=100.0, velocity_gain=10.0)
-    >>> kept = WithinRange(pid, network, jnp.array([2.0]), [(-1.0, 1.0)], rate=10.0)
+    >>> ends = [(-1.0, 1.0)]
+    >>> kept = WithinRange(pid, network, jnp.array([2.0]), ends, torque_limit=50.0, rate=10.0)
     >>> q, still = jnp.array([0.9]), jnp.zeros(1)  # a tenth of a radian from the end
     >>> torque, _ = kept.step(kept.begin(q), Reference.rest(jnp.array([2.0])), q, still, 0.002)
     >>> round(float(torque[0]), 6)  # 2 kg m² times 10² / s² times 0.1 rad
@@ -61,7 +64,7 @@ class WithinRange(AbstractController):
         k: Float[Array | np.ndarray, " coefficients"],
         position_range: Sequence[Sequence[float]] | Float[Array | np.ndarray, "joints 2"],
         *,
-        torque_limit: PerJoint = np.inf,
+        torque_limit: PerJoint,
         rate: PerJoint = 8.0,
     ) -> None:
         """**Arguments** are the attributes.
@@ -86,7 +89,7 @@ class WithinRange(AbstractController):
                 )
         self.position_range = jnp.asarray(ranges)
         self.torque_limit = per_joint("torque_limit", torque_limit, n, 0.0)
-        self.rate = per_joint("rate", rate, n, 0.0)
+        self.rate = per_joint("rate", rate, n, 1e-3)
 
     def begin(self, q: Joints) -> Any:
         """As the controller's."""
@@ -96,7 +99,7 @@ class WithinRange(AbstractController):
         self, state: Any, reference: Reference, q: Joints, qd: Joints, interval: float | Array
     ) -> tuple[Float[Array, "*batch joints"], Any]:
         """As the abstract method."""
-        torque, state = self.controller.step(state, reference, q, qd, interval)
+        torque, after = self.controller.step(state, reference, q, qd, interval)
         q, qd = jnp.asarray(q), jnp.asarray(qd)
         low, high, rate = (
             jnp.broadcast_to(each, q.shape)
@@ -108,4 +111,7 @@ class WithinRange(AbstractController):
         allowed = jnp.clip(acceleration, least, most)
         kept = limited(self.network.torque(self.k, q, qd, allowed), self.torque_limit)
         cut = jnp.any(allowed != acceleration, axis=-1, keepdims=True)
+        state = jax.tree_util.tree_map(
+            lambda old, new: jnp.where(cut, old, new) if new.shape == q.shape else new, state, after
+        )
         return jnp.where(cut, kept, torque), state

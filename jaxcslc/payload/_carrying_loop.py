@@ -72,10 +72,8 @@ class CarryingLoop(eqx.Module):
                 f"the controller's network has {own} coefficients of the arm, the estimator's"
                 f" {estimator.k.shape[0]}; expected the same network"
             )
-        if controller.network.payload is None:
-            controller = controller.with_network(
-                estimator.network, jnp.concatenate([controller.k, jnp.zeros(10)])
-            )
+        k = jnp.concatenate([controller.k[:own], jnp.zeros(10)])
+        controller = controller.with_network(estimator.network, k)
         self.controller, self.estimator = controller, estimator
         self.filter = Loop(controller).filter if filter is None else filter
         self.fade, self.compensating = fade, compensating

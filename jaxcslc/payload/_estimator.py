@@ -102,7 +102,8 @@ class PayloadEstimator(eqx.Module):
       within `decided`, or, of an arm that hardly feels the mass, for a second of motion; then it
       is known which it was, too. An arm at rest tells nothing, for friction holds the payload.
 
-    Everything but words is a leaf. `step` is pure: `jit` it, `scan` over it, `vmap` over arms.
+    It is float64 work. Everything but words is a leaf. `step` is pure: `jit` it, `scan` over it,
+    `vmap` over arms.
 
     **Attributes**
 
@@ -195,13 +196,15 @@ class PayloadEstimator(eqx.Module):
             raise ValueError(f"noise is {np.asarray(self.noise).tolist()}; expected more than 0")
         self.slowest = jnp.broadcast_to(jnp.asarray(slowest, float), (n,))
         self.filter = LowPassChain(12.0, lags=4) if filter is None else filter
+        if self.filter.lags < 3:
+            raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
         self.memory, self.alertness = memory, alertness
         self.alarm, self.patience, self.decided = alarm, patience, decided
         self.every = every
 
     def begin(self, q: Joints) -> PayloadState:
         """The state before the first sample, without payload, the joints at rest at `q` (n,)."""
-        q = jnp.asarray(q)
+        q = jnp.asarray(q, self.k.dtype)
         none, zero = jnp.zeros_like(q), jnp.zeros((), q.dtype)
         empty = Memory.empty(_SIZE, self.k.shape[0], q.dtype)
         return PayloadState(
@@ -228,11 +231,12 @@ class PayloadEstimator(eqx.Module):
         **Arguments**
 
         - `state`: as the step before left it.
-        - `q`: (n,) the encoders' readings [rad or m].
+        - `q`: (n,) the encoders' readings [rad or m]; NaN where none has come.
         - `torque`: (n,) asked for upon these readings, held until the next [N m or N].
         - `interval`: since the step before [s].
         """
-        q, torque = jnp.asarray(q), jnp.asarray(torque)
+        q, torque = (jnp.asarray(x, self.k.dtype) for x in (q, torque))
+        q = jnp.where(jnp.isnan(q), state.position, q)
         first = state.samples == 0
         # The torque that was asked for at the sample before acted until now; at the first sample
         # the arm was held by the torque that is asked for now.
@@ -289,7 +293,7 @@ class PayloadEstimator(eqx.Module):
             picked_up=jnp.where(up, state.time, before.picked_up),
             put_down=jnp.where(down, state.time, before.put_down),
         )
-        undecided = undecided & ~known
+        undecided = (undecided & ~known) | ~jnp.all(jnp.isfinite(found.body))
         held = before._replace(change=change)
         estimate = jax.tree_util.tree_map(
             lambda old, new: jnp.where(undecided, old, new), held, found

@@ -42,5 +42,8 @@ class Memory(eqx.Module):
 
     def emptied(self, when: Bool[Array, ""]) -> "Memory":
         """Of nothing, if `when`."""
-        keep = jnp.where(when, 0.0, 1.0)
-        return Memory(keep * self.information, keep * self.moment, keep * self.mixed)
+
+        def kept(array: Array) -> Array:
+            return jnp.where(when, jnp.zeros_like(array), array)
+
+        return Memory(kept(self.information), kept(self.moment), kept(self.mixed))

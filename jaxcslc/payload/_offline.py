@@ -83,7 +83,9 @@ def fit_payload(
     >>> round(float(found.mass), 6), np.round(found.centre_of_gravity, 6).tolist()
     (1.5, [0.02, 0.0, 0.1])
     """
-    if (unloaded is None) == (known is None):
+    if unloaded is not None and known is not None:
+        raise ValueError("fit_payload: got both unloaded and known; expected one of them")
+    if unloaded is None and known is None:
         raise ValueError(
             "fit_payload: a loaded recording alone cannot tell payload and last link apart;"
             " expected one of unloaded and known"

@@ -179,6 +179,18 @@ def test_friction_has_no_jump_at_rest(puma: jc.CSLC, puma_k: Array) -> None:
     )
 
 
+def test_smooth_friction_of_coupled_joints() -> None:
+    """A joint at rest beside one that moves: each one's speed is blunted by itself."""
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), ("pi/2", 0, 0, 0)])
+    network = jc.derive(arm.with_friction("viscous").with_coupling((1, 2)), lengths="numeric")
+    place = network.names.index("kcv1_2")
+    k = jnp.zeros(network.size).at[place].set(1.0)
+    qd, width = np.array([1.0, 0.0]), np.full(2, 0.1)
+    np.testing.assert_allclose(
+        smooth_friction(network, k, qd, width), network.friction_term(k, qd), atol=1e-12
+    )
+
+
 def test_friction_of_the_reference_breaks_a_resting_joint_away(
     puma: jc.CSLC, puma_k: Array
 ) -> None:

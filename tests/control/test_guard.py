@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 import jaxcslc as jc
 import sim
-from jaxcslc.control import FAULTS, ComputedTorque, Guard, Loop, Reference
+from jaxcslc.control import FAULTS, ComputedTorque, Guard, Loop, LowPassChain, Reference
 
 
 MACHINE = sim.disturbed(sim.puma560(), "quantisation", "static friction")
@@ -88,6 +88,34 @@ def test_all_samples_lost(guard: Guard) -> None:
     assert np.max(np.abs(result.truth.velocity[late])) < 0.02
 
 
+def test_a_cable_that_tears_slowly(guard: Guard) -> None:
+    """One joint's samples are lost, then another's, then all."""
+    result, found = _performed(
+        guard,
+        sim.Fault("lost samples", 2, start=BEGINS),
+        sim.Fault("lost samples", 3, start=BEGINS + 0.03),
+        sim.Fault("lost samples", None, start=BEGINS + 0.1),
+    )
+    assert found == tuple(f"joint {j}: lost samples" for j in range(1, 7))
+    late = result.truth.time > BEGINS + guard.stop + 0.5
+    assert np.max(np.abs(result.truth.velocity[late])) < 0.02
+
+
+def test_an_arm_with_a_spring_at_rest() -> None:
+    """What holds it still is gravity's torque and the spring's."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(robot.with_friction("dry", "spring"), lengths="numeric")
+    rod = jc.LinkParameters(1.0, np.array([0.3, 0.0, 0.0]), 0.01 * np.eye(3), 0.1)
+    k = network.coefficients_from([rod], dry=[0.5], spring=[60.0])
+    guard = Guard(Loop(ComputedTorque(network, k, 10.0)), network, k, torque_limit=50.0)
+    q = jnp.array([0.5])
+    state, step = guard.begin(q), eqx.filter_jit(guard.step)
+    for _ in range(40):
+        torque, state = step(state, Reference.rest(q), q, 0.002)
+        np.testing.assert_allclose(torque, network.torque(k, q, 0 * q, 0 * q), atol=1e-9)
+    assert guard.report(state) == ()
+
+
 def test_the_report_names_joint_fault_and_time(guard: Guard) -> None:
     q = jnp.asarray(START)
     state, step = guard.begin(q), eqx.filter_jit(guard.step)
@@ -117,3 +145,9 @@ def test_refusals(puma: jc.CSLC, puma_k: Array, guard: Guard) -> None:
         Guard(guard.loop, puma, puma_k, torque_limit=[1.0, 2.0])
     with pytest.raises(ValueError, match=r"breakaway of joint 1 is -1\.0"):
         Guard(guard.loop, puma, puma_k, torque_limit=1.0, breakaway=-1.0)
+    with pytest.raises(ValueError, match="breakaway of joint 1 is inf; expected a finite torque"):
+        Guard(guard.loop, puma, puma_k, torque_limit=np.inf)
+    with pytest.raises(ValueError, match="filter has 2 lags; accelerations need 3 or more"):
+        Guard(guard.loop, puma, puma_k, torque_limit=1.0, filter=LowPassChain(60.0, lags=2))
+    with pytest.raises(ValueError, match=r"stop is 0\.0 s; expected more than 0"):
+        Guard(guard.loop, puma, puma_k, torque_limit=1.0, stop=0.0)

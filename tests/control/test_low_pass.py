@@ -105,6 +105,15 @@ def test_a_loop_finds_its_velocities_from_readings() -> None:
     np.testing.assert_allclose(torque, slope, atol=1e-9)
 
 
+def test_a_reading_that_has_not_come_does_no_lasting_harm() -> None:
+    loop = Loop(PID(1, position_gain=10.0, velocity_gain=1.0), LowPassChain(30.0, lags=2))
+    at, state = np.array([0.1]), loop.begin(np.zeros(1))
+    for n in range(20):
+        reading = np.full(1, np.nan) if n in (5, 6) else np.zeros(1)
+        torque, state = loop.step(state, Reference.rest(at), reading, 0.002)
+        assert np.all(np.isfinite(torque))
+
+
 def test_refusals() -> None:
     with pytest.raises(ValueError, match=r"corner is 0\.0; expected more than 0 Hz"):
         LowPassChain(0.0)

@@ -58,7 +58,7 @@ def test_far_from_the_ends_nothing_changes(
 def test_the_bound_is_the_barriers(puma: jc.CSLC, puma_k: Array) -> None:
     """Pushed against an end, a joint accelerates as the barrier says, the others as they would."""
     controller = ComputedTorque(puma, puma_k, 30.0)
-    kept = WithinRange(controller, puma, puma_k, RANGE, rate=8.0)
+    kept = WithinRange(controller, puma, puma_k, RANGE, torque_limit=1e3, rate=8.0)
     q, qd = START.copy(), np.full(6, 0.1)
     q[0] = 1.95
     wanted = Reference(q + np.array([1.0, 0, 0, 0, 0, 0]), qd, 0 * q)
@@ -71,8 +71,10 @@ def test_the_bound_is_the_barriers(puma: jc.CSLC, puma_k: Array) -> None:
 def test_refusals(puma: jc.CSLC, puma_k: Array) -> None:
     pid = PID(6, position_gain=1.0, velocity_gain=1.0)
     with pytest.raises(ValueError, match=r"position_range: expected shape \(6, 2\)"):
-        WithinRange(pid, puma, puma_k, RANGE[:3])
+        WithinRange(pid, puma, puma_k, RANGE[:3], torque_limit=1.0)
     with pytest.raises(ValueError, match="position_range of joint 2 is"):
-        WithinRange(pid, puma, puma_k, np.where(np.arange(6)[:, None] == 1, 0.0, RANGE))
+        WithinRange(
+            pid, puma, puma_k, np.where(np.arange(6)[:, None] == 1, 0.0, RANGE), torque_limit=1.0
+        )
     with pytest.raises(ValueError, match="k: expected shape"):
-        WithinRange(pid, puma, puma_k[:5], RANGE)
+        WithinRange(pid, puma, puma_k[:5], RANGE, torque_limit=1.0)

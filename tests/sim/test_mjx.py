@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxcslc as jc
 import sim
-from jaxcslc.control import Reference
+from jaxcslc.control import ComputedTorque, Guard, Loop
 from jaxcslc.manipulator import LinkParameters
 
 
@@ -35,20 +36,16 @@ def test_mjx_records_what_mujoco_records():
 PATH = sim.MinimumJerk(np.array([0.3]), 0.1)
 
 
-class Drive(eqx.Module):
-    """A loop with an array and a state."""
+def guarded(machines: list[sim.Machine]) -> Guard:
+    """Computed torque behind encoders and a guard, of each machine's own coefficients."""
+    network = jc.derive(machines[0].robot, lengths="numeric")
+    k = jnp.stack([network.coefficients_from(machine.links) for machine in machines])
 
-    gain: jax.Array
+    def one(k: jax.Array) -> Guard:
+        controller = ComputedTorque(network, k, 20.0, torque_limit=50.0)
+        return Guard(Loop(controller), network, k, torque_limit=50.0)
 
-    def begin(self, q: jax.Array) -> jax.Array:
-        return q
-
-    def step(
-        self, state: jax.Array, reference: Reference, q: jax.Array, interval: float
-    ) -> tuple[jax.Array, jax.Array]:
-        q = jnp.where(jnp.isnan(q), state, q)
-        rate = reference.qd - (q - state) / interval
-        return self.gain * (50.0 * (reference.q - q) + rate + 0.1 * reference.qdd), q
+    return eqx.filter_vmap(one)(k)
 
 
 def test_mjx_does_with_servos_loads_and_faults_what_mujoco_does(
@@ -63,7 +60,7 @@ def test_mjx_does_with_servos_loads_and_faults_what_mujoco_does(
     trajectory = sim.Trajectory(
         "servo",
         np.array([0.2]),
-        sim.Servo(Drive(jnp.array([[9.0], [8.0]])), PATH, per_machine=True),
+        sim.Servo(guarded(machines), PATH, per_machine=True),
         samples=40,
         loads=(sim.Load(0.01, ball, 0.05),),
         faults=(
