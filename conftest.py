@@ -3,6 +3,7 @@
 Fixtures are in `tests/conftest.py`.
 """
 
+import gc
 import os
 from pathlib import Path
 
@@ -15,6 +16,7 @@ os.environ["MPLBACKEND"] = "Agg"
 
 import hypothesis
 import jax
+import pytest
 
 
 # Identification is float64 work, and an axis that JAX adds silently is a mistake. MJX broadcasts
@@ -31,3 +33,17 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 # The same examples in every run, however slow the machine.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("repeatable")
+
+# Every compiled program takes some memory maps of a process, and Linux allows 65,530 of them: some
+# thousand tests in one worker reach it, and the next program that is loaded ends the worker.
+_MOST_MAPS = 30_000
+
+
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Between modules, forgets compiled programs if there are many."""
+    if nextitem is not None and nextitem.path == item.path:
+        return
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
