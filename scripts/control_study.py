@@ -55,7 +55,6 @@ from jaxcslc.control import (
     abbreviated_gravity,
 )
 from sim._fingerprint import fingerprint
-from sim._trajectories import FLANGE
 
 
 jax.config.update("jax_enable_x64", True)
@@ -189,7 +188,7 @@ def path_of(motion: str, duration: float, seeds: Sequence[int]) -> tuple[np.ndar
     machine = sim.puma560()
     if motion == "circle":
         path = sim.circle(machine, CENTRE, RADIUS, near=NEAR, duration=duration,
-                          normal=NORMAL, point=(0.0, 0.0, FLANGE), interval=INTERVAL)  # fmt: skip
+                          normal=NORMAL, point=(0.0, 0.0, sim.FLANGE), interval=INTERVAL)  # fmt: skip
         return path.start, path
     ends = np.stack([sim.go_to(machine, seed, 1.0, margin=MARGIN)[1].end for seed in seeds])
     one = np.ones((len(seeds), 1))
@@ -243,7 +242,7 @@ def figures(
     trace: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """Errors of the links and the flange, and effort."""
-    hand = sim.Hand.of(sim.puma560().robot, (0.0, 0.0, FLANGE))
+    hand = sim.Hand.of(sim.puma560().robot, (0.0, 0.0, sim.FLANGE))
     joint = 1e3 * (wanted - result.truth.position)
     asked, torque = np.asarray(hand.locate(wanted)[0]), result.recording.torque
     off = 1e3 * (np.asarray(hand.locate(result.truth.position)[0]) - asked)

@@ -51,7 +51,12 @@ from ._thesis_machines import (
     puma_b as puma_b,
     thesis_coefficients as thesis_coefficients,
 )
-from ._trajectories import Trajectory as Trajectory, comparison as comparison, training as training
+from ._trajectories import (
+    FLANGE as FLANGE,
+    Trajectory as Trajectory,
+    comparison as comparison,
+    training as training,
+)
 from ._transmission import Transmission as Transmission
 from ._truth import SimulatedRecording as SimulatedRecording, Truth as Truth
 from ._ultrasound import Echoes as Echoes, ultrasound as ultrasound

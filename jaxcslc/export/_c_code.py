@@ -10,7 +10,7 @@ from ..derivation import BODY
 from ..learning import body_map
 from ..network import CSLC
 from ._c_friction import coupled_inertias, friction_entries
-from ._c_payload import carrying_link, payload_bodies
+from ._c_payload import payload_bodies
 from ._c_text import definitions, statements
 from ._closed_form import ClosedForm
 from ._expressions import Expressions, Value
@@ -177,7 +177,8 @@ def _functions(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[_Fu
             network, dynamics.graph, dynamics.q, dynamics.qd, dynamics.qdd
         ):
             wide[joint][place] = wide[joint][place] + value
-        if (link := carrying_link(network)) is not None:
+        if network.carrying_link is not None:
+            link = network.carrying_link - 1
             rigid = RigidBodies(dynamics.graph, network.robot)
             for row, own in zip(wide, rigid.columns([(link, x) for x in np.eye(10)]), strict=True):
                 row[p - 10 :] = own

@@ -301,6 +301,13 @@ class CSLC(eqx.Module):
         )
 
     @property
+    def carrying_link(self) -> int | None:
+        """The link that carries the payload, counted from 1; None without one."""
+        if self.payload is None:
+            return None
+        return self.coefficients[-1].addends[0].term.link + 1
+
+    @property
     def terms(self) -> tuple[FrictionTerm, ...]:
         """The groups of coefficients that follow the inertial ones, in the order of `k`."""
         return friction_terms(self.robot)
@@ -408,10 +415,8 @@ class CSLC(eqx.Module):
     @property
     def _carrying(self) -> Algebra | None:
         """The closed form of the payload's torque, in as many coefficients as can be felt."""
-        if self.payload is None:
-            return None
-        (link,) = {addend.term.link for addend in self.coefficients[-1].addends}
-        return derive_algebra(carrier(self.robot, link + 1), "numeric")
+        link = self.carrying_link
+        return None if link is None else derive_algebra(carrier(self.robot, link), "numeric")
 
     @property
     def order_per_joint(self) -> tuple[int, ...]:

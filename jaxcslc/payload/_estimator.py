@@ -112,7 +112,8 @@ class PayloadEstimator(eqx.Module):
     - `noise`: (n,) [N² m² s].
     - `slowest`: (n,) [rad/s or m/s].
     - `filter`: of readings and torques.
-    - `memory`: time over which what was seen loses a factor e of its weight [s].
+    - `forgetting_time`: over which what was seen loses a factor e of its weight [s]; from update to
+      update the forgetting factor is exp(−interval / forgetting time).
     - `alertness`: the same for the short memory [s].
     - `alarm`: χ² of ten degrees of freedom that chance does not bring about.
     - `patience`: for how long it has to be exceeded, of motion [s]; twenty times as much counts at
@@ -146,7 +147,7 @@ class PayloadEstimator(eqx.Module):
     noise: Float[Array, " joints"]
     slowest: Float[Array, " joints"]
     filter: LowPassChain
-    memory: float
+    forgetting_time: float
     alertness: float
     alarm: float
     patience: float
@@ -161,7 +162,7 @@ class PayloadEstimator(eqx.Module):
         *,
         slowest: Joints | float = 0.05,
         filter: LowPassChain | None = None,
-        memory: float = 10.0,
+        forgetting_time: float = 10.0,
         alertness: float = 0.3,
         alarm: float = 60.0,
         patience: float = 0.1,
@@ -198,7 +199,7 @@ class PayloadEstimator(eqx.Module):
         self.filter = LowPassChain(12.0, lags=4) if filter is None else filter
         if self.filter.lags < 3:
             raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
-        self.memory, self.alertness = memory, alertness
+        self.forgetting_time, self.alertness = forgetting_time, alertness
         self.alarm, self.patience, self.decided = alarm, patience, decided
         self.every = every
 
@@ -268,7 +269,10 @@ class PayloadEstimator(eqx.Module):
         def gone_on(memory: Memory, time: float | Array) -> Memory:
             return memory.with_rows(felt, own, residual, weight, jnp.exp(-state.waited / time))
 
-        memory, latest = gone_on(state.memory, self.memory), gone_on(state.latest, self.alertness)
+        memory, latest = (
+            gone_on(state.memory, self.forgetting_time),
+            gone_on(state.latest, self.alertness),
+        )
         change = self._disagreement(memory, latest)
         # What is just beginning to be learnt has nothing to disagree with.
         since = state.since + moving

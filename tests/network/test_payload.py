@@ -135,6 +135,7 @@ def test_any_link_can_carry(
     puma: jc.CSLC, puma_k: Array, rng: np.random.Generator, link: int
 ) -> None:
     network = puma.with_payload(link)
+    assert network.carrying_link == link and puma.carrying_link is None
     robot = network.robot
     links = list(LINKS)
     links[link - 1] = fixed_together([links[link - 1], BALL])

@@ -172,7 +172,7 @@ def test_it_is_least_squares_on_filtered_signals(
     q, torque = q[:400], torque[:400]
     chain = LowPassChain(8.0, lags=4)
     estimator = PayloadEstimator(
-        puma, arm_k, NOISE, slowest=SLOWEST, memory=1e9, alarm=1e9, filter=chain
+        puma, arm_k, NOISE, slowest=SLOWEST, forgetting_time=1e9, alarm=1e9, filter=chain
     )
     told = _scanned(estimator, q, torque)
     motion, effort = chain.begin(q[0]), chain.begin(torque[0])
