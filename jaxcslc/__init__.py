@@ -1,11 +1,7 @@
 from importlib.metadata import version as _version
 
 from . import adaptive as adaptive, training as training
-from .assessment import (
-    ErrorTable as ErrorTable,
-    compare as compare,
-    regress_friction as regress_friction,
-)
+from .assessment import regress_friction as regress_friction
 from .derivation import Coefficient as Coefficient
 from .export import (
     CCode as CCode,
@@ -13,16 +9,20 @@ from .export import (
     c_code as c_code,
     write_robot as write_robot,
 )
-from .learning import (
+from .identification import (
     RESULTS as RESULTS,
     Candidates as Candidates,
+    ErrorTable as ErrorTable,
     Identification as Identification,
+    PayloadFit as PayloadFit,
     PhysicalParameters as PhysicalParameters,
     Refinement as Refinement,
     Selection as Selection,
     Settings as Settings,
     SlopeFit as SlopeFit,
     choose_settings as choose_settings,
+    compare as compare,
+    fit_payload as fit_payload,
     fit_slopes as fit_slopes,
     least_squares as least_squares,
     least_squares_stream as least_squares_stream,
@@ -52,7 +52,6 @@ from .motion import (
     save_recording as save_recording,
 )
 from .network import CSLC as CSLC, derive as derive
-from .payload import PayloadFit as PayloadFit, fit_payload as fit_payload
 
 
 __version__ = _version("jaxcslc")

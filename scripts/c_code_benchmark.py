@@ -25,7 +25,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.assessment import all_or_nothing, text_table, write_csv
+from jaxcslc.identification import all_or_nothing, text_table, write_csv
 
 
 jax.config.update("jax_enable_x64", True)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.assessment import (
+from jaxcslc.identification import text_table
+from jaxcslc.plotting import (
     control_error_picture,
     joint_error_picture,
     save_picture,
-    text_table,
     traced_path_picture,
 )
 

@@ -45,7 +45,6 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import write_csv
 from jaxcslc.control import (
     PID,
     ComputedTorque,
@@ -54,7 +53,8 @@ from jaxcslc.control import (
     WithinRange,
     abbreviated_gravity,
 )
-from sim._fingerprint import fingerprint
+from jaxcslc.identification import write_csv
+from sim.recording._fingerprint import fingerprint
 
 
 jax.config.update("jax_enable_x64", True)
@@ -187,8 +187,16 @@ def path_of(motion: str, duration: float, seeds: Sequence[int]) -> tuple[np.ndar
     """Where a motion starts, and its path: a go-to has a pose of its own for each seed."""
     machine = sim.puma560()
     if motion == "circle":
-        path = sim.circle(machine, CENTRE, RADIUS, near=NEAR, duration=duration,
-                          normal=NORMAL, point=(0.0, 0.0, sim.FLANGE), interval=INTERVAL)  # fmt: skip
+        path = sim.circle(
+            machine,
+            CENTRE,
+            RADIUS,
+            near=NEAR,
+            duration=duration,
+            normal=NORMAL,
+            point=(0.0, 0.0, sim.FLANGE),
+            interval=INTERVAL,
+        )
         return path.start, path
     ends = np.stack([sim.go_to(machine, seed, 1.0, margin=MARGIN)[1].end for seed in seeds])
     one = np.ones((len(seeds), 1))

@@ -32,7 +32,7 @@ from tqdm import tqdm  # noqa: E402
 
 import jaxcslc as jc  # noqa: E402
 import sim  # noqa: E402
-from jaxcslc.assessment import all_or_nothing, text_table, write_csv  # noqa: E402
+from jaxcslc.identification import all_or_nothing, text_table, write_csv  # noqa: E402
 from jaxcslc.motion import as_recorded  # noqa: E402
 
 

@@ -47,17 +47,11 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import (
-    all_or_nothing,
-    budget_picture,
-    mask_quality,
-    output_sensitivity,
-    save_picture,
-    text_table,
-    write_csv,
-)
+from jaxcslc.assessment import mask_quality, output_sensitivity
+from jaxcslc.identification import all_or_nothing, text_table, write_csv
 from jaxcslc.motion import CentralDifferences, as_recorded, choose_spacing
-from sim._fingerprint import fingerprint
+from jaxcslc.plotting import budget_picture, save_picture
+from sim.recording._fingerprint import fingerprint
 
 
 jax.config.update("jax_enable_x64", True)

@@ -30,8 +30,8 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import all_or_nothing, text_table, write_csv
 from jaxcslc.control import FAULTS, ComputedTorque, Guard, Loop
+from jaxcslc.identification import all_or_nothing, text_table, write_csv
 
 
 jax.config.update("jax_enable_x64", True)

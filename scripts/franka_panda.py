@@ -30,14 +30,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.motion import (
-    Butterworth,
-    Patterns,
-    Recording,
-    RecordingError,
-    resample,
-    zero_phase,
-)
+from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError, resample, zero_phase
 
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "franka_panda"

@@ -23,7 +23,7 @@ from franka_panda import DATA, PERIOD, Target, read_recording
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.assessment import all_or_nothing, text_table, write_csv, write_json
+from jaxcslc.identification import all_or_nothing, text_table, write_csv, write_json
 from jaxcslc.motion import RecordingError, resample
 
 

@@ -63,13 +63,8 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import (
-    all_or_nothing,
-    generalisation_picture,
-    save_picture,
-    text_table,
-    write_csv,
-)
+from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from jaxcslc.plotting import generalisation_picture, save_picture
 
 
 jax.config.update("jax_enable_x64", True)
@@ -223,8 +218,8 @@ def fitted(
     for patterns, stopping, judged in zip(training, stop, comparison, strict=True):
         known = dataclasses.replace(patterns, driven=patterns.driven & ~stopping[:, None])
         k = settings.fit(network, known).k
-        here = jc.assessment.torque_errors(network, patterns, k)
-        there = jc.assessment.torque_errors(network, judged, k)
+        here = jc.identification.torque_errors(network, patterns, k)
+        there = jc.identification.torque_errors(network, judged, k)
         counts, counted = np.asarray(patterns.counts_in), np.asarray(judged.counts_in)
         seen = in_range(judged, patterns, ~stopping)[:, None]
         cases = (

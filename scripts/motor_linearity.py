@@ -15,13 +15,8 @@ import numpy as np
 from tqdm import tqdm
 
 import sim
-from jaxcslc.assessment import (
-    all_or_nothing,
-    motor_curve_picture,
-    motor_response_picture,
-    save_picture,
-    write_csv,
-)
+from jaxcslc.identification import all_or_nothing, write_csv
+from jaxcslc.plotting import motor_curve_picture, motor_response_picture, save_picture
 
 
 jax.config.update("jax_enable_x64", True)

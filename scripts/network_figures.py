@@ -24,13 +24,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxcslc.adaptive import AdaptiveNetwork, PolynomialTerms, fully_connected
-from jaxcslc.assessment import (
-    all_or_nothing,
+from jaxcslc.identification import all_or_nothing, write_json
+from jaxcslc.plotting import (
     decision_picture,
     fitted_curves_picture,
     overtraining_picture,
     save_picture,
-    write_json,
 )
 from jaxcslc.training import (
     Backpropagation,

@@ -12,7 +12,7 @@ from tqdm import tqdm
 import jaxcslc as jc
 import sim
 from jaxcslc.control import ComputedTorque
-from jaxcslc.learning import pseudo_inertia
+from jaxcslc.inertia import pseudo_inertia
 from jaxcslc.payload import CarryingLoop, PayloadEstimator, torque_noise
 
 

@@ -30,15 +30,8 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from jaxcslc.assessment import (
-    PayloadCurve,
-    Spread,
-    hand_error_picture,
-    payload_picture,
-    save_picture,
-    text_table,
-    write_csv,
-)
+from jaxcslc.identification import text_table, write_csv
+from jaxcslc.plotting import PayloadCurve, Spread, hand_error_picture, payload_picture, save_picture
 
 
 # Before MuJoCo is loaded: a film needs OpenGL, and no screen. Without the library MuJoCo would not

@@ -46,14 +46,8 @@ from peral_operations import BACKPROPAGATION, COUNTED_FORMULAS, PERAL_RULE, THES
 from peral_tables import epoch_rows, operations, report, spread
 from tqdm import tqdm
 
-from jaxcslc.assessment import (
-    Learning,
-    all_or_nothing,
-    learning_picture,
-    save_picture,
-    write_csv,
-    write_json,
-)
+from jaxcslc.identification import all_or_nothing, write_csv, write_json
+from jaxcslc.plotting import Learning, learning_picture, save_picture
 from jaxcslc.training import (
     AdaptedRates,
     Backpropagation,

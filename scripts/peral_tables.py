@@ -19,7 +19,7 @@ from peral_operations import (
     seconds_per_pattern,
 )
 
-from jaxcslc.assessment import text_table
+from jaxcslc.identification import text_table
 
 
 def spread(values: Float[np.ndarray, " seeds"]) -> dict[str, float]:

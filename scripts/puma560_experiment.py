@@ -20,29 +20,28 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import (
-    agreement,
+from jaxcslc.assessment import agreement, mask_quality, output_sensitivity, sign_check
+from jaxcslc.identification import (
     all_or_nothing,
-    averaged_spline_picture,
     coefficient_rows,
     degree_of_excitation,
+    predicted_torque,
+    refine_thresholds,
+    text_table,
+    write_csv,
+)
+from jaxcslc.plotting import (
+    averaged_spline_picture,
     friction_picture,
     hysteresis_picture,
-    mask_quality,
     motion_picture,
     motor_curve_picture,
     motor_response_picture,
-    output_sensitivity,
-    predicted_torque,
     reversal_picture,
     save_picture,
-    sign_check,
     spline_subsets_picture,
-    text_table,
     torque_picture,
-    write_csv,
 )
-from jaxcslc.learning import refine_thresholds
 
 
 jax.config.update("jax_enable_x64", True)

@@ -28,8 +28,9 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import relearning_picture, save_picture, text_table, write_csv
+from jaxcslc.identification import text_table, write_csv
 from jaxcslc.motion import as_recorded, choose_spacing
+from jaxcslc.plotting import relearning_picture, save_picture
 
 
 jax.config.update("jax_enable_x64", True)

@@ -27,13 +27,9 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import all_or_nothing, save_picture, text_table, write_csv
-from jaxcslc.motion import (
-    AbstractSmoothing,
-    SavitzkyGolay,
-    away_from_reversals,
-    choose_spacing,
-)
+from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from jaxcslc.motion import AbstractSmoothing, SavitzkyGolay, away_from_reversals, choose_spacing
+from jaxcslc.plotting import save_picture
 
 
 jax.config.update("jax_enable_x64", True)

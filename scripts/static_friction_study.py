@@ -38,7 +38,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import text_table, write_csv
+from jaxcslc.identification import text_table, write_csv
 from jaxcslc.motion import as_recorded, choose_spacing
 
 

@@ -35,7 +35,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 import jaxcslc as jc
-from jaxcslc.assessment import text_table, write_csv
+from jaxcslc.identification import text_table, write_csv
 from jaxcslc.manipulator import tx40
 from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError
 

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..derivation import Table
-from ..network import CSLC, input_layer
+from ..network import CSLC
+from ..network.terms import input_layer
 from ._activations import LINEAR_COMBINER
 from ._layers import ContextLayer, Layer
 from ._links import Links

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..learning import Identification
+from ..identification.solver import Identification
 from ..network import CSLC
 
 

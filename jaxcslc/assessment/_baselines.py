@@ -2,10 +2,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..learning import regressor_of
+from ..identification.report import torque_errors
+from ..identification.solver import regressor_of
 from ..motion import Patterns
 from ..network import CSLC
-from ._errors import torque_errors
 
 
 def regress_friction(

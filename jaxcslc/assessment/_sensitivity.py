@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..learning import filled_up
+from ..identification.solver import filled_up
 from ..motion import Patterns
 from ..network import CSLC
 

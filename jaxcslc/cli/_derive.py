@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from ..assessment import (
+from ..derivation import StructuralIdentifiability, structural_identifiability
+from ..identification.report import (
     all_or_nothing,
     coefficient_rows,
     coefficient_text,
@@ -13,7 +14,6 @@ from ..assessment import (
     write_csv,
     write_json,
 )
-from ..derivation import StructuralIdentifiability, structural_identifiability
 from ..network import CSLC
 from ._common import (
     BaseOption,

@@ -5,9 +5,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ..assessment import text_table
 from ..export import CCode, WrittenRobot, c_code, write_robot
-from ..learning import Identification, PhysicalParameters, physical_parameters
+from ..identification import PhysicalParameters, physical_parameters
+from ..identification.report import text_table
+from ..identification.solver import Identification
 from ..motion import Patterns
 from ..network import CSLC
 from ._common import (

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..learning import Identification
+from ..identification.solver import Identification
 from ..manipulator import Manipulator, RobotError
 from ..network import CSLC
 from ._common import network_of

@@ -6,7 +6,8 @@ import numpy as np
 import typer
 from jaxtyping import Array
 
-from ..assessment import (
+from ..identification import SlopeFit, cross_validated_error, fit_slopes, held_out_error
+from ..identification.report import (
     ErrorTable,
     all_or_nothing,
     coefficient_rows,
@@ -15,13 +16,8 @@ from ..assessment import (
     degree_of_excitation,
     identification_report,
 )
-from ..learning import (
-    SlopeFit,
-    cross_validated_error,
-    fit_slopes,
-    held_out_error,
-)
-from ..motion import Recording, load_recording
+from ..motion import Recording
+from ..motion.files import load_recording
 from ..network import CSLC
 from ._common import (
     BaseOption,

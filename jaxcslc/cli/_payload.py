@@ -4,11 +4,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ..assessment import all_or_nothing, text_table, write_csv, write_json
-from ..learning import settings_document
-from ..motion import Patterns, load_recording
+from ..identification import PayloadFit, fit_payload, settings_document
+from ..identification.report import all_or_nothing, text_table, write_csv, write_json
+from ..motion import Patterns
+from ..motion.files import load_recording
 from ..network import CSLC
-from ..payload import PayloadFit, fit_payload
 from ._common import (
     BaseOption,
     RobotArgument,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ..learning import Settings, choose_settings, settings_from
+from ..identification import Settings, choose_settings, settings_from
 from ..motion import Recording
 from ..network import CSLC
 from ._identified import Identified

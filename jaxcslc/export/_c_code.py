@@ -7,7 +7,7 @@ import scipy.linalg
 from jaxtyping import Array, Float
 
 from ..derivation import BODY
-from ..learning import body_map
+from ..inertia import body_map
 from ..network import CSLC
 from ._c_friction import coupled_inertias, friction_entries
 from ._c_payload import payload_bodies

@@ -3,7 +3,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..network import CSLC, FrictionTerm
+from ..network import CSLC
+from ..network.terms import FrictionTerm
 from ._expressions import Expressions, Value
 
 

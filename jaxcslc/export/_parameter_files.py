@@ -5,7 +5,8 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
-from ..learning import PhysicalParameters, body_of, link_of, pseudo_inertia
+from ..identification import PhysicalParameters
+from ..inertia import body_of, link_of, pseudo_inertia
 from ..manipulator import (
     Element,
     LinkParameters,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..learning import PhysicalParameters
+from ..identification import PhysicalParameters
 from ..manipulator import LinkParameters, Manipulator, RobotError, load_robot
 from ..network import CSLC, derive
 from ._parameter_files import HELD, with_parameters

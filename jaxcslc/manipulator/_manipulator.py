@@ -13,14 +13,7 @@ from ._friction import (
     couplings,
 )
 from ._inertia import InertiaForm, LinkInertia
-from ._joint import (
-    Joint,
-    Length,
-    length_table,
-    parse_angle,
-    parse_length,
-    unused_lengths,
-)
+from ._joint import Joint, Length, length_table, parse_angle, parse_length, unused_lengths
 from ._link_parameters import LinkParameters
 from ._numbering import Numbering, Subnumbering
 from ._source import Source

@@ -23,28 +23,30 @@ from ._patterns import (
     prepare as prepare,
 )
 from ._recording import (
+    MINIMUM_SAMPLES as MINIMUM_SAMPLES,
+    Fault as Fault,
     Recording as Recording,
     RecordingError as RecordingError,
+    as_columns as as_columns,
+    column_names as column_names,
+    first_fault as first_fault,
     stale_rows as stale_rows,
     without_stale_rows as without_stale_rows,
-)
-from ._recording_files import (
-    RecordingChunk as RecordingChunk,
-    iterate_recording as iterate_recording,
-    load_recording as load_recording,
-    save_recording as save_recording,
 )
 from ._resampling import resample as resample, uniform_interval as uniform_interval
 from ._resolution import encoder_resolution as encoder_resolution, noise_level as noise_level
 from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay
 from ._sections import Reversal as Reversal, find_reversals as find_reversals
 from ._selection import choose_spacing as choose_spacing, left_out_error as left_out_error
-from ._smoothing import (
-    AbstractSmoothing as AbstractSmoothing,
-    without_rounding as without_rounding,
-)
+from ._smoothing import AbstractSmoothing as AbstractSmoothing, without_rounding as without_rounding
 from ._splines import AveragedSplines as AveragedSplines
 from ._thresholds import (
     StaticFriction as StaticFriction,
     thresholds_from_residuals as thresholds_from_residuals,
+)
+from .files import (
+    RecordingChunk as RecordingChunk,
+    iterate_recording as iterate_recording,
+    load_recording as load_recording,
+    save_recording as save_recording,
 )

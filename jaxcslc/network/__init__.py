@@ -1,8 +1,12 @@
 from ._cslc import CSLC as CSLC
 from ._derive import derive as derive
-from ._evaluator import AbstractEvaluator as AbstractEvaluator
-from ._friction import FrictionTerm as FrictionTerm, friction_terms as friction_terms
-from ._inputs import input_layer as input_layer
-from ._payload import PAYLOAD as PAYLOAD, carrier as carrier
-from ._recursive import RecursiveEvaluator as RecursiveEvaluator
-from ._tables import TableEvaluator as TableEvaluator
+from .terms import (
+    PAYLOAD as PAYLOAD,
+    AbstractEvaluator as AbstractEvaluator,
+    FrictionTerm as FrictionTerm,
+    RecursiveEvaluator as RecursiveEvaluator,
+    TableEvaluator as TableEvaluator,
+    carrier as carrier,
+    friction_terms as friction_terms,
+    input_layer as input_layer,
+)

@@ -9,21 +9,23 @@ from jaxtyping import Array, Float
 
 from ..derivation import Algebra, Coefficient, derive_algebra
 from ..manipulator import LinkParameters, Manipulator
-from ._evaluator import AbstractEvaluator
-from ._friction import (
+from ._known import known_coefficients
+from ._order import order_per_joint
+from .terms import (
+    AbstractEvaluator,
     FrictionTerm,
+    RecursiveEvaluator,
+    carrier,
+    coefficient_values,
     coupling_matrix,
     friction_inputs,
     friction_regressor,
     friction_rows,
     friction_terms,
     friction_torque,
+    payload_coefficients,
+    payload_evaluator,
 )
-from ._known import known_coefficients
-from ._link_values import coefficient_values
-from ._order import order_per_joint
-from ._payload import carrier, payload_coefficients, payload_evaluator
-from ._recursive import RecursiveEvaluator
 
 
 Numbers = Float[Array | np.ndarray, "... joints"]

@@ -4,10 +4,13 @@ from typing import Literal, cast
 from ..derivation import Algebra, Lengths, derive_algebra
 from ..manipulator import Manipulator
 from ._cslc import CSLC
-from ._evaluator import AbstractEvaluator
-from ._friction import friction_coefficients, static_slopes
-from ._recursive import RecursiveEvaluator
-from ._tables import TableEvaluator
+from .terms import (
+    AbstractEvaluator,
+    RecursiveEvaluator,
+    TableEvaluator,
+    friction_coefficients,
+    static_slopes,
+)
 
 
 # Up to this many links straight-line code compiles in a few seconds and outruns the recursion.

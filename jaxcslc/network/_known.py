@@ -8,8 +8,7 @@ from jaxtyping import Array, Float
 
 from ..derivation import Algebra, constant_values
 from ..manipulator import LinkParameters
-from ._friction import FrictionTerm
-from ._link_values import coefficient_values
+from .terms import FrictionTerm, coefficient_values
 
 
 def known_coefficients(

@@ -1,6 +1,6 @@
 from ..derivation import Algebra
 from ..manipulator import Manipulator
-from ._friction import friction_terms
+from .terms import friction_terms
 
 
 def order_per_joint(algebra: Algebra, robot: Manipulator) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ..control import LowPassChain
-from ..learning import Identification
+from ..identification.solver import Identification
 from ..network import CSLC
 from ._memory import Memory
 from ._possible import possible_body

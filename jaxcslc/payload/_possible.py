@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..learning import pseudo_inertia
+from ..inertia import pseudo_inertia
 
 
 # J(body) is linear in the ten numbers: the matrices that they multiply, and the way back.
@@ -25,7 +25,7 @@ def possible_body(
     A body can exist if and only if its pseudo-inertia J is positive definite (Wensing, Kim and
     Slotine 2018). Minimised is ½ (x − x̂)' Λ (x − x̂) under that condition, by a primal-dual
     interior-point method on the one 4 by 4 matrix, from a ball of the estimate's mass and centre:
-    what `jaxcslc.learning.nearest_body` does with a general solver, here under `jit` and `vmap`,
+    what `jaxcslc.inertia.nearest_body` does with a general solver, here under `jit` and `vmap`,
     fast enough for a control loop. Every iterate can exist, so the result can, however few steps
     were taken; a dozen leave the squared distance within 0.01 of the least, but for bodies that
     hardly weigh anything, where they leave it within some units.
@@ -41,7 +41,7 @@ def possible_body(
     - `steps`: how many.
 
     >>> import jax.numpy as jnp, numpy as np
-    >>> from jaxcslc.learning import pseudo_inertia
+    >>> from jaxcslc.inertia import pseudo_inertia
     >>> from jaxcslc.payload import possible_body
     >>> estimate = jnp.array([-0.01, 0.02, 0.02, 0, 0, 0, 0.1, 0, 0, 2.0])  # Ixx below zero
     >>> found = possible_body(estimate, 1e6 * jnp.eye(10))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Key
 from tqdm import tqdm
 
 from ..adaptive import AdaptiveNetwork
-from ..learning import require_float64
+from ..identification.solver import require_float64
 from ._checkpoint import Checkpoint
 from ._epoch import Record, State, epoch
 from ._examples import Examples

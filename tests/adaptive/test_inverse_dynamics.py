@@ -11,12 +11,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc import CSLC
-from jaxcslc.adaptive import (
-    AdaptiveNetwork,
-    inverse_dynamics,
-    network_order,
-    order_per_output,
-)
+from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics, network_order, order_per_output
 from jaxcslc.manipulator import LinkParameters, Manipulator
 
 

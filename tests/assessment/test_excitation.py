@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.assessment import degree_of_excitation
+from jaxcslc.identification import degree_of_excitation
 
 
 @pytest.fixture

@@ -7,7 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.assessment import coefficient_rows, coefficient_text, degree_of_excitation, verdicts
+from jaxcslc.identification import (
+    coefficient_rows,
+    coefficient_text,
+    degree_of_excitation,
+    verdicts,
+)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from jaxtyping import Array
 import jaxcslc as jc
 import sim
 from jaxcslc.control import ComputedTorque, Loop, LowPassChain
-from jaxcslc.learning import nearest_body, pseudo_inertia
+from jaxcslc.inertia import nearest_body, pseudo_inertia
 from jaxcslc.payload import CarryingLoop, PayloadEstimate, PayloadEstimator, torque_noise
 
 

@@ -61,7 +61,7 @@ def test_epsilon_is_that_of_compare(
         np.arange(20.0), q, qd, qdd, rng.normal(size=(20, 6)), counts, np.ones((20, 6), bool)
     )
     expected = jc.compare(puma, patterns, {"k": puma_k}).epsilon[0]
-    error = jc.assessment.torque_errors(puma, patterns, puma_k)
+    error = jc.identification.torque_errors(puma, patterns, puma_k)
     assert_allclose(networks.epsilon(error, jnp.asarray(counts)), expected, rtol=1e-12)
     assert np.isnan(networks.epsilon(error, jnp.zeros((20, 6), bool)))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from jaxcslc.assessment import decision_picture, fitted_curves_picture, overtraining_picture
+from jaxcslc.plotting import decision_picture, fitted_curves_picture, overtraining_picture
 
 
 @pytest.fixture(scope="module")

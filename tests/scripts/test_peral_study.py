@@ -26,7 +26,7 @@ from jaxcslc.adaptive import (
     fully_connected,
     inverse_dynamics,
 )
-from jaxcslc.assessment import Learning, learning_picture
+from jaxcslc.plotting import Learning, learning_picture
 from jaxcslc.training import PERAL, Backpropagation, examples, half_square
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import sim
 from jaxcslc.manipulator import Manipulator, puma560
-from sim._paths import MinimumJerk, Oscillation
+from sim.trajectory._paths import MinimumJerk, Oscillation
 
 
 # Sines and exponentials of two libraries, added up over a loop that amplifies a little.

@@ -9,7 +9,7 @@ import pytest
 
 import sim
 from jaxcslc.manipulator import LinkParameters, Manipulator, RobotError, puma560
-from sim._kinematics import Hand
+from sim.trajectory._kinematics import Hand
 
 
 _POINT = (0.1, -0.2, 0.3)

@@ -10,7 +10,7 @@ import scipy.special
 
 import sim
 from jaxcslc.manipulator import puma560
-from sim._linearity import MotorLinearity, _laden, _locked, motor_linearity
+from sim.recording._linearity import MotorLinearity, _laden, _locked, motor_linearity
 
 
 _AMPLITUDE = 0.05

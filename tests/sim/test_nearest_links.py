@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 import sim
 from jaxcslc import CSLC
 from jaxcslc.manipulator import LinkParameters, Manipulator, panda, puma560
-from sim._coefficient_map import CoefficientMap, links_of, parameters_of
-from sim._nearest_links import nearest_links
-from sim._thesis_machines import thesis_coefficients
+from sim.machine._coefficient_map import CoefficientMap, links_of, parameters_of
+from sim.machine._nearest_links import nearest_links
+from sim.machine._thesis_machines import thesis_coefficients
 
 
 # What the pull of open parameters towards the robot's own links may cost of the distance.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sim
-from sim._paths import AbstractPath, MinimumJerk, Oscillation, SampledPath, ViaPoints
+from sim.trajectory._paths import AbstractPath, MinimumJerk, Oscillation, SampledPath, ViaPoints
 
 
 PATHS = {

@@ -10,7 +10,7 @@ import pytest
 
 import sim
 from jaxcslc.manipulator import LinkParameters
-from sim._fingerprint import fingerprint
+from sim.recording._fingerprint import fingerprint
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_an_interrupted_batch_keeps_what_it_finished(
     jobs: list[sim.Job], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Ctrl-C in the third part; the second call simulates the rest only."""
-    from sim import _record
+    from sim.recording import _record
 
     parts: list[int] = []
     perform = _record.perform

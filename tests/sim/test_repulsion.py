@@ -10,8 +10,8 @@ import pytest
 
 import sim
 from jaxcslc.manipulator import Manipulator
-from sim._kinematics import Hand
-from sim._repulsion import HandRepulsion
+from sim.trajectory._kinematics import Hand
+from sim.trajectory._repulsion import HandRepulsion
 
 
 def _near(repulsion: HandRepulsion, rng: np.random.Generator, rows: int = 60) -> np.ndarray:

@@ -9,8 +9,8 @@ import pytest
 
 import sim
 from jaxcslc import CSLC
-from sim._coefficient_map import parameters_of
-from sim._thesis_machines import puma_a, puma_b, thesis_coefficients
+from sim.machine._coefficient_map import parameters_of
+from sim.machine._thesis_machines import puma_a, puma_b, thesis_coefficients
 
 
 MACHINES = {"A": puma_a, "B": puma_b}

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import jn_zeros
 
 import sim
-from sim._ultrasound_echo import (
+from sim.ultrasound._ultrasound_echo import (
     EchoPaths,
     absorption,
     amplitude,
@@ -16,7 +16,7 @@ from sim._ultrasound_echo import (
     received,
     receiver_noise,
 )
-from sim._ultrasound_paths import (
+from sim.ultrasound._ultrasound_paths import (
     curved,
     diffraction,
     edge,

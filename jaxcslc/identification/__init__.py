@@ -1,0 +1,62 @@
+from ._candidates import Candidates as Candidates
+from ._held_out import (
+    HeldOut as HeldOut,
+    cross_validated_error as cross_validated_error,
+    held_out_error as held_out_error,
+)
+from ._offline import fit_payload as fit_payload
+from ._payload_fit import PHYSICAL as PHYSICAL, PayloadFit as PayloadFit
+from ._physical_parameters import (
+    POSSIBILITY as POSSIBILITY,
+    PhysicalParameters as PhysicalParameters,
+    physical_parameters as physical_parameters,
+)
+from ._refinement import Refinement as Refinement, refine_thresholds as refine_thresholds
+from ._relearn import relearn as relearn
+from ._selection import Selection as Selection, Trial as Trial, choose_settings as choose_settings
+from ._settings import Settings as Settings
+from ._settings_document import (
+    settings_document as settings_document,
+    settings_from as settings_from,
+)
+from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
+from .report import (
+    ErrorTable as ErrorTable,
+    Excitation as Excitation,
+    Verdict as Verdict,
+    all_or_nothing as all_or_nothing,
+    coefficient_rows as coefficient_rows,
+    coefficient_text as coefficient_text,
+    compare as compare,
+    degree_of_excitation as degree_of_excitation,
+    derivation_document as derivation_document,
+    identification_report as identification_report,
+    predicted_torque as predicted_torque,
+    text_table as text_table,
+    torque_errors as torque_errors,
+    verdicts as verdicts,
+    write_csv as write_csv,
+    write_json as write_json,
+)
+from .solver import (
+    RESULTS as RESULTS,
+    Errors as Errors,
+    Identification as Identification,
+    JointFactors as JointFactors,
+    JointWeights as JointWeights,
+    KeptRows as KeptRows,
+    Known as Known,
+    Loss as Loss,
+    check_patterns as check_patterns,
+    check_words as check_words,
+    checked as checked,
+    equations_of as equations_of,
+    factorise as factorise,
+    filled_up as filled_up,
+    fit_factors as fit_factors,
+    fit_rows as fit_rows,
+    least_squares as least_squares,
+    least_squares_stream as least_squares_stream,
+    regressor_of as regressor_of,
+    require_float64 as require_float64,
+)

@@ -1,0 +1,223 @@
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import fdtri
+
+from ..motion import Patterns
+from ..network import CSLC
+from ._settings import Settings
+from .solver import (
+    Equations,
+    Identification,
+    effective_counts,
+    filled_up,
+    fit_without_each,
+    held_out_errors,
+    regressor_of,
+)
+
+
+# One joint in a hundred is warned of for nothing.
+_CHANCE = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldOut:
+    """Torque errors where a fit had seen the data, and where it had not.
+
+    **Attributes**
+
+    - `training`: (n,) root mean square over the pairs that the fit was made from [N m or N].
+    - `held_out`: (n,) the same over pairs that it was not made from; NaN for a joint without any.
+    - `limit`: (n,) how many times the training error the held-out error may be by chance, if the
+      network's model were all that there is besides noise.
+
+    >>> import numpy as np
+    >>> from jaxcslc.identification import HeldOut
+    >>> held = HeldOut(np.array([1.0, 0.5]), np.array([1.1, 0.9]), np.array([1.2, 1.2]))
+    >>> held.beyond_chance
+    (2,)
+    >>> print(held.warnings[0])
+    joint 2: torque error 0.9 where it was not fitted, 0.5 where it was, 1.8 times as much; \
+noise explains up to 1.2 times
+    """
+
+    training: Float[np.ndarray, " joints"]
+    held_out: Float[np.ndarray, " joints"]
+    limit: Float[np.ndarray, " joints"]
+
+    @property
+    def ratio(self) -> Float[np.ndarray, " joints"]:
+        """Held-out error over training error, (n,); NaN where there is none of either."""
+        some = self.training > 0.0
+        return np.where(some, self.held_out / np.where(some, self.training, 1.0), np.nan)
+
+    @property
+    def beyond_chance(self) -> tuple[int, ...]:
+        """The joints, counted from 1, whose fit does worse elsewhere than noise explains.
+
+        Either the fit follows the noise of its own recording (over-fitting: fewer coefficients, or
+        more motion), or the model lacks something that the other motion shows more of.
+        """
+        return tuple(int(joint) + 1 for joint in np.flatnonzero(self.ratio > self.limit))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence for each joint of `beyond_chance`."""
+        return tuple(
+            f"joint {joint}: torque error {self.held_out[joint - 1]:.3g} where it was not fitted,"
+            f" {self.training[joint - 1]:.3g} where it was, {self.ratio[joint - 1]:.3g} times as"
+            f" much; noise explains up to {self.limit[joint - 1]:.3g} times"
+            for joint in self.beyond_chance
+        )
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, one row a joint, counted from 1."""
+        import pandas
+
+        return pandas.DataFrame(
+            {
+                "training": self.training,
+                "held_out": self.held_out,
+                "ratio": self.ratio,
+                "limit": self.limit,
+            },
+            index=pandas.RangeIndex(1, len(self.training) + 1, name="joint"),
+        )
+
+
+def held_out_error(
+    network: CSLC, fit: Identification, training: Patterns, validation: Patterns
+) -> HeldOut:
+    """How a fit does on a recording that it was not made from, beside its own.
+
+    The limit is that of Fisher's F at 1 %, with as many degrees of freedom as the errors are
+    worth (see `Identification.effective_equations`), times the mean (1 + h) / (1 - h) that a fit
+    of p coefficients to N such errors gains on its own data and loses on others, h = p / N.
+
+    **Arguments**
+
+    - `network`: n joints.
+    - `fit`: made from `training`.
+    - `training`, `validation`: their pairs in `counts_in` are judged.
+
+    **Returns** a `HeldOut`.
+
+    **Raises**
+
+    - `ValueError`: patterns of another number of joints.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import held_out_error
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> noise = np.random.default_rng(0).normal(size=t.shape)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 1.0]), q, qd, qdd)) + 0.1 * noise
+    >>> everything = np.ones(t.shape, bool)
+    >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
+    >>> early, late = patterns.between(0.0, 2.5), patterns.between(2.5, 5.1)
+    >>> held_out_error(network, jc.least_squares(network, early), early, late).beyond_chance
+    ()
+    """
+    errors: list[np.ndarray] = []
+    for patterns in (training, validation):
+        if patterns.q.shape[-1] != network.joint_count:
+            raise ValueError(
+                f"patterns have {patterns.q.shape[-1]} joints, {network.robot.name!r} has"
+                f" {network.joint_count}"
+            )
+        predicted = np.asarray(regressor_of(network, patterns) @ fit.k)
+        errors.append(np.asarray(patterns.torque) - predicted)
+    masks = np.asarray(training.counts_in), np.asarray(validation.counts_in)
+    return _judged(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
+
+
+def cross_validated_error(
+    network: CSLC, patterns: Patterns, settings: Settings | None = None, *, folds: int = 8
+) -> HeldOut:
+    """How fits to all but one stretch of a recording do on that stretch, for each in turn.
+
+    For when there is no other recording. The limit is that of `held_out_error`.
+
+    **Arguments**
+
+    - `network`: n joints.
+    - `patterns`: of one recording, in order of time.
+    - `settings`: of the fit; those that `patterns` were made under.
+    - `folds`: how many stretches of equal length.
+
+    **Returns** a `HeldOut`; its training error is that of the fit to everything.
+
+    **Raises**
+
+    - `ValueError`: fewer than two folds, or more than there are samples.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import cross_validated_error
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> noise = np.random.default_rng(0).normal(size=t.shape)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 1.0]), q, qd, qdd)) + 0.1 * noise
+    >>> everything = np.ones(t.shape, bool)
+    >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
+    >>> cross_validated_error(network, patterns, folds=4).beyond_chance
+    ()
+    """
+    given = Settings() if settings is None else settings
+    samples = patterns.q.shape[0]
+    if not 2 <= folds <= samples:
+        raise ValueError(f"{folds} folds of {samples} samples; expected from 2 to {samples}")
+    regressor = np.asarray(regressor_of(network, patterns))
+    torque, counts_in = np.asarray(patterns.torque), np.asarray(patterns.counts_in)
+    equations = Equations.of(
+        network,
+        regressor,
+        torque,
+        counts_in,
+        time=np.asarray(patterns.time),
+        cutoff=given.cutoff,
+    )
+    fold = np.arange(samples) * folds // samples
+    residual = given.joint_weights == "residual"
+    k = fit_without_each(
+        network, equations.factors_of_folds(fold, folds), residual_weights=residual
+    )
+    held_out = held_out_errors(regressor, torque, k, fold)
+    fit = dataclasses.replace(given, errors="independent").fit(network, patterns)
+    training = torque - regressor @ np.asarray(fit.k)
+    return _judged(training, counts_in, held_out, counts_in, int(fit.rank))
+
+
+def _judged(
+    training: np.ndarray,
+    training_mask: np.ndarray,
+    held_out: np.ndarray,
+    held_out_mask: np.ndarray,
+    rank: int,
+) -> HeldOut:
+    own, worth = _root_mean_square(training, training_mask)
+    others, others_worth = _root_mean_square(held_out, held_out_mask)
+    share = min(rank / max(float(worth.sum()), 1.0), 0.9)
+    freedom = np.maximum(worth * (1.0 - share), 1.0)
+    chance = fdtri(np.maximum(others_worth, 1.0), freedom, 1.0 - _CHANCE)
+    return HeldOut(own, others, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
+
+
+def _root_mean_square(
+    error: np.ndarray, mask: np.ndarray
+) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
+    """Of each joint's errors that count, NaN of none; and how many independent ones they are
+    worth."""
+    counts = mask.astype(float)
+    kept = np.where(mask, error, 0.0)
+    number = counts.sum(axis=0)
+    square = (kept**2).sum(axis=0) / np.where(number > 0, number, np.nan)
+    worth = effective_counts(jnp.asarray(filled_up(kept)), jnp.asarray(filled_up(counts)))
+    return np.sqrt(square), np.asarray(worth)

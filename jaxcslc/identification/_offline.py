@@ -1,0 +1,137 @@
+import numpy as np
+
+from ..inertia import link_of, nearest_body
+from ..motion import Patterns
+from ..network import CSLC
+from ._payload_fit import PayloadFit
+from ._relearn import relearn
+from .solver import (
+    Errors,
+    Identification,
+    JointWeights,
+    KeptRows,
+    Known,
+    Loss,
+    check_patterns,
+    check_words,
+    checked,
+    equations_of,
+    fit_rows,
+)
+
+
+def fit_payload(
+    network: CSLC,
+    loaded: Patterns,
+    unloaded: Patterns | None = None,
+    known: Known | None = None,
+    *,
+    cutoff: float | None = None,
+    joint_weights: JointWeights = "equal",
+    loss: Loss = "squared",
+    errors: Errors = "independent",
+    rcond: float | None = None,
+    throw: bool = True,
+) -> PayloadFit:
+    """The ten inertial parameters of a payload from a recording of the loaded arm (thesis 8.2.4).
+
+    A payload and the link that carries it are one rigid body: a recording of the loaded arm alone
+    cannot tell them apart. What the arm weighs without it must come from elsewhere, so one of two
+    more things is needed:
+
+    - `unloaded`, a recording of the arm without it: the coefficients of both are fitted to both
+      recordings together. Payload columns of the unloaded one are zero.
+    - `known`, what was identified before: the arm's coefficients are held there
+      (`relearn(..., groups=("payload",))`). If it is an `Identification`, its uncertainty counts:
+      the payload's covariance holds what errors of the arm's coefficients do to it.
+
+    The payload is in the frame of the link that carries it, the last one unless the network says
+    otherwise (`with_payload`). Friction that changes with the load, and an arm whose friction has
+    changed since it was identified, are taken for payload as far as they look like one.
+
+    **Arguments**
+
+    - `network`: of the arm, with or without payload.
+    - `loaded`, `unloaded`: patterns (samples, n).
+    - `known`: an `Identification` of the arm, or its coefficients; exact ones, then.
+    - `cutoff`, `joint_weights`, `loss`, `errors`, `rcond`, `throw`: as for `least_squares`.
+
+    **Returns** a `PayloadFit`. Runs on the host; with `unloaded` it keeps the equations of both
+    recordings in memory.
+
+    **Raises**
+
+    - `ValueError`: unless one of `unloaded` and `known` is given; for another network's
+      coefficients; or as `least_squares`.
+    - `RuntimeError`: as `least_squares`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> robot = jc.puma560()
+    >>> network = jc.derive(robot)
+    >>> arm = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
+    >>> body = jc.LinkParameters(1.5, np.array([0.02, 0.0, 0.1]), 2e-3 * np.eye(3))
+    >>> carried = network.with_payload()
+    >>> k = carried.coefficients_from(
+    ...     robot.links, viscous=robot.viscous, dry=robot.dry, payload=body
+    ... )
+    >>> q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 100, 6))
+    >>> pairs = np.ones(q.shape, bool)
+    >>> time, torque = 0.1 * np.arange(100), carried.torque(k, q, qd, qdd)
+    >>> patterns = jc.Patterns(time, q, qd, qdd, torque, pairs, pairs)
+    >>> found = jc.fit_payload(network, patterns, known=arm)
+    >>> round(float(found.mass), 6), np.round(found.centre_of_gravity, 6).tolist()
+    (1.5, [0.02, 0.0, 0.1])
+    """
+    if unloaded is not None and known is not None:
+        raise ValueError("fit_payload: got both unloaded and known; expected one of them")
+    if unloaded is None and known is None:
+        raise ValueError(
+            "fit_payload: a loaded recording alone cannot tell payload and last link apart;"
+            " expected one of unloaded and known"
+        )
+    whole = network.with_payload() if network.payload is None else network
+    if known is not None:
+        fit = relearn(
+            whole,
+            loaded,
+            known,
+            groups=("payload",),
+            cutoff=cutoff,
+            joint_weights=joint_weights,
+            loss=loss,
+            errors=errors,
+            rcond=rcond,
+            throw=throw,
+        )
+    else:
+        assert unloaded is not None
+        check_patterns(whole, loaded)
+        check_patterns(whole, unloaded)
+        check_words(loss, errors)
+        payload = range(whole.size - 10, whole.size)
+        alone = equations_of(whole, unloaded, cutoff).without(whole, payload)
+        both = equations_of(whole, loaded, cutoff).followed_by(alone, loaded.samples)
+        again = loss != "squared" or errors != "independent"
+        rows = KeptRows.of(both, loaded.samples + unloaded.samples) if again else None
+        fit = checked(
+            fit_rows(
+                whole,
+                both.factors(),
+                rows,
+                joint_weights=joint_weights,
+                loss=loss,
+                errors=errors,
+                rcond=rcond,
+            ),
+            throw,
+        )
+    body = _possible(fit)
+    return PayloadFit(fit, None if body is None else link_of(body))
+
+
+def _possible(fit: Identification) -> np.ndarray | None:
+    covariance = np.asarray(fit.independent_covariance)[-10:, -10:]
+    body = np.asarray(fit.k)[-10:]
+    if not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(body))):
+        return None
+    return nearest_body(body, covariance, np.asarray(fit.undetermined)[:, -10:])

@@ -1,0 +1,247 @@
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..inertia import Fitted, NearestBodies, bodies_of, link_of, tied
+from ..manipulator import LinkParameters
+from ..motion import Patterns
+from ..network import CSLC
+
+
+if TYPE_CHECKING:
+    import pandas
+
+
+class POSSIBILITY(eqx.Enumeration):
+    """How the search for possible parameters ended. The members are the messages."""
+
+    successful = ""
+    inexact = (
+        "The solver stopped before it reached its accuracy: the parameters are possible, but"
+        " there may be nearer ones."
+    )
+    failed = "The solver found no possible parameters: check units, covariance and prior."
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicalParameters:
+    """Link parameters that can exist, and the coefficients that they imply.
+
+    **Attributes**
+
+    - `names`: of the coefficients.
+    - `links`: one a joint, `fixed` bodies included: positive mass, positive definite
+      pseudo-inertia, motor inertia of zero or more.
+    - `own`: the same without the `fixed` bodies.
+    - `friction`: friction coefficients by word, as `CSLC.coefficients_from` takes them.
+    - `k`: (p,) the coefficients that all of these imply.
+    - `distance`: root mean square change of the determined coefficients against the fit, in
+      standard errors: what being possible cost.
+    - `torque_distance`: (n,) root mean square change of each joint's torque over the patterns
+      [N m or N]; NaN where no patterns were given.
+    - `result`: a member of `POSSIBILITY`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> fit = jc.least_squares(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> found = jc.physical_parameters(network, fit)
+    >>> bool(found.links[0].mass > 0), found.to_pandas().shape[0]
+    (True, 1)
+    """
+
+    names: tuple[str, ...]
+    links: tuple[LinkParameters, ...]
+    own: tuple[LinkParameters, ...]
+    friction: Mapping[str, Float[np.ndarray, "..."]]
+    k: Float[np.ndarray, " coefficients"]
+    distance: float
+    torque_distance: Float[np.ndarray, " joints"]
+    result: POSSIBILITY
+
+    @property
+    def viscous(self) -> Float[np.ndarray, "..."] | None:
+        """Viscous friction of each joint [N m s/rad]; None if the network has none."""
+        return self.friction.get("viscous")
+
+    @property
+    def dry(self) -> Float[np.ndarray, "..."] | None:
+        """Dry friction of each joint [N m]; None if the network has none."""
+        return self.friction.get("dry")
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """One row a link: mass, centre of gravity, tensor there and motor inertia, in SI units."""
+        import pandas
+
+        index = pandas.RangeIndex(1, len(self.links) + 1, name="link")
+        return pandas.DataFrame([_row(link) for link in self.links], index=index)
+
+    def __repr__(self) -> str:
+        masses = ", ".join(f"{float(link.mass):.3g}" for link in self.links)
+        torque = ", ".join(f"{value:.3g}" for value in self.torque_distance)
+        moved = "" if np.all(np.isnan(self.torque_distance)) else f", torque moved by [{torque}]"
+        return (
+            f"PhysicalParameters({len(self.links)} links of [{masses}] kg,"
+            f" {self.distance:.3g} standard errors from the fit{moved})"
+        )
+
+
+def physical_parameters(
+    network: CSLC,
+    fit: Fitted,
+    prior: Sequence[LinkParameters] | None = None,
+    *,
+    fixed: Sequence[LinkParameters | None] | None = None,
+    patterns: Patterns | None = None,
+    motors: bool = True,
+    prior_weight: float = 0.1,
+    least: float = 1e-3,
+    throw: bool = True,
+) -> PhysicalParameters:
+    """Masses, centres of gravity and inertia tensors that can exist, nearest to those identified.
+
+    Identified coefficients are combinations of link parameters, and nothing keeps them from
+    being combinations that no robot has. Every body has a positive definite pseudo-inertia matrix
+    ∫ (x, 1)(x, 1)ᵀ dm, and every such matrix is a body's (Wensing, Kim and Slotine 2018); torque
+    is linear in its entries. So the possible parameters nearest to a fit are the solution of a
+    semidefinite programme (Sousa and Cortesão 2014): it minimises
+
+        (k - k(θ))ᵀ C⁻¹ (k - k(θ)) + w² Σ |J̃ᵢ - 1|² + w² Σ |other - prior|²
+
+    where C is the fit's covariance, on the combinations that it determines, and J̃ᵢ is link i's
+    pseudo-inertia in units of the prior's: with J₀ = L Lᵀ, J̃ = L⁻¹ J L⁻ᵀ. Its distance from 1 is
+    the second-order part of the distances between bodies that depend on neither units nor frames
+    (Lee, Wensing and Park 2020). Motor inertias and friction that is positive by construction are
+    kept from being negative; they are the `other`, in units of their own size.
+
+    Links with zeros, equal moments or principal axes (`LinkInertia`) keep them. Principal axes
+    make the problem bilinear: it is then solved by a bounded search that starts at the prior.
+    Moments and masses that are listed as zero, which no body has, are left to the prior: listing
+    them says that the torque does not see them.
+
+    **Arguments**
+
+    - `network`: p coefficients.
+    - `fit`: from `least_squares` and its relatives; `k`, `covariance` and `undetermined` are used.
+    - `prior`: links to keep to where the data say nothing; `network.robot.links` if omitted, or
+      else balls of equal mass between the joints. Links that cannot exist are filled up first.
+    - `fixed`: for each link a body that is part of it and known, such as a gripper's, or None.
+      What is left without it must be possible.
+    - `patterns`: over which `torque_distance` is measured.
+    - `motors`: whether joints have motor inertia where the network says so; False holds it at zero,
+      as for a file that has no word for it.
+    - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts.
+    - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
+    - `throw`: raise if no possible parameters were found instead of returning the result code.
+
+    **Raises**
+
+    - `ValueError`: for a number of links or coefficients that is not the network's, for a weight
+      or part out of range, for a fit that is not finite, and for bodies fixed to links with
+      principal axes.
+    - `RuntimeError`: with `throw`, if the solver fails.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> [c.expression for c in network.coefficients[:3]]
+    ['Izz1 + Im1', 'm1*rx1', 'm1*ry1']
+    >>> class Fit:  # a moment of inertia that is negative
+    ...     k = np.array([-0.5, 0.3, 0.0, 0.2, 0.05])
+    ...     covariance = np.diag([0.4, 1e-3, 1e-3, 1e-3, 1e-3]) ** 2
+    ...     undetermined = np.zeros((5, 5))
+    >>> found = jc.physical_parameters(network, Fit())
+    >>> bool(found.k[0] > 0), round(float(found.k[1]), 2), float(found.links[0].mass) > 0
+    (True, 0.3, True)
+    """
+    n = network.joint_count
+    for name, given in (("prior", prior), ("fixed", fixed)):
+        if given is not None and len(given) != n:
+            raise ValueError(f"{name}: expected {n} entries, one a joint, got {len(given)}")
+    if not 0 < prior_weight < np.inf:
+        raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
+    if not 0 < least < 1:
+        raise ValueError(f"least: expected a number between 0 and 1, got {least!r}")
+    problem = NearestBodies.of(network, fit, prior, fixed, prior_weight, motors)
+    found = problem.found(least)
+    if found is None:
+        if throw:
+            raise RuntimeError(f"physical_parameters: {POSSIBILITY[POSSIBILITY.failed]}")
+        bodies, others = problem.prior.bodies, problem.others * problem.scales
+        code = POSSIBILITY.failed
+    else:
+        bodies, others, exactly = found
+        code = POSSIBILITY.successful if exactly else POSSIBILITY.inexact
+
+    inertia = network.robot.inertia
+    driven = np.array([motors and kind.motor for kind in inertia], bool)
+    rotors = np.zeros(n)
+    rotors[driven] = others[: driven.sum()]
+    links = tuple(
+        tied(kind, link_of(body, float(motor)))
+        for kind, body, motor in zip(inertia, bodies + problem.fixed, rotors, strict=True)
+    )
+    free = bodies_of(links) - problem.fixed
+    k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
+    k += problem.of_others @ (others / problem.scales)
+    moved = problem.white @ (k - problem.k)
+    return PhysicalParameters(
+        network.names,
+        links,
+        tuple(link_of(body, float(motor)) for body, motor in zip(free, rotors, strict=True)),
+        _friction(network, others[driven.sum() :]),
+        k,
+        float(np.sqrt(np.mean(moved**2))) if moved.size else 0.0,
+        _torque_distance(network, k - problem.k, patterns),
+        code,
+    )
+
+
+def _friction(
+    network: CSLC, values: Float[np.ndarray, " _"]
+) -> dict[str, Float[np.ndarray, "..."]]:
+    """The coefficients beside the inertial ones, by word, in the form of `coefficients_from`."""
+    found: dict[str, np.ndarray] = {}
+    start, n = 0, network.joint_count
+    for term in network.terms:
+        own = values[start : start + term.size]
+        start += term.size
+        if term.pairs:
+            table = found.setdefault("coupled", np.zeros((len(term.pairs), 3)))
+            table[:, ("inertia", "viscous", "dry").index(term.word.removeprefix("coupled_"))] = own
+        elif term.part:
+            table = found.setdefault(term.word, np.zeros((n, 2)))
+            table[list(term.joints), "+-".index(term.part)] = own
+        else:
+            found[term.word] = np.zeros(n)
+            found[term.word][list(term.joints)] = own
+    return found
+
+
+def _torque_distance(
+    network: CSLC, change: Float[np.ndarray, " coefficients"], patterns: Patterns | None
+) -> Float[np.ndarray, " joints"]:
+    """Root mean square torque of a change of coefficients over the patterns that count."""
+    if patterns is None:
+        return np.full(network.joint_count, np.nan)
+    torque = np.asarray(network.torque(change, patterns.q, patterns.qd, patterns.qdd))
+    counts = np.asarray(patterns.counts_in)
+    total = np.sum(np.where(counts, torque, 0.0) ** 2, axis=0)
+    return np.sqrt(total / np.maximum(np.sum(counts, axis=0), 1))
+
+
+def _row(link: LinkParameters) -> dict[str, float]:
+    centre, tensor = np.asarray(link.centre_of_gravity), np.asarray(link.inertia)
+    row = {"mass": float(link.mass)}
+    row |= {f"r{axis}": float(value) for axis, value in zip("xyz", centre, strict=True)}
+    for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        row[f"I{'xyz'[a]}{'xyz'[b]}"] = float(tensor[a, b])
+    return row | {"motor_inertia": float(link.motor_inertia)}

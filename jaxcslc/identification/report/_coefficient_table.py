@@ -1,0 +1,114 @@
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...network import CSLC
+from ..solver import Identification
+from ._excitation import Excitation
+from ._text import text_table
+from ._verdicts import verdicts
+
+
+_LONGEST_EXPRESSION = 60
+
+
+def coefficient_rows(
+    network: CSLC,
+    fit: Identification | None = None,
+    reference: Mapping[str, Float[Array | np.ndarray, " _"]] | None = None,
+    *,
+    sensitivity: Float[Array | np.ndarray, " _"] | None = None,
+    groups: Sequence[str] | None = None,
+    excitation: Excitation | None = None,
+    level: float = 0.95,
+) -> list[dict[str, str | float | bool]]:
+    """One row a coefficient: name, group, expression, unit and, with a fit, what it found.
+
+    With a reference and sensitivities the rows are those of Figs. B.1-1 to B.5-2.
+
+    **Arguments**
+
+    - `fit`: adds `value`, `standard_error`, `relative_error`, the interval's ends `low` and
+      `high`, and `verdict` and `reason`, as `verdicts` gives them.
+    - `reference`: further columns of values, such as Armstrong's, or the true ones.
+    - `sensitivity`: adds the column `sensitivity`; see `output_sensitivity`.
+    - `excitation`: adds `variance_inflation`, and reasons that name it; see
+      `degree_of_excitation`.
+    - `level`: of the intervals.
+    - `groups`: only the coefficients of these groups, such as `["mass"]` for Fig. B.1-1; by
+      default all.
+
+    **Raises**
+
+    - `ValueError`: for a group that the network does not have, or a vector of another length.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.assessment import coefficient_rows
+    >>> network = jc.derive(jc.puma560())
+    >>> len(coefficient_rows(network, groups=["gravity"]))
+    5
+    """
+    present = tuple(dict.fromkeys(coefficient.group for coefficient in network.coefficients))
+    for group in groups or ():
+        if group not in present:
+            raise ValueError(f"groups: expected some of {', '.join(present)}, got {group!r}")
+    columns = dict(reference or {}) | ({} if sensitivity is None else {"sensitivity": sensitivity})
+    for name, vector in columns.items():
+        if vector.shape != (network.size,):
+            raise ValueError(f"{name}: expected shape ({network.size},), got {vector.shape}")
+    judged = None if fit is None else verdicts(network, fit, excitation, level=level)
+    interval = None if fit is None else fit.confidence_interval(level)
+    rows: list[dict[str, str | float | bool]] = []
+    for i, coefficient in enumerate(network.coefficients):
+        if groups is not None and coefficient.group not in groups:
+            continue
+        row: dict[str, str | float | bool] = {
+            "name": coefficient.name,
+            "group": coefficient.group,
+            "unit": coefficient.unit,
+            "positive": coefficient.positive,
+        }
+        if fit is not None and judged is not None and interval is not None:
+            value, error = float(fit.k[i]), float(fit.standard_error[i])
+            row["value"], row["standard_error"] = value, error
+            row["relative_error"] = abs(error / value) if value else float("inf")
+            row["low"], row["high"] = (float(end) for end in interval[i])
+            if excitation is not None:
+                row["variance_inflation"] = float(excitation.variance_inflation[i])
+            row["verdict"], row["reason"] = judged[i].word, judged[i].reason
+        for name, vector in columns.items():
+            row[name] = float(vector[i])
+        row["expression"] = coefficient.expression
+        rows.append(row)
+    return rows
+
+
+def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
+    """Coefficient rows as a table to read; long expressions are cut.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.assessment import coefficient_rows, coefficient_text
+    >>> pendulum = jc.Manipulator.from_modified_dh(
+    ...     [(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=()
+    ... )
+    >>> print(coefficient_text(coefficient_rows(jc.derive(pendulum, lengths="numeric"))))
+    name  unit   expression
+    kB1   kg m²  Izz1 + Im1
+    kB2   kg m   m1*rx1
+    kB3   kg m   m1*ry1
+    """
+    hidden = ("group", "positive", "relative_error", "variance_inflation")
+    shown = [name for name in rows[0] if name not in hidden]
+    cells = [[_cell(name, row[name]) for name in shown] for row in rows]
+    return text_table(shown, cells, left=("unit", "verdict", "reason", "expression"))
+
+
+def _cell(name: str, value: str | float | bool) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    text = str(value)
+    if name == "expression":
+        cut = len(text) > _LONGEST_EXPRESSION
+        return text[: _LONGEST_EXPRESSION - 2] + " …" if cut else text
+    return text

@@ -1,0 +1,171 @@
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...motion import Patterns
+from ...network import CSLC
+from ..solver import factorise, filled_up
+
+
+# As many coefficients as a line that is read can name.
+_PARTS = 4
+
+
+class Excitation(eqx.Module):
+    """How well a recording tells the coefficients of a network apart.
+
+    From the singular values of the regressor over the pairs that count, each column scaled to
+    unit length: neither units nor the length of the recording enter. Were all columns
+    orthogonal, every singular value would be 1.
+
+    **Attributes**
+
+    - `condition`: the largest singular value over the smallest; infinite where the patterns
+      leave a combination of coefficients untold. What noise in the torque is multiplied by, at
+      the worst, on its way to relative errors of the coefficients.
+    - `smallest`: the smallest singular value, from 0 to 1.
+    - `weakest`: (p,) the combination of scaled coefficients that belongs to it, of unit length:
+      its largest entries name what the recording tells least.
+    - `length`: (p,) of each column, the root of its sum of squares: what the coefficients are
+      multiplied by to be scaled.
+    - `variance_inflation`: (p,) from 1: how many times larger each coefficient's variance is than
+      if the others were known (Belsley, Kuh and Welsch, 'Regression Diagnostics', 1980; about
+      zero, not about means). Infinite where the patterns do not determine it.
+    - `group_condition`: the condition of each group's columns by themselves: as if everything
+      else were known.
+    - `names`: of the coefficients.
+    """
+
+    condition: Float[Array, ""]
+    smallest: Float[Array, ""]
+    weakest: Float[Array, " coefficients"]
+    length: Float[Array, " coefficients"]
+    variance_inflation: Float[Array, " coefficients"]
+    group_condition: Mapping[str, Float[Array, ""]]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def rows(self) -> list[dict[str, str | float]]:
+        """One row for all coefficients and one a group, with their condition."""
+        conditions = {"all": self.condition, **self.group_condition}
+        return [
+            {"coefficients": group, "condition": float(value)}
+            for group, value in conditions.items()
+        ]
+
+    @property
+    def worst_combination(self) -> str:
+        """The combination of coefficients that the recording tells least, in words.
+
+        In the coefficients' units, the largest part first and made 1; no more than four parts, and
+        none that matters less than a fifth of the first. Not available under `jit`.
+        """
+        part = np.asarray(self.weakest)
+        size = np.abs(part)
+        order = [int(i) for i in np.argsort(-size)[:_PARTS] if size[i] > 0.2 * size.max()]
+        multiple = part * np.asarray(self.length)
+        first = order[0]
+        # A column of zeros has no length to be scaled with: it is that coefficient alone.
+        scaled = multiple / multiple[first] if multiple[first] else np.ones_like(multiple)
+        text = self.names[first]
+        for i in order[1:]:
+            number = f"{abs(scaled[i]):.3g}"
+            times = "" if number == "1" else f"{number}*"
+            text += f" {'-' if scaled[i] < 0 else '+'} {times}{self.names[i]}"
+        return text
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, one row a coefficient: variance inflation and weakest part."""
+        import pandas
+
+        return pandas.DataFrame(
+            {
+                "variance_inflation": np.asarray(self.variance_inflation),
+                "weakest": np.asarray(self.weakest),
+            },
+            index=pandas.Index(self.names, name="coefficient"),
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"condition {float(self.condition):.4g}, smallest singular value"
+            f" {float(self.smallest):.4g}; told least: {self.worst_combination}"
+        )
+
+
+def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
+    """How exciting a recording is for a network (Section 7.4.1; Craig 1986, Armstrong 1989).
+
+    Measured as in Armstrong, 'On finding exciting trajectories for identification experiments
+    involving systems with nonlinear dynamics' (1989): condition number and smallest singular
+    value of the regressor. `condition` is what `least_squares` reports for the same patterns
+    with joints of equal weight, where they determine every coefficient; here nothing is fitted,
+    and the torque is not used.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `patterns`: motion; pairs outside `patterns.counts_in` are left out.
+
+    **Returns** an `Excitation`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.assessment import degree_of_excitation
+    >>> pendulum = jc.Manipulator.from_modified_dh(
+    ...     [(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=("viscous",)
+    ... )
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> all_pairs = np.ones(t.shape, bool)
+    >>> patterns = jc.Patterns(
+    ...     t[:, 0], np.sin(t), np.cos(t), np.sin(3 * t), t, all_pairs, all_pairs
+    ... )
+    >>> excitation = degree_of_excitation(network, patterns)
+    >>> bool(excitation.condition < 10), tuple(excitation.group_condition)
+    (True, ('base', 'viscous'))
+    """
+    motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque)
+    weight = jnp.asarray(patterns.counts_in, float)
+    factors = _factorise(network, *(jnp.asarray(filled_up(x)) for x in (*motion, weight)))
+    triangle = factors.stacked(network, jnp.ones(network.joint_count))[:, :-1]
+    length = jnp.linalg.norm(triangle, axis=0)
+    scaled = triangle / jnp.where(length > 0, length, 1.0)[None, :]
+    _, singular, right = jnp.linalg.svd(scaled, full_matrices=False)
+
+    groups = tuple(coefficient.group for coefficient in network.coefficients)
+    columns = {
+        group: np.flatnonzero([other == group for other in groups])
+        for group in dict.fromkeys(groups)
+    }
+    # What counts as zero in `least_squares` too.
+    rounding = 10 * jnp.finfo(scaled.dtype).eps
+    rounding *= jnp.maximum(network.size, jnp.sqrt(jnp.sum(factors.counts)))
+    told = singular > rounding * singular[0]
+    inverse = jnp.where(told, 1.0 / jnp.where(told, singular, 1.0), 0.0)
+    untold = jnp.sum(jnp.where(told[:, None], 0.0, right) ** 2, axis=0) > 1e-12
+    inflation = jnp.sum((inverse[:, None] * right) ** 2, axis=0)
+    return Excitation(
+        condition=_condition(singular, rounding),
+        smallest=singular[-1],
+        weakest=right[-1],
+        length=length,
+        variance_inflation=jnp.where(untold, jnp.inf, inflation),
+        group_condition={
+            group: _condition(jnp.linalg.svd(scaled[:, chosen], compute_uv=False), rounding)
+            for group, chosen in columns.items()
+        },
+        names=network.names,
+    )
+
+
+# The same transformation of the same function as in `least_squares`: compiled once for both.
+_factorise = eqx.filter_jit(factorise)
+
+
+def _condition(singular: Float[Array, " values"], rounding: Float[Array, ""]) -> Float[Array, ""]:
+    """Infinite where the smallest singular value is no more than rounding."""
+    told = singular[-1] > rounding * singular[0]
+    return jnp.where(told, singular[0] / jnp.where(told, singular[-1], 1.0), jnp.inf)

@@ -1,0 +1,46 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...motion import Patterns
+from ...network import CSLC
+
+
+# Tracing a network takes longer than computing this many patterns with it.
+_FEWEST_ROWS = 4096
+
+
+def filled_up(
+    x: Float[Array | np.ndarray, "samples columns"],
+) -> Float[Array | np.ndarray, "rows columns"]:
+    """Zero rows behind the end, to the next power of two.
+
+    So that recordings of similar lengths share one compiled function. Zeros are patterns of
+    weight zero, or are cut off again.
+    """
+    rows = max(_FEWEST_ROWS, 1 << (x.shape[0] - 1).bit_length())
+    widths = ((0, rows - x.shape[0]), (0, 0))
+    # NumPy's own arrays are filled up by NumPy: nothing to compile.
+    return np.pad(x, widths) if isinstance(x, np.ndarray) else jnp.pad(x, widths)
+
+
+def regressor_of(network: CSLC, patterns: Patterns) -> Float[Array, "samples joints coefficients"]:
+    """The regressor of patterns; compiled once for all recordings of similar lengths."""
+    q, qd, qdd = (filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+    return _regressor(network, jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd))[: len(patterns.q)]
+
+
+@eqx.filter_jit
+def _regressor(network: CSLC, q: Array, qd: Array, qdd: Array) -> Array:
+    return network.regressor(q, qd, qdd)
+
+
+def require_float64(*arrays: Array | np.ndarray) -> None:
+    """**Raises** `ValueError` unless JAX computes in float64 and the arrays are in it."""
+    if not jax.config.read("jax_enable_x64") or any(x.dtype != np.float64 for x in arrays):
+        raise ValueError(
+            "identification needs float64: switch it on in the program's first lines with"
+            " jax.config.update('jax_enable_x64', True)"
+        )

@@ -1,0 +1,6 @@
+from ._recording_files import (
+    RecordingChunk as RecordingChunk,
+    iterate_recording as iterate_recording,
+    load_recording as load_recording,
+    save_recording as save_recording,
+)

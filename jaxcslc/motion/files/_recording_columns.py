@@ -1,0 +1,100 @@
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .. import RecordingError, column_names
+
+
+REQUIRED = ("position", "torque")
+OPTIONAL = ("velocity", "acceleration")
+EXPECTED = (
+    "expected time, position_1..n, torque_1..n and, optionally, velocity_1..n, acceleration_1..n"
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Columns:
+    """Which columns a recording file has, once they have been found to be in order."""
+
+    joints: int
+    optional: tuple[str, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """All columns in the order in which this package writes them."""
+        quantities = (*REQUIRED, *self.optional)
+        return ["time", *(name for q in quantities for name in column_names(q, self.joints))]
+
+    def split(
+        self, table: Mapping[str, Float[np.ndarray, " rows"]]
+    ) -> dict[str, Float[np.ndarray, "rows joints"] | None]:
+        """The columns of a table put together, one array a quantity; `None` for absent ones."""
+        return {
+            quantity: np.stack([table[name] for name in column_names(quantity, self.joints)], 1)
+            if quantity in REQUIRED or quantity in self.optional
+            else None
+            for quantity in (*REQUIRED, *OPTIONAL)
+        }
+
+
+def checked_columns(file: str, names: Sequence[str]) -> Columns:
+    """Tells the joints and quantities of a file from its header.
+
+    **Arguments:**
+
+    - `file`: as it is named in messages.
+    - `names`: the columns, in any order.
+
+    **Returns:**
+
+    What they are.
+
+    **Raises:**
+
+    - `RecordingError`: duplicate, unknown or missing columns; nothing is guessed.
+    """
+
+    def wrong(problem: str) -> RecordingError:
+        return RecordingError(f"{file}: {problem}; {EXPECTED}")
+
+    duplicates = sorted({name for name in names if names.count(name) > 1})
+    if duplicates:
+        raise wrong(f"column {_listed(duplicates)} occurs more than once")
+    numbers: dict[str, set[int]] = {quantity: set() for quantity in (*REQUIRED, *OPTIONAL)}
+    unknown: list[str] = []
+    for name in names:
+        parts = re.fullmatch(r"(position|torque|velocity|acceleration)_([1-9][0-9]*)", name)
+        if parts is not None:
+            numbers[parts[1]].add(int(parts[2]))
+        elif name != "time":
+            unknown.append(name)
+    if len(names) == 1 and unknown and re.search(r"[;\t]", names[0]):
+        raise wrong(f"one column named {names[0]!r}; cells are to be separated by commas")
+    if unknown:
+        raise wrong(f"unknown column {_listed(unknown)}")
+    if "time" not in names:
+        raise wrong("missing column time")
+    for quantity in REQUIRED:
+        if not numbers[quantity]:
+            raise wrong(f"missing column {quantity}_1 (no {quantity} columns at all)")
+    for quantity, found in numbers.items():
+        gaps = [f"{quantity}_{number}" for number in range(1, max(found, default=0))]
+        gaps = [name for name in gaps if name not in names]
+        if gaps:
+            raise wrong(f"missing column {_listed(gaps)} before {quantity}_{max(found)}")
+    joints = len(numbers["position"])
+    for quantity, found in numbers.items():
+        if found and len(found) != joints:
+            raise wrong(
+                f"{joints} position columns but {len(found)} {quantity} columns "
+                "(as many of each are needed)"
+            )
+    return Columns(joints, tuple(quantity for quantity in OPTIONAL if numbers[quantity]))
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(repr(name) if not name.isidentifier() else name for name in names[:4])
+    return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"

@@ -1,0 +1,266 @@
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from jaxtyping import Float
+
+from .. import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
+from ._recording_tables import open_table
+
+
+ROW_GROUP = 1 << 16
+"""Rows of a Parquet row group: what its readers must be able to hold at a time."""
+
+
+class RecordingChunk(eqx.Module):
+    """Successive rows of a recording file that is too long to be held at once.
+
+    **Attributes:**
+
+    - `first`: the number of the chunk's first row in the file, counted from 0.
+    - `time`, `position`, `torque`, `velocity`, `acceleration`: as of a `Recording`.
+
+    ```python
+    >>> import numpy as np
+    >>> from jaxcslc.motion import RecordingChunk
+    >>> one = np.zeros((1, 2))
+    >>> RecordingChunk(0, np.zeros(1), one, one, None, None).samples
+    1
+
+    ```
+    """
+
+    first: int
+    time: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, "samples joints"]
+    torque: Float[np.ndarray, "samples joints"]
+    velocity: Float[np.ndarray, "samples joints"] | None
+    acceleration: Float[np.ndarray, "samples joints"] | None
+
+    @property
+    def samples(self) -> int:
+        """How many rows the chunk has."""
+        return self.position.shape[0]
+
+
+def load_recording(path: str | os.PathLike[str], joints: int | None = None) -> Recording:
+    """Reads a recording from a CSV or Parquet file.
+
+    One row a sample; columns `time`, `position_1` to `position_n`, `torque_1` to `torque_n` and,
+    optionally, `velocity_i` and `acceleration_i`, in any order; SI units.
+
+    **Arguments:**
+
+    - `path`: ends in `.csv` or `.parquet`.
+    - `joints`: of the robot, where the recording is to be of a certain one.
+
+    **Returns:**
+
+    The recording.
+
+    **Raises:**
+
+    - `RecordingError`: a file that is missing, unreadable or empty; missing, unknown or duplicate
+        columns; cells that are no finite numbers; time that does not increase; repeated rows; too
+        few samples; another number of joints. The message is one line and names the file,
+        the column and the row (data rows from 1 and, in CSV files, the line).
+
+    ```python
+    >>> import pathlib, tempfile
+    >>> from jaxcslc.motion import load_recording
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "still.csv"
+    ...     rows = "".join(f"{0.01 * row:.2f},0.5,{row}\\n" for row in range(6))
+    ...     _ = path.write_text("time,position_1,torque_1\\n" + rows)
+    ...     load_recording(path).torque[:, 0].tolist()
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+    ```
+    """
+    path = Path(path)
+    columns, pieces = open_table(path)
+    _check_joints(path, columns.joints, joints)
+    tables = list(pieces)
+    table = {
+        name: np.concatenate([piece[name] for piece in tables] or [np.empty(0)])
+        for name in columns.names
+    }
+    samples = table["time"].size
+    if samples < MINIMUM_SAMPLES:
+        raise RecordingError(
+            f"{path}: {samples or 'no'} rows of samples; expected at least {MINIMUM_SAMPLES}"
+        )
+    return Recording(table["time"], **columns.split(table))  # pyright: ignore[reportArgumentType]
+
+
+def iterate_recording(
+    path: str | os.PathLike[str], chunk_rows: int, joints: int | None = None
+) -> Iterator[RecordingChunk]:
+    """Reads a recording of any length, a chunk at a time.
+
+    Memory does not grow with the file, as long as a Parquet file's row groups are not as large as
+    itself (this package writes small ones).
+
+    **Arguments:**
+
+    - `path`: as for `load_recording`.
+    - `chunk_rows`: of every chunk but the last, which may be shorter.
+    - `joints`: as for `load_recording`.
+
+    **Returns:**
+
+    An iterator over the chunks, in order. The file's columns are checked before it returns.
+
+    **Raises:**
+
+    - `ValueError`: chunks of less than one row.
+    - `RecordingError`: as `load_recording`, but for its least number of samples: any row will
+        do. Faults of rows and cells are raised by the iterator when it comes to them.
+
+    ```python
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from jaxcslc.motion import iterate_recording, Recording, save_recording
+    >>> time = np.arange(10) * 0.01
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "long.parquet"
+    ...     save_recording(Recording(time, time[:, None], time[:, None]), path)
+    ...     [(chunk.first, chunk.samples) for chunk in iterate_recording(path, 4)]
+    [(0, 4), (4, 4), (8, 2)]
+
+    ```
+    """
+    if chunk_rows < 1:
+        raise ValueError(f"chunks of {chunk_rows} rows; expected 1 or more")
+    path = Path(path)
+    columns, pieces = open_table(path)
+    _check_joints(path, columns.joints, joints)
+
+    def chunks() -> Iterator[RecordingChunk]:
+        waiting: list[dict[str, Float[np.ndarray, " rows"]]] = []
+        rows = first = 0
+
+        def put_together() -> dict[str, Float[np.ndarray, " rows"]]:
+            return {name: np.concatenate([part[name] for part in waiting]) for name in waiting[0]}
+
+        def chunk(table: dict[str, Float[np.ndarray, " rows"]]) -> RecordingChunk:
+            return RecordingChunk(first=first, time=table["time"], **columns.split(table))  # pyright: ignore[reportArgumentType]
+
+        for piece in pieces:
+            waiting.append(piece)
+            rows += piece["time"].size
+            if rows < chunk_rows:
+                continue
+            table = put_together()
+            start = 0
+            while rows - start >= chunk_rows:
+                yield chunk({name: v[start : start + chunk_rows] for name, v in table.items()})
+                start += chunk_rows
+                first += chunk_rows
+            waiting = [{name: values[start:].copy() for name, values in table.items()}]
+            rows -= start
+        if rows:
+            yield chunk(put_together())
+        elif first == 0:
+            raise RecordingError(f"{path}: no rows of samples; expected at least 1")
+
+    return chunks()
+
+
+def save_recording(
+    recording: Recording | Iterable[Recording | RecordingChunk], path: str | os.PathLike[str]
+) -> None:
+    """Writes a recording to a CSV or Parquet file, from which it is read back bit for bit.
+
+    The file appears when it is complete: until then, one of that name stays as it was.
+
+    **Arguments:**
+
+    - `recording`: one, or successive parts of one that is too long to be held at once.
+    - `path`: ends in `.csv` or `.parquet`; its folder exists.
+
+    **Raises:**
+
+    - `RecordingError`: another suffix, a folder that cannot be written to, parts that differ in
+        their columns, or no parts.
+
+    ```python
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from jaxcslc.motion import load_recording, Recording, save_recording
+    >>> time = np.linspace(0.0, 1.0, 7)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "motion.csv"
+    ...     save_recording(Recording(time, np.sin(time)[:, None], time[:, None]), path)
+    ...     bool((load_recording(path).position[:, 0] == np.sin(time)).all())
+    True
+
+    ```
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise RecordingError(
+            f"{path}: unknown file type {path.suffix!r}; expected .csv or .parquet"
+        )
+    parts = [recording] if isinstance(recording, Recording) else recording
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+            unfinished = Path(folder) / path.name
+            _write(parts, unfinished, path)
+            unfinished.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _write(parts: Iterable[Recording | RecordingChunk], unfinished: Path, path: Path) -> None:
+    tables = map(_as_table, parts)
+    first = next(tables, None)
+    if first is None:
+        raise RecordingError(f"{path}: no parts of a recording to write; expected one or more")
+    with _writer(unfinished, first.schema) as writer:
+        for table in chain([first], tables):
+            if table.schema != first.schema:
+                raise RecordingError(
+                    f"{path}: parts of the recording differ in their columns; expected "
+                    f"{', '.join(first.schema.names)} in each"
+                )
+            if isinstance(writer, pq.ParquetWriter):
+                writer.write_table(table, row_group_size=ROW_GROUP)
+            else:
+                writer.write_table(table)
+
+
+def _writer(unfinished: Path, schema: pa.Schema) -> pq.ParquetWriter | pacsv.CSVWriter:
+    if unfinished.suffix.lower() == ".parquet":
+        # Measured values hardly ever repeat: a dictionary of them would only be dropped again.
+        return pq.ParquetWriter(unfinished, schema, use_dictionary=False)
+    return pacsv.CSVWriter(
+        unfinished, schema, write_options=pacsv.WriteOptions(quoting_header="none")
+    )
+
+
+def _as_table(part: Recording | RecordingChunk) -> pa.Table:
+    columns = as_columns(
+        part.time,
+        position=part.position,
+        torque=part.torque,
+        velocity=part.velocity,
+        acceleration=part.acceleration,
+    )
+    return pa.table({name: pa.array(values) for name, values in columns.items()})
+
+
+def _check_joints(path: Path, found: int, expected: int | None) -> None:
+    if expected is not None and found != expected:
+        raise RecordingError(
+            f"{path}: {found} position columns; expected {expected}, one for each joint "
+            "of the robot"
+        )

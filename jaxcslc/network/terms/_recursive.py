@@ -1,0 +1,338 @@
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ...derivation import BODY, Algebra
+from ...manipulator import Joint
+from ._blocks import in_blocks
+from ._evaluator import AbstractEvaluator, Coefficients, Joints, Matrices, Regressor
+from ._link_motion import LinkMotion, States, cross, link_motion, link_states, paths_of, turning_of
+
+
+class RecursiveEvaluator(AbstractEvaluator):
+    """Newton-Euler over link parameters, for robots whose closed-form tables are large.
+
+    Cost grows with the square of the number of joints, not with the number of monomials, and
+    compile time not even with that: links are scanned over, and so are pairs of a link and a
+    joint that carries it. (Unrolled, a Panda's regressor compiled five times as long.) It
+    needs numeric lengths: then each base parameter is one link parameter plus what is regrouped
+    into it, and torque is what the chosen link parameters alone produce when they are set to
+    the base parameters and all others to zero. (In matrices: k = L θ with L in reduced echelon
+    form, so selecting the chosen columns is a right inverse of L.)
+
+    `body` holds, for every link, the (10, chosen) matrix from its chosen parameters to
+    (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), as nested tuples. `paths` lists the joints that carry
+    each link, from the base outwards.
+    """
+
+    body: tuple[tuple[tuple[float, ...], ...], ...] = eqx.field(static=True)
+    joints: tuple[Joint, ...] = eqx.field(static=True)
+    gravity: tuple[float, float, float] = eqx.field(static=True)
+    places: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    motors: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    paths: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    @classmethod
+    def from_algebra(cls, algebra: Algebra) -> "RecursiveEvaluator":
+        """**Raises** `ValueError` if the algebra kept lengths symbolic."""
+        if algebra.lengths != "numeric":
+            raise ValueError(
+                "the recursive evaluator needs numeric lengths: symbolic coefficients are not"
+                " independent once lengths have values; derive with lengths='numeric'"
+            )
+        n = algebra.robot.joint_count
+        places: list[list[int]] = [[] for _ in range(n)]
+        columns: list[list[list[float]]] = [[] for _ in range(n)]
+        motors: list[tuple[int, int]] = []
+        for place, index in enumerate(algebra.chosen):
+            term = algebra.terms[index]
+            if term.factors == ("motor",):
+                motors.append((term.link, place))
+            else:
+                column = [0.0] * 10
+                for entry, multiple in term.body:
+                    column[BODY.index(entry)] += multiple
+                places[term.link].append(place)
+                columns[term.link].append(column)
+        return cls(
+            tuple(tuple(zip(*c, strict=True)) if c else ((),) * 10 for c in columns),
+            algebra.robot.joints,
+            algebra.robot.gravity,
+            tuple(tuple(p) for p in places),
+            tuple(motors),
+            paths_of(algebra.robot.parents),
+            len(algebra.chosen),
+        )
+
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        # Joint j carries the links whose path it is on, and its own motor.
+        return tuple(
+            tuple(
+                sorted(
+                    [
+                        place
+                        for path, places in zip(self.paths, self.places, strict=True)
+                        if joint in path
+                        for place in places
+                    ]
+                    + [place for motor, place in self.motors if motor == joint]
+                )
+            )
+            for joint in range(len(self.joints))
+        )
+
+    @eqx.filter_jit
+    def columns(
+        self,
+        q: Float[Array, "joints samples"],
+        qd: Float[Array, "joints samples"],
+        qdd: Float[Array, "joints samples"],
+    ) -> tuple[Float[Array, "_ samples"], ...]:
+        support = self.support
+        entries = [(joint, place) for joint, places in enumerate(support) for place in places]
+
+        def of_block(*motion: Array) -> Array:
+            return self._gathered(self._felt(*motion), entries)
+
+        ends = np.cumsum([len(places) for places in support])[:-1]
+        return tuple(jnp.split(in_blocks(of_block, (q, qd, qdd)), ends))
+
+    @eqx.filter_jit
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        if self.size == 0:
+            return jnp.zeros((*q.shape, 0), q.dtype)
+        n, p = len(self.joints), self.size
+        entries = [(joint, place) for joint in range(n) for place in range(p)]
+
+        def of_block(*motion: Array) -> Array:
+            return self._gathered(self._felt(*motion), entries).T
+
+        motion = (_samples_last(q), _samples_last(qd), _samples_last(qdd))
+        return in_blocks(of_block, motion, samples_first=True).reshape(*q.shape, p)
+
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+        return self._torque(k, q, qd, qdd, self.gravity)
+
+    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
+        return self._torque(k, q, qd, jnp.zeros_like(q), (0.0, 0.0, 0.0))
+
+    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
+        still = jnp.zeros_like(q)
+        return self._torque(k, q, still, still, self.gravity)
+
+    @eqx.filter_jit
+    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
+        n = len(self.joints)
+
+        def of_block(position: Array) -> Array:
+            return self._mass_matrix(k, position).reshape(n * n, position.shape[1]).T
+
+        total = in_blocks(of_block, (_samples_last(q),), samples_first=True)
+        return total.reshape(*q.shape, n)
+
+    def _mass_matrix(self, k: Array, position: Array) -> Float[Array, "joints joints samples"]:
+        still = jnp.zeros_like(position)
+        motion = self._motion(position, still, still, (0.0, 0.0, 0.0))
+        inertia, first, mass = self._composite(k, motion)
+        # Velocities of the whole at the base's origin, for a unit rate of each joint.
+        turns = turning_of(self.joints, position.dtype)[:, None, None]
+        axis = motion.axes[:, 2]
+        angular = turns * axis
+        linear = turns * cross(motion.origin, axis) + (1 - turns) * axis
+        force = mass[:, None] * linear + cross(angular, first)
+        moment = jnp.sum(inertia * angular[:, None], axis=2) + cross(first, linear)
+        # Joint j moves what joint k carries if it carries joint k.
+        upper = jnp.sum(angular[:, None] * moment[None] + linear[:, None] * force[None], axis=2)
+        carries = jnp.asarray(_carries(self.paths), position.dtype)
+        diagonal = jnp.eye(len(self.joints), dtype=position.dtype)
+        motor = jnp.zeros(len(self.joints), position.dtype)
+        for joint, place in self.motors:
+            motor = motor.at[joint].set(k[place])
+        upper = upper * carries[:, :, None]
+        below = jnp.swapaxes(upper, 0, 1) * (1 - diagonal)[:, :, None]
+        return upper + below + (motor[None] * diagonal)[:, :, None]
+
+    def _composite(self, k: Array, motion: LinkMotion) -> tuple[Array, Array, Array]:
+        """Inertia, first moment and mass that each joint carries, about the base's origin."""
+        bodies = self._bodies(k)
+        turn, p, mass = motion.axes, motion.origin, bodies.mass[:, None]
+        # R I R', by columns of R.
+        half = jnp.sum(bodies.inertia[:, :, :, None, None] * turn[:, None], axis=2)
+        tensor = jnp.sum(turn[:, :, :, None] * half[:, :, None], axis=1)
+        about = jnp.sum(bodies.first[:, :, None] * turn, axis=1)
+        first = about + mass[:, None] * p
+        mixed = jnp.sum((2 * about + mass[:, None] * p) * p, axis=1)
+        outer = about[:, :, None] * p[:, None] + p[:, :, None] * about[:, None]
+        outer = outer + mass[:, None, None] * p[:, :, None] * p[:, None]
+        eye = jnp.eye(3, dtype=p.dtype)[None, :, :, None]
+        tensor = tensor + mixed[:, None, None] * eye - outer
+        n, samples = len(self.joints), p.shape[-1]
+        ones = jnp.ones((1, samples), p.dtype)
+        parts = tensor.reshape(n, 9, samples), first, (mass * ones)[:, None]
+        flat = jnp.concatenate(parts, axis=1).reshape(n, 13 * samples)
+        total = (jnp.asarray(_carries(self.paths), p.dtype) @ flat).reshape(n, 13, samples)
+        return total[:, :9].reshape(n, 3, 3, samples), total[:, 9:12], total[:, 12]
+
+    @eqx.filter_jit
+    def _torque(
+        self, k: Array, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
+    ) -> Array:
+        def of_block(q: Array, qd: Array, qdd: Array) -> Array:
+            return self._torque_of_block(k, q, qd, qdd, gravity).T
+
+        motion = (_samples_last(q), _samples_last(qd), _samples_last(qdd))
+        return in_blocks(of_block, motion, samples_first=True).reshape(q.shape)
+
+    def _torque_of_block(
+        self, k: Array, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
+    ) -> Float[Array, "joints samples"]:
+        motion = self._motion(q, qd, qdd, gravity)
+        w, wd, a = motion.angular_velocity, motion.angular_acceleration, motion.acceleration
+        bodies = self._bodies(k)
+
+        def turned(x: Array) -> Array:  # I x, with I in the link's axes
+            own = jnp.sum(motion.axes * x[:, None], axis=2)
+            felt = jnp.sum(bodies.inertia[..., None] * own[:, None], axis=2)
+            return jnp.sum(motion.axes * felt[:, :, None], axis=1)
+
+        first = jnp.sum(bodies.first[:, :, None] * motion.axes, axis=1)
+        force = bodies.mass[:, None, None] * a + cross(wd, first) + cross(w, cross(w, first))
+        moment = turned(wd) + cross(w, turned(w)) + cross(first, a) + cross(motion.origin, force)
+        # What each joint carries, as moments about the base's origin.
+        carries = jnp.asarray(_carries(self.paths), q.dtype)
+        force, moment = (
+            (carries @ x.reshape(x.shape[0], 3 * x.shape[2])).reshape(x.shape)
+            for x in (force, moment)
+        )
+        turns = turning_of(self.joints, q.dtype)[:, None, None]
+        axis = motion.axes[:, 2]
+        felt = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
+        total = jnp.sum(axis * felt, axis=1)
+        for joint, place in self.motors:
+            total = total.at[joint].add(k[place] * qdd[joint])
+        return total
+
+    def _motion(
+        self, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
+    ) -> LinkMotion:
+        return link_motion(self.joints, self.paths, gravity, q, qd, qdd)
+
+    def _bodies(self, k: Array) -> "_Bodies":
+        """What the coefficients give the links."""
+        n = len(self.joints)
+        chosen = np.zeros((n, 10, self.size))
+        for link, places in enumerate(self.places):
+            if places:
+                chosen[link][:, list(places)] = np.array(self.body[link])
+        ten = jnp.asarray(chosen, k.dtype) @ k
+        xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
+        tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(n, 3, 3)
+        return _Bodies(tensor, ten[:, 6:9, None], ten[:, 9])
+
+    def _felt(self, q: Array, qd: Array, qdd: Array) -> Float[Array, "rows samples"]:
+        """What each joint feels of each of the ten of every link that it carries.
+
+        Rows are pairs times ten, then the accelerations, then zeros.
+        """
+        states = link_states(self.joints, self.paths, self.gravity, q, qd, qdd)
+        links, joints = _pairs(self.paths)
+        turns = turning_of(self.joints, q.dtype)[joints]
+        pairs = jnp.asarray(links + 1), jnp.asarray(joints + 1), turns
+        _, ten = lax.scan(_felt_of_pair, states, pairs)
+        rows = ten.reshape(10 * len(links), q.shape[1])
+        return jnp.concatenate([rows, qdd, jnp.zeros((1, q.shape[1]), q.dtype)])
+
+    def _gathered(
+        self, felt: Float[Array, "rows samples"], entries: list[tuple[int, int]]
+    ) -> Float[Array, "_ samples"]:
+        """Regressor entries (joint, coefficient) as sums of rows of `_felt`."""
+        nothing = felt.shape[0] - 1
+        if not entries:
+            return felt[:0]
+        each = [self._rows(joint, place) for joint, place in entries]
+        total: Array | None = None
+        for part in range(max(map(len, each))):
+            terms = [rows[part] if part < len(rows) else (nothing, 0.0) for rows in each]
+            picked = felt[np.array([row for row, _ in terms])]
+            factors = np.array([factor for _, factor in terms])
+            if not np.all(factors == 1.0):
+                picked = picked * jnp.asarray(factors, felt.dtype)[:, None]
+            total = picked if total is None else total + picked
+        assert total is not None
+        return total
+
+    def _rows(self, joint: int, place: int) -> list[tuple[int, float]]:
+        """Rows of `_felt`, and multiples, of which one entry of the regressor is made."""
+        link, joints = _pairs(self.paths)
+        nothing = 10 * len(link) + len(self.joints)
+        for motor, at in self.motors:
+            if at == place:
+                return [(10 * len(link) + motor, 1.0) if motor == joint else (nothing, 1.0)]
+        (body,) = [i for i, places in enumerate(self.places) if place in places]
+        if joint not in self.paths[body]:
+            return [(nothing, 1.0)]
+        (pair,) = np.flatnonzero((link == body) & (joints == joint))
+        column = self.places[body].index(place)
+        return [
+            (10 * int(pair) + entry, row[column])
+            for entry, row in enumerate(self.body[body])
+            if row[column]
+        ]
+
+
+class _Bodies(NamedTuple):
+    """Of every link, about its frame's origin and in its axes."""
+
+    inertia: Float[Array, "links 3 3"]
+    first: Float[Array, "links 3 1"]
+    mass: Float[Array, " links"]
+
+
+def _felt_of_pair(states: States, pair: tuple[Array, Array, Array]) -> tuple[States, Array]:
+    """What a joint feels of (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m) of a link, (10, samples)."""
+    link, joint, turning = pair
+    x, y, z, origin, w, wd, a = lax.dynamic_index_in_dim(states, link, keepdims=False)
+    _, _, axis, pivot, *_ = lax.dynamic_index_in_dim(states, joint, keepdims=False)
+    angular = turning * axis
+    linear = turning * cross(axis, origin - pivot) + (1 - turning) * axis
+
+    def own(vector: Array) -> list[Array]:  # along the link's axes
+        return [jnp.sum(vector * along, axis=0) for along in (x, y, z)]
+
+    # A moment of inertia about the link's x: torque (I wd + w x I w) along the joint's axis.
+    turn, gain, rate, twist = own(angular), own(wd), own(w), own(cross(angular, w))
+    ten = [turn[i] * gain[i] + twist[i] * rate[i] for i in range(3)]
+    ten += [
+        turn[i] * gain[j] + turn[j] * gain[i] + twist[i] * rate[j] + twist[j] * rate[i]
+        for i, j in ((0, 1), (0, 2), (1, 2))
+    ]
+    # A first moment h: force wd x h + w x (w x h), moment h x a, both seen from h.
+    ten += own(cross(linear, wd) + cross(cross(linear, w), w) + cross(a, angular))
+    ten.append(jnp.sum(linear * a, axis=0))
+    return states, jnp.stack(ten)
+
+
+def _pairs(paths: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
+    """Links and joints of all pairs in which the joint carries the link."""
+    pairs = [(link, joint) for link, path in enumerate(paths) for joint in path]
+    links, joints = np.array(pairs).T
+    return links, joints
+
+
+def _carries(paths: Sequence[Sequence[int]]) -> Float[np.ndarray, "joints links"]:
+    """One where a joint carries a link."""
+    links, joints = _pairs(paths)
+    matrix = np.zeros((len(paths), len(paths)))
+    matrix[joints, links] = 1.0
+    return matrix
+
+
+def _samples_last(x: Joints) -> Float[Array, "joints samples"]:
+    return x.reshape(-1, x.shape[-1]).T

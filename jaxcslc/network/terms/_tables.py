@@ -1,0 +1,223 @@
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...derivation import Algebra, PositionRing, Table
+from ._evaluator import AbstractEvaluator, Coefficients, Joints, Matrices, Regressor
+from ._inputs import input_layer, position_variables, products
+from ._stages import in_stage
+
+
+Samples = Float[Array, "*batch"]
+
+
+class TableEvaluator(AbstractEvaluator):
+    """The CSLC as the thesis draws it: preprocessed inputs, links, context-sensitive layers.
+
+    Straight-line code over one array a quantity and joint, so that a batch is the only axis
+    there is. Every sum over links is formed once for each element and coefficient, and serves
+    both torques that an off-diagonal element of the mass matrix enters.
+    """
+
+    mass: Table = eqx.field(static=True)
+    velocity: Table = eqx.field(static=True)
+    gravity: Table = eqx.field(static=True)
+    ring: PositionRing = eqx.field(static=True)
+    joints: int = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    @classmethod
+    def from_algebra(cls, algebra: Algebra) -> "TableEvaluator":
+        return cls(
+            algebra.mass,
+            algebra.velocity,
+            algebra.gravity,
+            algebra.ring,
+            algebra.robot.joint_count,
+            len(algebra.coefficients),
+        )
+
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        reach: list[set[int]] = [set() for _ in range(self.joints)]
+        for table, outputs in ((self.mass, 2), (self.velocity, 1), (self.gravity, 1)):
+            for link in table.links:
+                for joint in table.columns[link.column][:outputs]:
+                    reach[joint] |= {coefficient for coefficient, _ in link.weights}
+        return tuple(tuple(sorted(coefficients)) for coefficients in reach)
+
+    def columns(
+        self,
+        q: Float[Array, "joints samples"],
+        qd: Float[Array, "joints samples"],
+        qdd: Float[Array, "joints samples"],
+    ) -> tuple[Float[Array, "_ samples"], ...]:
+        found = self._entries(list(q), list(qd), list(qdd))
+        zero = jnp.zeros_like(q[0])
+        return tuple(
+            jnp.stack([found[joint, p] for p in support])
+            if support
+            else jnp.zeros((0, *zero.shape), zero.dtype)
+            for joint, support in enumerate(self.support)
+        )
+
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        if self.size == 0:
+            return jnp.zeros((*q.shape, 0), q.dtype)
+        found = self._entries(_split(q), _split(qd), _split(qdd))
+        zero = jnp.zeros_like(q[..., 0])
+        return jnp.stack(
+            [
+                jnp.stack([found.get((j, p), zero) for p in range(self.size)], axis=-1)
+                for j in range(self.joints)
+            ],
+            axis=-2,
+        )
+
+    def _entries(
+        self, q: Sequence[Samples], qd: Sequence[Samples], qdd: Sequence[Samples]
+    ) -> dict[tuple[int, int], Samples]:
+        """The entries of the regressor that are ever non-zero, as {(joint, coefficient): array}.
+
+        In three stages that the compiler may not merge: variables, inputs, entries. Merged, it
+        repeats the inputs' products in each of the hundred entries that use them, at a third
+        of the speed.
+        """
+        used = tuple(
+            dict.fromkeys((*self.mass.inputs, *self.velocity.inputs, *self.gravity.inputs))
+        )
+        variables = in_stage(lambda q: position_variables(self.ring, q), list(q))
+        values = in_stage(lambda variables: products(used, variables), variables)
+        inputs = dict(zip(used, values, strict=True)).__getitem__
+
+        found: dict[tuple[int, int], Samples] = {}
+        for (j, k), coefficient, value in _sums(self.mass, inputs):
+            _add(found, (j, coefficient), value * qdd[k])
+            if j != k:
+                _add(found, (k, coefficient), value * qdd[j])
+        rates = _rate_products(qd)
+        for (i, j, k), coefficient, value in _sums(self.velocity, inputs):
+            _add(found, (i, coefficient), value * rates(j, k))
+        for (j,), coefficient, value in _sums(self.gravity, inputs):
+            _add(found, (j, coefficient), value)
+        return found
+
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+        used = (*self.mass.inputs, *self.velocity.inputs, *self.gravity.inputs)
+        inputs = input_layer(self.ring, used, _split(q))
+        total = self._mass_term(k, inputs, _split(qdd))
+        for term in (self._velocity_term(k, inputs, _split(qd)), self._gravity_term(k, inputs)):
+            for joint, value in term.items():
+                _add(total, joint, value)
+        return self._stack(total, q)
+
+    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
+        elements = _elements(self.mass, k, input_layer(self.ring, self.mass.inputs, _split(q)))
+        zero = jnp.zeros_like(q[..., 0])
+        rows = [
+            jnp.stack(
+                [elements.get((min(j, i), max(j, i)), zero) for i in range(self.joints)], axis=-1
+            )
+            for j in range(self.joints)
+        ]
+        return jnp.stack(rows, axis=-2)
+
+    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
+        inputs = input_layer(self.ring, self.velocity.inputs, _split(q))
+        return self._stack(self._velocity_term(k, inputs, _split(qd)), q)
+
+    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
+        inputs = input_layer(self.ring, self.gravity.inputs, _split(q))
+        return self._stack(self._gravity_term(k, inputs), q)
+
+    def christoffel_symbols(
+        self, k: Float[Array, " coefficients"], q: Float[Array, "*batch joints"]
+    ) -> dict[tuple[int, ...], Samples]:
+        """The symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
+        return _elements(self.velocity, k, input_layer(self.ring, self.velocity.inputs, _split(q)))
+
+    def _mass_term(self, k: Array, inputs: "Inputs", qdd: Sequence[Samples]) -> dict[int, Samples]:
+        total: dict[int, Samples] = {}
+        for (i, j), value in _elements(self.mass, k, inputs).items():
+            _add(total, i, value * qdd[j])
+            if i != j:
+                _add(total, j, value * qdd[i])
+        return total
+
+    def _velocity_term(
+        self, k: Array, inputs: "Inputs", qd: Sequence[Samples]
+    ) -> dict[int, Samples]:
+        total: dict[int, Samples] = {}
+        rates = _rate_products(qd)
+        for (i, j, m), value in _elements(self.velocity, k, inputs).items():
+            _add(total, i, value * rates(j, m))
+        return total
+
+    def _gravity_term(self, k: Array, inputs: "Inputs") -> dict[int, Samples]:
+        return {joint: value for (joint,), value in _elements(self.gravity, k, inputs).items()}
+
+    def _stack(self, total: dict[int, Samples], like: Array) -> Array:
+        zero = jnp.zeros_like(like[..., 0])
+        return jnp.stack([total.get(joint, zero) for joint in range(self.joints)], axis=-1)
+
+
+Inputs = Callable[[tuple[int, ...]], Samples]
+
+
+def _split(x: Float[Array, "*batch joints"]) -> list[Samples]:
+    return [x[..., joint] for joint in range(x.shape[-1])]
+
+
+Key = TypeVar("Key")
+
+
+def _add(total: dict[Key, Samples], key: Key, value: Samples) -> None:
+    total[key] = total[key] + value if key in total else value
+
+
+def _rate_products(qd: Sequence[Samples]) -> Callable[[int, int], Samples]:
+    """qd_j qd_k, twice that if j != k: c_ijk = c_ikj stand for one link (Eqn. 5.1-5, 5.1-6)."""
+    known: dict[tuple[int, int], Samples] = {}
+
+    def product(j: int, k: int) -> Samples:
+        if (j, k) not in known:
+            known[j, k] = qd[j] * qd[k] if j == k else 2 * qd[j] * qd[k]
+        return known[j, k]
+
+    return product
+
+
+def _sums(table: Table, inputs: Inputs) -> list[tuple[tuple[int, ...], int, Samples]]:
+    """For every element and coefficient, the sum over links of multiple times input."""
+    sums: dict[tuple[int, int], Samples] = {}
+    for link in table.links:
+        value = inputs(table.inputs[link.input])
+        for coefficient, multiple in link.weights:
+            key = link.column, coefficient
+            term = _times(float(multiple), value)
+            sums[key] = sums[key] + term if key in sums else term
+    return [
+        (table.columns[column], coefficient, value) for (column, coefficient), value in sums.items()
+    ]
+
+
+def _elements(
+    table: Table, k: Float[Array, " coefficients"], inputs: Inputs
+) -> dict[tuple[int, ...], Samples]:
+    """Every element of a table that has links: the sum of weight times input."""
+    elements: dict[tuple[int, ...], Samples] = {}
+    for link in table.links:
+        weight = sum(_times(float(multiple), k[index]) for index, multiple in link.weights)
+        term = weight * inputs(table.inputs[link.input])
+        column = table.columns[link.column]
+        elements[column] = elements[column] + term if column in elements else term
+    return elements
+
+
+def _times(factor: float, value: Samples) -> Samples:
+    if factor == 1.0:
+        return value
+    return -value if factor == -1.0 else factor * value

@@ -1,0 +1,193 @@
+import math
+from collections.abc import Sequence
+from xml.sax.saxutils import quoteattr
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from jaxcslc.manipulator import LinkParameters, Manipulator
+
+from ..machine import MachineError, possible_links
+
+
+# Impedance of the friction constraint: the largest that MuJoCo accepts. A joint that sticks then
+# creeps at about `torque / inertia * 1e-4 * time_step`: for a PUMA's wrist near breakaway 3e-7
+# rad/s, a fortieth of an encoder count in the 6.6 s of a recording.
+_IMPEDANCE = 0.9999
+# MuJoCo refuses bodies without mass or moments. These are too small for a float64 to notice
+# beside any link worth the name.
+_SMALLEST_MASS = 1e-12
+_SMALLEST_MOMENT = 1e-13
+
+
+def mjcf(
+    robot: Manipulator,
+    links: Sequence[LinkParameters] | None = None,
+    *,
+    viscous: Sequence[float] | None = None,
+    breakaway: Sequence[float] | None = None,
+    stiffness: Sequence[float] | None = None,
+    backlash: Sequence[float] | None = None,
+    transmission_damping: Sequence[float] | None = None,
+    time_step: float = 5e-4,
+) -> str:
+    """A manipulator in MuJoCo's XML: bodies placed by the modified D-H rows (Eqn. 2.6-1).
+
+    Body i is the frame of link i; its joint turns about or slides along its own z axis, and a
+    motor of gear 1 drives it. There are no stops, no contacts and nothing to look at: this is the
+    dynamics alone.
+
+    Where a stiffness is finite, the motor drives a rotor instead, which stands beside the arm and
+    has the motor's inertia; its joint comes after those of the links. A fixed tendon of the
+    difference between rotor and link, whose spring is slack over a range of lengths, is the
+    transmission. (The rotor turns without moving along with the link before it: 2.5.2 neglects
+    the gyroscopic couple.)
+
+    **Arguments**
+
+    - `robot`: any serial chain of revolute and prismatic joints whose lengths have values.
+    - `links`: its link parameters, one a joint; `robot.links` if omitted. Tensors that no rigid
+        body can have are replaced by ones that can, with the same dynamics: see `possible_links`.
+    - `viscous`: viscous friction of each joint [N m s/rad or N s/m], after the links' those of the
+        rotors that there are; none if omitted.
+    - `breakaway`: torque up to which each of the same sticks, and which opposes its motion while
+        it slides [N m or N]; none if omitted.
+    - `stiffness`: of each joint's transmission [N m/rad or N/m]; infinite if omitted.
+    - `backlash`: the width of each dead band [rad or m]; 0 if omitted.
+    - `transmission_damping`: of each tendon [N m s/rad or N s/m]; 0 if omitted.
+    - `time_step`: of the integrator, a fourth-order Runge-Kutta method [s].
+
+    **Returns**
+
+    The text of an MJCF file.
+
+    **Raises**
+
+    - `MachineError`: link parameters are missing or cannot be made into rigid bodies, or friction
+        is not given for every joint.
+    - `jaxcslc.RobotError`: a length has no value.
+
+    ```python
+    >>> import mujoco
+    >>> import jaxcslc
+    >>> import sim
+    >>> model = mujoco.MjModel.from_xml_string(sim.mjcf(jaxcslc.puma560()))
+    >>> model.nv, float(model.dof_armature[1])
+    (6, 4.71)
+
+    ```
+    """
+    n = robot.joint_count
+    links = robot.links if links is None else tuple(links)
+    if links is None or len(links) != n:
+        found = "none" if links is None else str(len(links))
+        raise MachineError(f"robot {robot.name!r}: expected {n} link parameters, got {found}")
+    stiffness = [math.inf] * n if stiffness is None else stiffness
+    soft = [i for i in range(n) if stiffness[i] < math.inf]
+    for name, values in (("viscous", viscous), ("breakaway", breakaway)):
+        if values is not None and len(values) != n + len(soft):
+            each = "joint" if not soft else "joint and rotor"
+            raise MachineError(
+                f"{name} has {len(values)} values; expected {n + len(soft)}, one a {each}"
+            )
+    robot.length_values()  # names the length that has no value
+
+    def friction(freedom: int) -> str:
+        """Attributes of a degree of freedom's joint."""
+        text = "" if viscous is None else f' damping="{float(viscous[freedom])!r}"'
+        if breakaway is not None and breakaway[freedom] > 0:
+            # The time constant is MuJoCo's shortest: a joint that friction can stop within a
+            # step is stopped, whatever the step.
+            text += (
+                f' frictionloss="{float(breakaway[freedom])!r}"'
+                f' solreffriction="{2 * float(time_step)!r} 1"'
+                f' solimpfriction="{_IMPEDANCE} {_IMPEDANCE} 1"'
+            )
+        return text
+
+    def joint_line(name: str, i: int, inertia: float, freedom: int) -> str:
+        kind = "hinge" if robot.joints[i].kind == "R" else "slide"
+        return (
+            f'<joint name="{name}" type="{kind}" axis="0 0 1" armature="{inertia!r}"'
+            f"{friction(freedom)}/>"
+        )
+
+    lines = [
+        f"<mujoco model={quoteattr(robot.name)}>",
+        '  <compiler angle="radian"/>',
+        f'  <option timestep="{float(time_step)!r}" gravity="{_numbers(robot.gravity)}"'
+        ' integrator="RK4" solver="Newton" iterations="50" tolerance="1e-14">',
+        '    <flag contact="disable"/>',
+        "  </option>",
+        "  <worldbody>",
+    ]
+    for i, (joint, link) in enumerate(zip(robot.joints, possible_links(robot, links), strict=True)):
+        a, d = float(joint.a.value or 0.0), float(joint.d.value or 0.0)
+        position = (a, -math.sin(joint.alpha) * d, math.cos(joint.alpha) * d)
+        ca, sa = math.cos(joint.alpha / 2), math.sin(joint.alpha / 2)
+        ct, st = math.cos(joint.theta / 2), math.sin(joint.theta / 2)
+        rotation = (ca * ct, sa * ct, -sa * st, ca * st)
+        moments, axes = _principal_moments(np.asarray(link.inertia, dtype=np.float64))
+        centre = np.asarray(link.centre_of_gravity, dtype=np.float64)
+        mass = max(float(link.mass), _SMALLEST_MASS)
+        motor = 0.0 if i in soft else float(link.motor_inertia)
+        pad = "  " * (i + 2)
+        lines += [
+            f'{pad}<body name="link_{i + 1}" pos="{_numbers(position)}"'
+            f' quat="{_numbers(rotation)}">',
+            f'{pad}  <inertial pos="{_numbers(centre)}" mass="{mass!r}"'
+            f' quat="{_numbers(axes)}" diaginertia="{_numbers(moments)}"/>',
+            f"{pad}  {joint_line(f'joint_{i + 1}', i, motor, i)}",
+        ]
+    lines += ["  " * (i + 2) + "</body>" for i in reversed(range(n))]
+    for freedom, i in enumerate(soft, start=n):
+        lines += [
+            f'    <body name="rotor_{i + 1}">',
+            f'      <inertial pos="0 0 0" mass="{_SMALLEST_MASS}"'
+            f' diaginertia="{_numbers([_SMALLEST_MOMENT] * 3)}"/>',
+            f"      {joint_line(f'rotor_{i + 1}', i, float(links[i].motor_inertia), freedom)}",
+            "    </body>",
+        ]
+    lines += ["  </worldbody>"]
+    if soft:
+        lines += ["  <tendon>"]
+        for i in soft:
+            half = 0.0 if backlash is None else float(backlash[i]) / 2
+            loss = 0.0 if transmission_damping is None else float(transmission_damping[i])
+            lines += [
+                f'    <fixed name="gears_{i + 1}" springlength="{-half!r} {half!r}"'
+                f' stiffness="{float(stiffness[i])!r}" damping="{loss!r}">',
+                f'      <joint joint="rotor_{i + 1}" coef="1"/>',
+                f'      <joint joint="joint_{i + 1}" coef="-1"/>',
+                "    </fixed>",
+            ]
+        lines += ["  </tendon>"]
+    lines += ["  <actuator>"]
+    driven = [f"rotor_{i + 1}" if i in soft else f"joint_{i + 1}" for i in range(n)]
+    lines += [f'    <motor name="drive_{i + 1}" joint="{driven[i]}"/>' for i in range(n)]
+    lines += ["  </actuator>", "</mujoco>"]
+    return "\n".join(lines) + "\n"
+
+
+def _principal_moments(
+    inertia: Float[np.ndarray, "3 3"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
+    """Principal moments [kg m²] and the quaternion (w, x, y, z) of their axes."""
+    if np.count_nonzero(inertia - np.diag(np.diag(inertia))) == 0:
+        moments, quaternion = np.diag(inertia).copy(), np.array([1.0, 0.0, 0.0, 0.0])
+    else:
+        moments, axes = np.linalg.eigh(inertia)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, axes.ravel())
+    moments = np.maximum(moments, _SMALLEST_MOMENT)
+    # A lamina's largest moment is the sum of the others, and rounding may put it beyond.
+    largest = int(np.argmax(moments))
+    rest = float(np.sum(np.delete(moments, largest)))
+    moments[largest] = min(float(moments[largest]), rest)
+    return moments, quaternion
+
+
+def _numbers(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(repr(float(value)) for value in values)

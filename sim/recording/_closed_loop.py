@@ -1,0 +1,106 @@
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from jaxcslc.motion import Recording
+
+from ..engine import SimulationError, Truth, perform, thread_count
+from ..machine import Machine
+from ..trajectory import Trajectory
+
+
+class ClosedLoop(NamedTuple):
+    """A recording, the truth beside it, and what was seen of the controller meanwhile."""
+
+    recording: Recording
+    """Encoder readings, and the torques demanded upon them."""
+
+    truth: Truth
+
+    observed: dict[str, np.ndarray]
+    """Whatever `observe` returned, (samples, ...)."""
+
+
+def close_loop(
+    machines: Sequence[Machine],
+    trajectory: Trajectory,
+    seeds: Sequence[int],
+    *,
+    observe: Callable[[Any], Mapping[str, Any]] | None = None,
+    threads: int | None = None,
+    progress: bool = False,
+) -> list[ClosedLoop | SimulationError]:
+    """Lets machines follow a trajectory side by side, and watches what their controllers remember.
+
+    As `record`, but with one trajectory, with nothing kept in a store, and with C MuJoCo. Each
+    machine does what it would do alone, to rounding: one program computes all their torques.
+
+    **Arguments**
+
+    - `machines`: alike in their number of joints, in where they have friction or a transmission
+        that gives way, and in their time step.
+    - `trajectory`: what they are asked to do, usually with a `Servo`.
+    - `seeds`: one a machine.
+    - `observe`: given what the controller remembers after each sample, `ServoState` for a `Servo`;
+        returns arrays with a first axis of machines, by name.
+    - `threads`: of C MuJoCo; as many as the process has cores, if omitted.
+    - `progress`: show a progress bar on standard error.
+
+    **Returns**
+
+    For each machine what happened, or the error that ended it.
+
+    **Raises**
+
+    - `MachineError`: a machine or trajectory that cannot exist; before anything runs.
+    - `ValueError`: fewer than one thread; something observed that is not one of each machine.
+
+    ```python
+    >>> import dataclasses, sim
+    >>> trajectory = dataclasses.replace(sim.comparison(), samples=20)
+    >>> machines = [sim.specimen(sim.puma560(), seed) for seed in range(3)]
+    >>> see = lambda state: {"integral": state.integral}
+    >>> results = sim.close_loop(machines, trajectory, [0, 1, 2], observe=see)
+    >>> results[2].observed["integral"].shape
+    (20, 6)
+
+    ```
+    """
+    seen: dict[str, list[np.ndarray]] = {}
+    count = len(machines)
+
+    def look(state: Any) -> None:
+        if observe is not None:
+            for name, values in observe(state).items():
+                array = np.array(values)  # of its own: it may be a view of what changes
+                if array.shape[:1] != (count,):
+                    raise ValueError(
+                        f"observe: {name!r} has shape {array.shape}; expected a first axis of"
+                        f" {count} machines"
+                    )
+                seen.setdefault(name, []).append(array)
+
+    with tqdm(
+        total=trajectory.samples * count,
+        desc=trajectory.name,
+        unit=" samples",
+        unit_scale=True,
+        disable=None if progress else True,
+    ) as bar:
+        results = perform(
+            machines,
+            trajectory,
+            seeds,
+            threads=thread_count(threads, count),
+            advanced=bar.update,
+            observe=None if observe is None else look,
+        )
+    observed = {name: np.stack(values, axis=1) for name, values in seen.items()}
+    return [
+        result
+        if isinstance(result, SimulationError)
+        else ClosedLoop(*result, {name: values[i] for name, values in observed.items()})
+        for i, result in enumerate(results)
+    ]

@@ -1,0 +1,62 @@
+import dataclasses
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from jaxcslc.motion import Recording
+
+from ..engine import SimulatedRecording, Truth
+
+
+def save(folder: Path, name: str, result: SimulatedRecording) -> None:
+    """Keeps a recording and its truth as `folder/name.npz`; all of it or, if interrupted, nothing.
+
+    **Arguments**
+
+    - `folder`: made if missing.
+    - `name`: of the file, without its ending.
+    - `result`: what to keep.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    truth = {
+        field.name: getattr(result.truth, field.name)
+        for field in dataclasses.fields(result.truth)
+        if field.name != "time"
+    }
+    handle, path = tempfile.mkstemp(dir=folder, prefix=f".{name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(
+                file,
+                time=result.recording.time,
+                reading=result.recording.position,
+                demand=result.recording.torque,
+                **truth,
+            )
+        os.replace(path, folder / f"{name}.npz")
+    except BaseException:
+        Path(path).unlink(missing_ok=True)
+        raise
+
+
+def load(folder: Path, name: str) -> SimulatedRecording | None:
+    """What `save` kept under a name, or nothing if it kept nothing.
+
+    **Raises**
+
+    - `ValueError`: a file that `save` did not write.
+    """
+    path = folder / f"{name}.npz"
+    if not path.exists():
+        return None
+    try:
+        with np.load(path) as file:
+            values = {key: file[key] for key in file.files}
+        time = values.pop("time")
+        recording = Recording(time, values.pop("reading"), values.pop("demand"))
+        return SimulatedRecording(recording, Truth(time=time, **values))
+    except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: expected a simulated recording; delete it to go on") from error

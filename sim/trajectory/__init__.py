@@ -1,0 +1,29 @@
+from ._controllers import (
+    PID as PID,
+    AbbreviatedGravity as AbbreviatedGravity,
+    AbstractController as AbstractController,
+    PIDState as PIDState,
+    SinusoidalTorque as SinusoidalTorque,
+)
+from ._kinematics import Hand as Hand
+from ._motions import circle as circle, go_to as go_to
+from ._paths import (
+    AbstractPath as AbstractPath,
+    MinimumJerk as MinimumJerk,
+    Oscillation as Oscillation,
+    SampledPath as SampledPath,
+    ViaPoints as ViaPoints,
+    minimum_jerk as minimum_jerk,
+)
+from ._repulsion import (
+    AbstractRepulsion as AbstractRepulsion,
+    HandRepulsion as HandRepulsion,
+    Repulsion as Repulsion,
+)
+from ._servo import Servo as Servo, ServoState as ServoState
+from ._trajectories import (
+    FLANGE as FLANGE,
+    Trajectory as Trajectory,
+    comparison as comparison,
+    training as training,
+)

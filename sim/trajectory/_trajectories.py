@@ -1,0 +1,155 @@
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxcslc.manipulator import Manipulator, puma560 as puma560_robot
+
+from ..machine import Fault, Load, MachineError, puma560
+from ._controllers import PID, AbbreviatedGravity, AbstractController, SinusoidalTorque
+from ._kinematics import Hand
+from ._paths import MinimumJerk
+from ._repulsion import HandRepulsion, Repulsion
+from ._servo import Servo
+
+
+# The PUMA 560 around the frames of Fig. 2.6-3, in metres; not in the thesis. Frame 0 is at the
+# height of the shoulder. Column and flange are as commonly published; the trunk is a choice that
+# contains the column and what the upper arm's rear end sweeps, and leaves the arm room to stand
+# upright. The hand cannot reach the upper arm: at either end of joint 3's range, the flange is
+# still 0.24 m or more from its middle line.
+_FLOOR = -0.6718
+FLANGE = 0.05625
+_TRUNK_RADIUS = 0.25
+_TRUNK_TOP = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What a machine is asked to do, and for how long it is watched."""
+
+    name: str
+
+    start: Float[np.ndarray, " joints"]
+    """Where the joints rest at time 0 [rad or m]."""
+
+    controller: AbstractController
+
+    samples: int
+    """How many samples are recorded, the first at time 0."""
+
+    sample_interval: float = 0.002
+    """Between samples; the demand is updated at each of them and held in between [s] (7.4)."""
+
+    loads: tuple[Load, ...] = ()
+    """What the last link carries, and when."""
+
+    faults: tuple[Fault, ...] = ()
+    """What goes wrong, and when."""
+
+    def __post_init__(self) -> None:
+        if self.samples < 1:
+            raise MachineError(
+                f"trajectory {self.name!r} has {self.samples} samples; expected some"
+            )
+        if not self.sample_interval > 0:
+            raise MachineError(
+                f"trajectory {self.name!r} has a sample interval of {self.sample_interval} s;"
+                " expected more than zero"
+            )
+        servo = self.controller
+        if isinstance(servo, Servo) and servo.interval != self.sample_interval:
+            raise MachineError(
+                f"trajectory {self.name!r} has a sample interval of {self.sample_interval} s,"
+                f" and its servo one of {servo.interval} s; expected the same"
+            )
+
+
+def training(
+    *,
+    samples: int = 3300,
+    amplitude: tuple[float, ...] = (25.0, 13.0, 14.0, 8.0, 10.0, 14.0),
+    period: tuple[float, ...] = (4.1, 2.7, 1.7, 1.1, 0.7, 0.5),
+    robot: Manipulator | None = None,
+) -> Trajectory:
+    """The PUMA 560's training trajectory of 7.4.1: sinusoidal torques, open loop.
+
+    Sinusoids of phase 3π/2, from rest at (0.4, −1.2, 0.3, 0, 0, 0) rad, with the abbreviated
+    gravity compensation and repulsions: from the ends of the joints' ranges, and of the flange from
+    the floor and from the trunk. The last two periods are restored from a damaged scan; the last
+    amplitude is reconstructed (the scan's 60 N m cannot be), and so are form and size of the
+    repulsions. As it stands, the flange keeps 0.9 m from the floor and 0.25 m from the trunk, where
+    their repulsion is a hundredth of a newton metre.
+
+    **Arguments**
+
+    - `samples`: how many, 2 ms apart; 6.6 s as in the thesis.
+    - `amplitude`: of each joint's torque [N m]. The thesis changes these between trials.
+    - `period`: of each joint's torque [s]. Different prime multiples of 0.1 s keep
+        configurations from being repeated.
+    - `robot`: whose gravity is compensated; Armstrong's PUMA 560 if omitted, as in the thesis. That
+        of PUMA A (`puma_a`) differs enough to let joint 3 run into the end of its range after two
+        seconds.
+
+    ```python
+    >>> import sim
+    >>> trajectory = sim.training()
+    >>> trajectory.samples, trajectory.start
+    (3300, array([ 0.4, -1.2,  0.3,  0. ,  0. ,  0. ]))
+
+    ```
+    """
+    machine = puma560()
+    return Trajectory(
+        "training",
+        np.array([0.4, -1.2, 0.3, 0.0, 0.0, 0.0]),
+        SinusoidalTorque(
+            np.array(amplitude),
+            np.array(period),
+            np.full(6, 1.5 * np.pi),
+            gravity=AbbreviatedGravity.of(machine.robot if robot is None else robot),
+            repulsion=(
+                Repulsion(np.array(machine.position_range), np.array(machine.maximum_torque)),
+                HandRepulsion(
+                    Hand.of(machine.robot, (0.0, 0.0, FLANGE)), _FLOOR, _TRUNK_RADIUS, _TRUNK_TOP
+                ),
+            ),
+        ),
+        samples,
+    )
+
+
+def comparison(*, duration: float = 2.5) -> Trajectory:
+    """The PUMA 560's comparison trajectory of 7.4.2: from rest to rest, every joint by 90°.
+
+    From (0, −π/2, π/2, 0, 0, 0) to (−π/2, 0, 0, π/2, π/2, π/2) rad under PID control with the
+    thesis's gains and the abbreviated gravity compensation. The shape of the path is not given:
+    minimum jerk is a reconstruction that brings about the reported torques, and so is the sixth
+    integral gain.
+
+    **Arguments**
+
+    - `duration`: from rest to rest [s]. The recording ends with it.
+
+    ```python
+    >>> import sim
+    >>> sim.comparison().samples
+    1251
+
+    ```
+    """
+    right = np.pi / 2
+    interval = 0.002
+    return Trajectory(
+        "comparison",
+        np.array([0.0, -right, right, 0.0, 0.0, 0.0]),
+        PID(
+            MinimumJerk(np.array([-right, 0.0, 0.0, right, right, right]), duration),
+            position_gain=np.array([4000.0, 10000.0, 2000.0, 500.0, 310.0, 300.0]),
+            integral_gain=np.full(6, 5.0),
+            velocity_gain=np.array([80.0, 114.0, 25.0, 25.0, 12.0, 17.0]),
+            gravity=AbbreviatedGravity.of(puma560_robot()),
+        ),
+        samples=round(duration / interval) + 1,
+        sample_interval=interval,
+    )

@@ -1,0 +1,301 @@
+"""A payload from recordings: against dense NumPy, against a simulated arm, and what it refuses."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+import sim
+from jaxcslc.inertia import body_of, link_of, nearest_body, pseudo_inertia
+from jaxcslc.manipulator import fixed_together
+
+
+_ROUNDING = 1e-9
+BODY = jc.LinkParameters(
+    1.5,
+    np.array([0.02, -0.01, 0.12]),
+    np.array([[3e-3, 2e-4, 0.0], [2e-4, 4e-3, 0.0], [0.0, 0.0, 2e-3]]),
+)
+
+
+def _drawn(
+    network: jc.CSLC, k: Any, rng: np.random.Generator, samples: int, noise: float
+) -> jc.Patterns:
+    n = network.joint_count
+    q, qd, qdd = rng.uniform(-2, 2, (3, samples, n))
+    torque = np.asarray(network.torque(k, q, qd, qdd)) + noise * rng.normal(size=q.shape)
+    pairs = rng.random(q.shape) < 0.8
+    return jc.Patterns(0.01 * np.arange(samples), q, qd, qdd, torque, pairs, np.ones_like(pairs))
+
+
+def _rows(network: jc.CSLC, patterns: jc.Patterns) -> tuple[np.ndarray, np.ndarray]:
+    counts = np.asarray(patterns.counts_in)
+    rows = np.asarray(network.regressor(patterns.q, patterns.qd, patterns.qdd))
+    return rows[counts], np.asarray(patterns.torque)[counts]
+
+
+@pytest.fixture(scope="module")
+def loaded(puma: jc.CSLC) -> jc.CSLC:
+    return puma.with_payload()
+
+
+@pytest.fixture(scope="module")
+def loaded_k(puma_k: jax.Array) -> np.ndarray:
+    return np.concatenate([np.asarray(puma_k), body_of(BODY)])
+
+
+class TestKnownArm:
+    def test_equals_numpy(
+        self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        """Oracle: dense least squares of ten columns, errors of the other 43 spread into them."""
+        arm = jc.least_squares(puma, _drawn(puma, loaded_k[:43], rng, 200, 0.5))
+        patterns = _drawn(loaded, loaded_k, rng, 150, 0.3)
+        found = jc.fit_payload(puma, patterns, known=arm)
+        rows, torque = _rows(loaded, patterns)
+        target = torque - rows[:, :43] @ np.asarray(arm.k)
+        own = rows[:, 43:]
+        body, squares, *_ = np.linalg.lstsq(own, target, rcond=None)
+        bread = np.linalg.inv(own.T @ own)
+        follow = bread @ own.T @ rows[:, :43]
+        covariance = squares[0] / (len(target) - 10) * bread
+        covariance += follow @ np.asarray(arm.covariance) @ follow.T
+        assert_allclose(found.parameters, body, atol=_ROUNDING)
+        assert_allclose(found.covariance, covariance, rtol=1e-6, atol=1e-14)
+        assert_allclose(found.standard_error, np.sqrt(np.diag(covariance)), rtol=1e-6)
+
+    def test_is_relearning_the_payload(
+        self, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        options: dict[str, Any] = {"cutoff": 10.0, "joint_weights": "residual"}
+        patterns = _drawn(loaded, loaded_k, rng, 300, 0.3)
+        found = jc.fit_payload(loaded, patterns, known=loaded_k, **options)
+        fit = jc.relearn(loaded, patterns, loaded_k, groups=("payload",), **options)
+        assert_allclose(found.fit.k, fit.k)
+        assert_allclose(found.standard_error, fit.standard_error[-10:])
+
+
+class TestTwoRecordings:
+    @pytest.mark.parametrize("robust", [False, True])
+    def test_equals_numpy(
+        self,
+        robust: bool,
+        puma: jc.CSLC,
+        loaded: jc.CSLC,
+        loaded_k: np.ndarray,
+        rng: np.random.Generator,
+    ) -> None:
+        """Oracle: all rows of both, zeros for the payload of the unloaded arm."""
+        empty = _drawn(puma, loaded_k[:43], rng, 200, 0.5)
+        patterns = _drawn(loaded, loaded_k, rng, 150, 0.5)
+        found = jc.fit_payload(
+            puma, patterns, empty, loss="huber" if robust else "squared", errors="correlated"
+        )
+        own, torque = _rows(loaded, patterns)
+        other, more = _rows(puma, empty)
+        rows = np.concatenate([own, np.pad(other, ((0, 0), (0, 10)))])
+        target = np.concatenate([torque, more])
+        k = np.linalg.lstsq(rows, target, rcond=None)[0]
+        if robust:  # the same noise, of normal distribution: nearly the same
+            error = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows))) * 0.5
+            assert np.max(np.abs(np.asarray(found.fit.k) - k) / error) < 1.0
+        else:
+            assert_allclose(found.fit.k, k, atol=_ROUNDING)
+            usual = jc.fit_payload(puma, patterns, empty)
+            squares = np.sum((target - rows @ k) ** 2) / (len(target) - 53)
+            assert_allclose(
+                usual.fit.covariance, squares * np.linalg.inv(rows.T @ rows), rtol=1e-6, atol=1e-12
+            )
+            # Noise is white here: allowing for correlation changes little.
+            ratio = np.asarray(found.standard_error) / np.asarray(usual.standard_error)
+            assert np.all((ratio > 0.5) & (ratio < 2.0))
+
+    def test_tells_more_than_the_unloaded_recording_alone(
+        self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        """The loaded arm's motion is motion of the arm too."""
+        empty = _drawn(puma, loaded_k[:43], rng, 60, 0.5)
+        patterns = _drawn(loaded, loaded_k, rng, 600, 0.5)
+        both = jc.fit_payload(puma, patterns, empty)
+        arm = jc.least_squares(puma, empty)
+        one_by_one = jc.fit_payload(puma, patterns, known=arm)
+        assert np.all(both.standard_error < one_by_one.standard_error)
+
+    def test_with_a_filter(
+        self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        """Filtering both sides alike loses nothing of what has no noise."""
+        empty = _drawn(puma, loaded_k[:43], rng, 600, 0.0)
+        patterns = _drawn(loaded, loaded_k, rng, 600, 0.0)
+        found = jc.fit_payload(puma, patterns, empty, cutoff=20.0)
+        assert_allclose(found.fit.k, loaded_k, atol=1e-8)
+
+
+@pytest.fixture(scope="module")
+def performed() -> tuple[jc.Recording, jc.Recording]:
+    """Three seconds of the training trajectory with encoders, without and with `BODY`."""
+    machine = sim.disturbed(sim.puma560(), "quantisation")
+    robot = machine.robot
+    assert robot.links is not None
+    links = (*robot.links[:-1], fixed_together([robot.links[-1], BODY]))
+    carrying = dataclasses.replace(machine, robot=dataclasses.replace(robot, links=links))
+    trajectory = sim.training(samples=1500)
+    empty, full = (sim.simulate(m, trajectory, seed=3).recording for m in (machine, carrying))
+    return empty, full
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_of_a_simulated_arm(
+    together: bool, puma: jc.CSLC, performed: tuple[jc.Recording, jc.Recording]
+) -> None:
+    """A body that the simulator fixed to the last link, from encoders' counts."""
+    settings = jc.Settings(torque_alignment="mean", cutoff=15.0, threshold_fraction=0.01)
+    empty, full = (settings.patterns(recording) for recording in performed)
+    other: dict[str, Any] = (
+        {"unloaded": empty} if together else {"known": settings.fit(puma, empty)}
+    )
+    found = jc.fit_payload(puma, full, **other, **settings.options)
+    assert abs(float(found.mass) - 1.5) < 0.02 * 1.5
+    assert np.max(np.abs(np.asarray(found.centre_of_gravity) - BODY.centre_of_gravity)) < 2e-3
+    low, high = found.physical_interval(0.999)[:4].T
+    truth = np.array([1.5, *BODY.centre_of_gravity])
+    assert np.all((low < truth) & (truth < high))
+    assert found.unidentifiable == ()
+    assert found.possible is not None
+    assert np.min(np.linalg.eigvalsh(pseudo_inertia(body_of(found.possible)))) > 0
+
+
+class TestPhysical:
+    def _found(
+        self, puma: jc.CSLC, loaded: jc.CSLC, k: np.ndarray, rng: np.random.Generator, noise: float
+    ) -> jc.PayloadFit:
+        return jc.fit_payload(puma, _drawn(loaded, k, rng, 150, noise), known=k[:43])
+
+    def test_is_the_body(
+        self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        found = self._found(puma, loaded, loaded_k, rng, 0.0)
+        assert_allclose(found.mass, BODY.mass, rtol=_ROUNDING)
+        assert_allclose(found.centre_of_gravity, BODY.centre_of_gravity, atol=_ROUNDING)
+        assert_allclose(found.inertia, BODY.inertia, atol=_ROUNDING)
+        link = link_of(np.asarray(found.parameters))
+        assert_allclose(found.inertia, link.inertia, atol=_ROUNDING)
+
+    def test_errors_to_first_order(
+        self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        """Against the scatter of bodies drawn from the estimate's covariance."""
+        found = self._found(puma, loaded, loaded_k, rng, 0.3)
+        bodies = rng.multivariate_normal(
+            np.asarray(found.parameters), np.asarray(found.covariance), size=4000
+        )
+        centres = bodies[:, 6:9] / bodies[:, 9:]
+        assert_allclose(np.std(bodies[:, 9]), found.physical_error[0], rtol=0.1)
+        assert_allclose(np.std(centres, axis=0), found.physical_error[1:4], rtol=0.1)
+        tensors = [np.asarray(link_of(body).inertia) for body in bodies[:1000]]
+        diagonal = np.diagonal(np.std(tensors, axis=0))
+        assert_allclose(diagonal, found.physical_error[4:7], rtol=0.15)
+        low, high = found.physical_interval(0.9)[0]
+        assert_allclose(high - low, 2 * 1.645 * found.physical_error[0], rtol=0.01)
+
+    def test_rows_and_document(
+        self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+    ) -> None:
+        found = self._found(puma, loaded, loaded_k, rng, 0.1)
+        assert [row["name"] for row in found.rows()][:4] == ["m", "rx", "ry", "rz"]
+        document = found.document()
+        assert document["physical"]["m"]["low"] < 1.5 < document["physical"]["m"]["high"]
+        assert list(document["parameters"])[-1] == "pm"
+        assert repr(found).startswith("PayloadFit(1.5")
+        for interval in (found.physical_interval, found.confidence_interval):
+            with pytest.raises(ValueError, match="level"):
+                interval(1.0)
+
+    def test_what_an_arm_cannot_feel(self, rng: np.random.Generator) -> None:
+        """One joint with an upright axis: nothing but the moment of inertia about it."""
+        arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+        network = jc.derive(arm, lengths="numeric").with_payload()
+        k = np.concatenate([np.full(network.size - 10, 0.1), body_of(BODY)])
+        found = jc.fit_payload(network, _drawn(network, k, rng, 50, 0.0), known=k[:-10])
+        assert np.flatnonzero(np.asarray(found.determined)).tolist() == [2]
+        assert len(found.unidentifiable) == 9
+        assert "pm: nothing in the patterns depends on it" in found.unidentifiable
+        assert np.all(np.isinf(np.asarray(found.physical_error)))
+        assert found.possible is not None
+        body = body_of(found.possible)
+        assert_allclose(body[2], body_of(BODY)[2], rtol=1e-4)
+        assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) > 0
+
+    def test_an_arm_of_unknown_link_and_payload(self, rng: np.random.Generator) -> None:
+        """With a recording of the empty arm that tells too little of it, so does the payload's."""
+        arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+        network = jc.derive(arm, lengths="numeric")
+        loaded = network.with_payload()
+        k = np.concatenate([np.full(5, 0.1), body_of(BODY)])
+        still = _drawn(network, k[:5], rng, 50, 0.0)
+        still = dataclasses.replace(still, q=0 * still.q, qdd=0 * still.qdd)
+        torque = network.torque(k[:5], still.q, still.qd, still.qdd)
+        empty = dataclasses.replace(still, torque=np.asarray(torque))
+        found = jc.fit_payload(network, _drawn(loaded, k, rng, 50, 0.0), empty)
+        told = " ".join(found.unidentifiable)
+        assert "pIzz" in told and "phy" in told and not found.determined[2]
+        assert found.determined[6]
+
+
+class TestPossible:
+    def test_a_body_is_its_own(self) -> None:
+        body = body_of(BODY)
+        found = nearest_body(body, 1e-6 * np.eye(10))
+        assert found is not None
+        assert_allclose(found, body, rtol=1e-4, atol=1e-7)
+
+    def test_none_is_nearer(self, rng: np.random.Generator, random_links: Any) -> None:
+        """Steps from it towards any body that exists lead away from the estimate."""
+        body = body_of(BODY) - [4e-2, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+        half = rng.normal(size=(10, 10)) * 10.0 ** rng.uniform(-3, -1, 10)
+        covariance = half.T @ half
+        found = nearest_body(body, covariance)
+        assert found is not None
+        assert np.min(np.linalg.eigvalsh(pseudo_inertia(found))) > 0
+        assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) < 0
+        distance = lambda x: (x - body) @ np.linalg.solve(covariance, x - body)
+        for link in (*random_links(rng, 50), BODY):
+            nearby = found + 0.01 * (body_of(link) - found)
+            assert distance(nearby) > distance(found) * (1 - 1e-3)
+
+    def test_of_nothing_at_all(self) -> None:
+        """A hand that is empty: an estimate around zero still has a body beside it."""
+        error = np.array([*[1e-3] * 6, *[1e-3] * 3, 0.01])
+        found = nearest_body(-0.5 * error, np.diag(error**2))
+        assert found is not None and 0 < found[9] < 0.02
+
+
+def test_on_another_link(puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator) -> None:
+    network = puma.with_payload(3)
+    k = np.concatenate([np.asarray(puma_k), body_of(BODY)])
+    found = jc.fit_payload(network, _drawn(network, k, rng, 50, 0.0), known=puma_k)
+    assert_allclose(found.parameters, body_of(BODY), atol=_ROUNDING)
+
+
+def test_failures(
+    puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
+) -> None:
+    patterns = _drawn(loaded, loaded_k, rng, 20, 0.0)
+    both: dict[str, Any] = {"unloaded": patterns, "known": loaded_k}
+    with pytest.raises(ValueError, match="cannot tell payload and last link apart"):
+        jc.fit_payload(puma, patterns)
+    with pytest.raises(ValueError, match="got both unloaded and known; expected one of them"):
+        jc.fit_payload(puma, patterns, **both)
+    with pytest.raises(ValueError, match="expected 53 coefficients, got 12"):
+        jc.fit_payload(puma, patterns, known=np.zeros(12))
+    arm = jc.derive(jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]), lengths="numeric")
+    with pytest.raises(ValueError, match="patterns have 6 joints"):
+        jc.fit_payload(arm, patterns, patterns)
+    wrong = dataclasses.replace(patterns, torque=np.full((20, 6), np.nan))
+    with pytest.raises(RuntimeError, match="NaN"):
+        jc.fit_payload(puma, wrong, known=loaded_k)
+    assert jc.fit_payload(puma, wrong, known=loaded_k, throw=False).possible is None

@@ -1,0 +1,152 @@
+"""Thresholds of static friction refined on residuals, and how settings carry them."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+import jaxcslc as jc
+import sim
+from jaxcslc.identification import refine_thresholds, settings_document, settings_from
+
+
+INTERVAL = 0.002
+K = np.array([0.5, 0.3, -0.1, 0.4, 0.6])
+GAMMA, EXCESS = 0.15, 0.25
+RATES, SIZES = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
+SETTINGS = jc.Settings(smoothing=jc.AveragedSplines(17))
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.derive(robot, lengths="numeric")
+
+
+def swing(network: jc.CSLC, rng: np.random.Generator, excess: float = EXCESS) -> jc.Recording:
+    """12 s of a pendulum that is read in counts of 0.1 mrad."""
+    time = np.arange(6000) * INTERVAL
+    phase = np.outer(time, RATES)
+    q = (np.sin(phase) @ SIZES)[:, None]
+    qd = (np.cos(phase) @ (SIZES * RATES))[:, None]
+    qdd = (-np.sin(phase) @ (SIZES * RATES**2))[:, None]
+    torque = np.asarray(network.torque(K, q, qd, qdd))
+    torque = torque + excess * np.sign(qd) * np.exp(-np.abs(qd) / GAMMA)
+    counts = 1e-4 * np.round(q / 1e-4 + rng.uniform(size=q.shape))
+    return jc.Recording(time, counts, torque)
+
+
+def index_of(network: jc.CSLC, group: str) -> int:
+    return [coefficient.group for coefficient in network.coefficients].index(group)
+
+
+def test_the_slope_that_was_put_in_is_found(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
+    recording = swing(pendulum, rng)
+    refined = refine_thresholds(pendulum, recording, SETTINGS)
+    assert refined.settled
+    assert refined.static_friction.slope_velocity[0] == pytest.approx(GAMMA, rel=0.35)
+    assert refined.static_friction.excess[0] == pytest.approx(EXCESS, rel=0.35)
+    thresholds = refined.settings.thresholds
+    assert thresholds is not None
+    assert 3.0 * GAMMA < thresholds[0] < 6.0 * GAMMA
+    # Beyond it, friction is what the network knows; from one hundredth on, it was not.
+    start = dataclasses.replace(SETTINGS, threshold_fraction=0.01)
+    first = start.fit(pendulum, start.patterns(recording))
+    for group in ("viscous", "dry"):
+        i = index_of(pendulum, group)
+        assert abs(refined.fit.k[i] - K[i]) < 0.2 * abs(first.k[i] - K[i])
+
+
+def test_what_is_returned_belongs_together(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
+    recording = swing(pendulum, rng)
+    refined = refine_thresholds(pendulum, recording, SETTINGS)
+    again = refined.settings.patterns(recording)
+    assert np.array_equal(np.asarray(again.sliding), np.asarray(refined.patterns.sliding))
+    np.testing.assert_allclose(
+        np.asarray(refined.settings.fit(pendulum, again).k), np.asarray(refined.fit.k)
+    )
+    assert refined.settings.thresholds == tuple(refined.rounds[-1].tolist())
+    first = 0.01 * np.max(np.abs(np.asarray(refined.patterns.qd)))
+    np.testing.assert_allclose(refined.rounds[0], first)
+    # Nothing but the thresholds is changed.
+    kept = dataclasses.replace(
+        refined.settings, thresholds=None, threshold_fraction=SETTINGS.threshold_fraction
+    )
+    assert kept == SETTINGS
+
+
+def test_without_static_friction_thresholds_stay(
+    pendulum: jc.CSLC, rng: np.random.Generator
+) -> None:
+    refined = refine_thresholds(pendulum, swing(pendulum, rng, excess=0.0), SETTINGS)
+    assert refined.settled and not refined.static_friction.found[0]
+    np.testing.assert_allclose(refined.rounds[-1], refined.rounds[0])
+
+
+def test_rounds_run_out(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
+    refined = refine_thresholds(pendulum, swing(pendulum, rng), SETTINGS, rounds=1)
+    assert len(refined.rounds) == 2
+    assert not refined.settled
+    with pytest.raises(ValueError, match="0 rounds; expected 1 or more"):
+        refine_thresholds(pendulum, swing(pendulum, rng), SETTINGS, rounds=0)
+
+
+def test_a_simulated_machine_whose_slopes_are_known(puma: jc.CSLC, puma_k: jax.Array) -> None:
+    """Twice the slopes of the preset, which every joint shows at this spacing but the last:
+    that one turns round so quickly that the smoothing is wider than its ramps."""
+    preset = sim.puma560()
+    slopes = tuple(2.0 * gamma for gamma in preset.static_velocity)
+    machine = dataclasses.replace(preset, static_velocity=slopes)
+    recording, _ = sim.simulate(machine, sim.training(), seed=3)
+    settings = jc.Settings(smoothing=jc.AveragedSplines(17), torque_alignment="mean")
+    refined = refine_thresholds(puma, recording, settings)
+    assert refined.static_friction.found.tolist()[:5] == [True] * 5
+    ends = 5.0 * np.array(slopes)
+    assert refined.settings.thresholds is not None
+    ratio = np.array(refined.settings.thresholds) / ends
+    assert np.all((ratio[:5] > 0.5) & (ratio[:5] < 2.0))
+    start = dataclasses.replace(settings, threshold_fraction=0.01)
+    first = start.fit(puma, start.patterns(recording))
+    dry = [i for i, c in enumerate(puma.coefficients) if c.group == "dry"][:5]
+    error, before = (np.abs(np.asarray(k - puma_k))[dry] for k in (refined.fit.k, first.k))
+    assert np.sum(error) < 0.5 * np.sum(before)
+
+
+# Settings
+
+
+def test_thresholds_take_the_place_of_the_fraction(
+    pendulum: jc.CSLC, rng: np.random.Generator
+) -> None:
+    settings = dataclasses.replace(SETTINGS, thresholds=(0.7,))
+    patterns = settings.patterns(swing(pendulum, rng))
+    assert np.array_equal(np.asarray(patterns.sliding), np.abs(np.asarray(patterns.qd)) > 0.7)
+    assert "thresholds 0.7," in str(settings)
+
+
+def test_thresholds_and_savitzky_golay_in_a_file() -> None:
+    settings = jc.Settings(
+        smoothing=jc.motion.SavitzkyGolay(31, 4), thresholds=(0.1, 0.2), cutoff=8.0
+    )
+    assert settings_from(json.loads(json.dumps(settings_document(settings)))) == settings
+    assert str(settings).startswith("Savitzky-Golay of 31 samples and order 4,")
+
+
+def test_half_a_window_is_trimmed(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
+    settings = jc.Settings(smoothing=jc.motion.SavitzkyGolay(31))
+    assert settings.trimmed(swing(pendulum, rng)) == 15
+
+
+@pytest.mark.parametrize("wrong", [-0.1, float("nan"), float("inf")])
+def test_thresholds_that_make_no_sense(wrong: float) -> None:
+    with pytest.raises(ValueError, match="expected finite numbers, none below 0"):
+        jc.Settings(thresholds=(0.1, wrong))
+
+
+def test_thresholds_of_another_number_of_joints(
+    pendulum: jc.CSLC, rng: np.random.Generator
+) -> None:
+    with pytest.raises(ValueError, match="one for each of the 1 joints"):
+        jc.Settings(thresholds=(0.1, 0.2)).patterns(swing(pendulum, rng))

@@ -1,0 +1,261 @@
+import dataclasses
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcslc as jc
+from jaxcslc.identification.solver._compiled import regressor_of
+from jaxcslc.identification.solver._equations import Equations
+from jaxcslc.identification.solver._folds import fit_without_each, held_out_errors
+from jaxcslc.identification.solver._triangle import triangle_of
+
+
+INTERVAL = 0.002
+K = np.array([0.5, 0.3, -0.1, 0.4, 0.6])
+# Of the pendulum's motion [rad/s, rad]: it ends at 2 Hz.
+RATES, SIZES = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.derive(robot, lengths="numeric")
+
+
+def swing(
+    network: jc.CSLC, rng: np.random.Generator, *, position: float = 1e-4, torque: float = 0.0
+) -> jc.Recording:
+    """8 s of a pendulum with noise of the given deviations."""
+    time = np.arange(4000) * INTERVAL
+    phase = np.outer(time, RATES)
+    q = (np.sin(phase) @ SIZES)[:, None]
+    qd = (np.cos(phase) @ (SIZES * RATES))[:, None]
+    qdd = (-np.sin(phase) @ (SIZES * RATES**2))[:, None]
+    clean = np.asarray(network.torque(K, q, qd, qdd))
+    return jc.Recording(
+        time,
+        q + rng.normal(0.0, position, q.shape),
+        clean + rng.normal(0.0, torque, clean.shape),
+    )
+
+
+def moved(recording: jc.Recording, torque: np.ndarray) -> jc.Recording:
+    return dataclasses.replace(recording, torque=torque)
+
+
+def spacing_of(selection: jc.Selection) -> int:
+    smoothing = selection.settings.smoothing
+    assert isinstance(smoothing, jc.AveragedSplines) and isinstance(smoothing.spacing, int)
+    return smoothing.spacing
+
+
+# Folds
+
+
+def test_triangle_keeps_the_products_of_columns(rng: np.random.Generator):
+    for rows in (1, 3, 40, 5000):
+        batch = rng.normal(size=(2, rows, 7))
+        triangle = triangle_of(batch)
+        assert triangle.shape == (2, 7, 7)
+        np.testing.assert_allclose(
+            np.swapaxes(triangle, 1, 2) @ triangle, np.swapaxes(batch, 1, 2) @ batch, atol=1e-9
+        )
+
+
+@pytest.mark.parametrize("weights", ["equal", "residual"])
+@pytest.mark.parametrize("cutoff", [None, 8.0])
+def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
+    weights: Literal["equal", "residual"], cutoff: float | None, rng: np.random.Generator
+):
+    network = jc.derive(jc.puma560())
+    robot = jc.puma560()
+    assert robot.links is not None
+    k = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
+    samples, folds = 1200, 3
+    q, qd, qdd = rng.normal(size=(3, samples, 6))
+    noise = np.array([3.0, 2.0, 1.0, 0.3, 0.2, 0.1])
+    torque = np.asarray(network.torque(k, q, qd, qdd)) + noise * rng.normal(size=q.shape)
+    counts = rng.uniform(size=q.shape) < 0.8
+    time = np.arange(samples) * INTERVAL
+    patterns = jc.Patterns(time, q, qd, qdd, torque, np.ones_like(counts), counts)
+    fold = np.arange(samples) // (samples // folds)
+    regressor = np.asarray(regressor_of(network, patterns))
+    equations = Equations.of(network, regressor, torque, counts, time=time, cutoff=cutoff)
+    found = fit_without_each(
+        network, equations.factors_of_folds(fold, folds), residual_weights=weights == "residual"
+    )
+    for number in range(folds):
+        rows = [fold[sample] != number for sample in equations.sample]
+        others = Equations(
+            tuple(x[own] for x, own in zip(equations.rows, rows, strict=True)),
+            tuple(x[own] for x, own in zip(equations.sample, rows, strict=True)),
+        )
+        oracle = jc.identification.fit_factors(network, others.factors(), joint_weights=weights)
+        np.testing.assert_allclose(found[number], oracle.k, rtol=1e-8, atol=1e-8)
+
+    errors = held_out_errors(regressor, torque, found, fold)
+    for number in range(folds):
+        own = fold == number
+        predicted = network.torque(jnp.asarray(found[number]), q[own], qd[own], qdd[own])
+        np.testing.assert_allclose(errors[own], torque[own] - predicted, atol=1e-9)
+
+
+# The choice
+
+
+def test_smooths_more_where_there_is_more_noise(pendulum: jc.CSLC, rng: np.random.Generator):
+    spacings = [
+        spacing_of(jc.choose_settings(pendulum, swing(pendulum, rng, position=noise)))
+        for noise in (1e-6, 1e-3)
+    ]
+    assert spacings[0] < spacings[1]
+
+
+def test_the_chosen_smoothing_gives_nearly_the_best_accelerations(
+    pendulum: jc.CSLC, rng: np.random.Generator
+):
+    recording = swing(pendulum, rng, position=3e-4, torque=0.3)
+    chosen = spacing_of(jc.choose_settings(pendulum, recording))
+    truth = (-np.sin(np.outer(recording.time, RATES)) @ (SIZES * RATES**2))[:, None]
+
+    def error(spacing: int) -> float:
+        _, _, qdd = jc.AveragedSplines(spacing).smooth(recording.time, recording.position)
+        return float(np.sqrt(np.mean((qdd - truth)[300:-300] ** 2)))
+
+    best = min(error(spacing) for spacing in (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137))
+    assert error(chosen) < 1.5 * best
+
+
+@pytest.mark.parametrize("alignment", ["sample", "mean", "previous"])
+@pytest.mark.parametrize("torque_noise", [0.0, 0.3])
+def test_finds_which_torque_belongs_to_a_sample(
+    pendulum: jc.CSLC, rng: np.random.Generator, alignment: str, torque_noise: float
+):
+    # Demands that were ahead of the motion by none, half or all of an interval. Averaging must
+    # not win merely because it halves the noise of the torque.
+    ahead = {"sample": 0.0, "mean": 0.5, "previous": 1.0}[alignment]
+    recording = swing(pendulum, rng, position=1e-5)
+    torque = recording.torque[:, 0]
+    early = np.interp(recording.time + ahead * INTERVAL, recording.time, torque)[:, None]
+    early = early + rng.normal(0.0, torque_noise, early.shape)
+    selection = jc.choose_settings(pendulum, moved(recording, early))
+    assert selection.settings.torque_alignment == alignment
+
+
+def test_finds_how_late_torques_were_measured(pendulum: jc.CSLC, rng: np.random.Generator):
+    recording = swing(pendulum, rng, position=1e-5)
+    late = np.interp(recording.time - 3 * INTERVAL, recording.time, recording.torque[:, 0])
+    candidates = dataclasses.replace(
+        jc.Candidates.suited_to(recording),
+        torque_alignments=("sample",),
+        torque_lags=tuple(INTERVAL * lag for lag in range(-2, 7)),
+    )
+    selection = jc.choose_settings(pendulum, moved(recording, late[:, None]), candidates)
+    assert selection.settings.torque_lag == pytest.approx(3 * INTERVAL)
+    patterns = selection.settings.patterns(moved(recording, late[:, None]))
+    straight = jc.Settings(selection.settings.smoothing).patterns(recording)
+    aligned = np.isin(np.asarray(straight.time), np.asarray(patterns.time))
+    np.testing.assert_allclose(patterns.torque, straight.torque[aligned], atol=1e-9)
+
+
+def test_leaves_out_more_slow_samples_where_static_friction_is_strong(
+    pendulum: jc.CSLC, rng: np.random.Generator
+):
+    recording = swing(pendulum, rng)
+    qd = jc.AveragedSplines(9).smooth(recording.time, recording.position)[1]
+    stuck = 3.0 * np.sign(qd) * np.exp(-np.abs(qd) / 0.15)
+    sticky = jc.choose_settings(pendulum, moved(recording, recording.torque + stuck))
+    assert sticky.settings.threshold_fraction == 0.1
+
+
+def test_coefficients_are_recovered_under_the_chosen_settings(
+    pendulum: jc.CSLC, rng: np.random.Generator
+):
+    recording = swing(pendulum, rng, position=1e-4, torque=0.05)
+    settings = jc.choose_settings(pendulum, recording).settings
+    fit = settings.fit(pendulum, settings.patterns(recording))
+    np.testing.assert_allclose(fit.k, K, atol=0.01)
+
+
+def test_is_deterministic_and_reports_every_trial(pendulum: jc.CSLC, rng: np.random.Generator):
+    recording = swing(pendulum, rng)
+    first, second = (jc.choose_settings(pendulum, recording) for _ in range(2))
+    assert [t.score for t in first.trials] == [t.score for t in second.trials]
+    assert first.settings == second.settings
+    least = min(trial.score for trial in first.trials)
+    assert first.best.score == pytest.approx(least, rel=1e-5)
+    assert len({str(trial.settings) for trial in first.trials}) == len(first.trials)
+    assert "\n" not in str(first) and str(first.settings) in str(first)
+
+
+def test_scores_do_not_depend_on_the_unit_of_torque(pendulum: jc.CSLC, rng: np.random.Generator):
+    recording = swing(pendulum, rng)
+    scaled = moved(recording, 1000.0 * recording.torque)
+    one, other = (jc.choose_settings(pendulum, r) for r in (recording, scaled))
+    assert one.settings == other.settings
+    assert other.best.score == pytest.approx(1000.0 * one.best.score)
+
+
+def test_only_candidates_that_were_given_are_tried(pendulum: jc.CSLC, rng: np.random.Generator):
+    candidates = jc.Candidates(
+        smoothings=(jc.Butterworth(10.0), jc.Butterworth(20.0)),
+        torque_alignments=("sample",),
+        threshold_fractions=(0.02,),
+        cutoffs=(None,),
+        joint_weights=("equal",),
+    )
+    selection = jc.choose_settings(pendulum, swing(pendulum, rng), candidates)
+    assert len(selection.trials) == 2
+    tried = [trial.settings.smoothing for trial in selection.trials]
+    assert all(smoothing in tried for smoothing in candidates.smoothings)
+
+
+def test_uneven_time_is_no_reason_to_fail(pendulum: jc.CSLC, rng: np.random.Generator):
+    recording = swing(pendulum, rng)
+    kept = rng.uniform(size=recording.samples) < 0.9
+    selection = jc.choose_settings(pendulum, recording.rows(kept))
+    assert selection.settings.cutoff is None
+
+
+# What cannot be chosen
+
+
+def test_refuses_what_makes_no_sense(pendulum: jc.CSLC, rng: np.random.Generator):
+    recording = swing(pendulum, rng)
+    for folds in (0, 1, 1000):
+        with pytest.raises(ValueError, match=f"{folds} folds of"):
+            jc.choose_settings(pendulum, recording, folds=folds)
+    for gap in (-0.1, 5.0, np.nan):
+        with pytest.raises(ValueError, match="a gap of"):
+            jc.choose_settings(pendulum, recording, gap=gap)
+    with pytest.raises(ValueError, match=r"1 joints, .* has 6"):
+        jc.choose_settings(jc.derive(jc.puma560()), recording)
+    with pytest.raises(ValueError, match="no candidates for cutoffs"):
+        jc.Candidates(cutoffs=())
+    with pytest.raises(ValueError, match="half the sampling rate"):
+        jc.choose_settings(pendulum, recording, jc.Candidates(cutoffs=(400.0,)))
+
+
+def test_refuses_a_joint_that_stands_still(pendulum: jc.CSLC):
+    time = np.arange(2000) * INTERVAL
+    still = jc.Recording(time, np.zeros((2000, 1)), np.ones((2000, 1)))
+    with pytest.raises(ValueError, match="leaves nothing"):
+        jc.choose_settings(pendulum, still)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("torque_alignment", "next", "torque alignment is 'next'"),
+        ("joint_weights", "heavy", "joint weights are 'heavy'"),
+        ("torque_lag", float("nan"), "torque lag is nan"),
+        ("threshold_fraction", 1.0, "threshold fraction is 1.0"),
+        ("cutoff", 0.0, "cut-off is 0.0"),
+    ],
+)
+def test_settings_refuse_numbers_that_make_no_sense(field: str, value: Any, message: str):
+    # Types are checked first where tests check them.
+    with pytest.raises((ValueError, TypeError), match=f"{message}|type"):
+        jc.Settings(**{field: value})
