@@ -49,7 +49,7 @@ def prepared(
     patterns = jc.prepare(recording, spacing=9, torque_alignment="mean")
     kept = jc.prepare(judged, spacing=17, torque_alignment="mean", thresholds=_MOVING)
     learnt, compared = (
-        examples(network, part, part.torque, part.counts_in) for part in (patterns, kept)
+        examples(network, part, part.torque, part.mask) for part in (patterns, kept)
     )
     return patterns, learnt, compared
 

@@ -192,7 +192,7 @@ def prepared(
     if not measures.linear_only:
         return patterns
     within = linear_pairs(recording, machine.linear_torque, measures.mean_torque)[trim:-trim]
-    return dataclasses.replace(patterns, driven=np.asarray(patterns.driven) & within)
+    return dataclasses.replace(patterns, backlash_mask=np.asarray(patterns.backlash_mask) & within)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -228,7 +228,7 @@ def learn(
     if any(machine.backlash):
         # The mask of backlash alone, without the pairs that other measures leave out.
         alone = dataclasses.replace(chosen[ON], linear_only=False)
-        kept = np.asarray(prepared(recording, machine, spacing, alone).driven)
+        kept = np.asarray(prepared(recording, machine, spacing, alone).backlash_mask)
         trim = max(spacing)
         quality = mask_quality(kept, truth.apart[trim:-trim]).together
         parts = {"disturbed": quality.disturbed, "left_out": quality.left_out}

@@ -215,8 +215,8 @@ def held_out(way: Way, target: Target) -> dict[str, Float[np.ndarray, " joints"]
     own = np.searchsorted(edges[1:-1], np.asarray(way.patterns.time), side="right")
     predicted = np.zeros_like(target.torque)
     for number in range(PARTS):
-        others = np.asarray(way.patterns.sliding) & (own != number)[:, None]
-        k = way.fit(dataclasses.replace(way.patterns, sliding=others))
+        others = np.asarray(way.patterns.friction_mask) & (own != number)[:, None]
+        k = way.fit(dataclasses.replace(way.patterns, friction_mask=others))
         predicted[part == number] = way.predict(k)[part == number]
     away = np.min(np.abs(target.time[:, None] - edges), axis=1) > ENDS
     fitted = np.zeros(target.time.size, dtype=bool)

@@ -157,10 +157,10 @@ def data_of(
     for patterns, stopping, judged in zip(training, stop, comparison, strict=True):
         known = ~stopping
         x, later = (inputs_of(p, trigonometric) for p in (patterns, judged))
-        torque, counts = np.asarray(patterns.torque), np.asarray(patterns.counts_in)
+        torque, counts = np.asarray(patterns.torque), np.asarray(patterns.mask)
         middle, spread = x[known].mean(axis=0), x[known].std(axis=0)
         x, later = (x - middle) / spread, (later - middle) / spread
-        counted = np.asarray(judged.counts_in)
+        counted = np.asarray(judged.mask)
         seen = in_range(judged, patterns, known)[:, None]
         taught = np.where(counts & known[:, None], torque, np.nan)
         rows.append(
@@ -216,11 +216,13 @@ def fitted(
     """The CSLC's row: fitted to the patterns that the networks are trained on."""
     found: dict[str, list[float]] = {name: [] for name in PARTS}
     for patterns, stopping, judged in zip(training, stop, comparison, strict=True):
-        known = dataclasses.replace(patterns, driven=patterns.driven & ~stopping[:, None])
+        known = dataclasses.replace(
+            patterns, backlash_mask=patterns.backlash_mask & ~stopping[:, None]
+        )
         k = settings.fit(network, known).k
         here = jc.identification.torque_errors(network, patterns, k)
         there = jc.identification.torque_errors(network, judged, k)
-        counts, counted = np.asarray(patterns.counts_in), np.asarray(judged.counts_in)
+        counts, counted = np.asarray(patterns.mask), np.asarray(judged.mask)
         seen = in_range(judged, patterns, ~stopping)[:, None]
         cases = (
             (here, counts & ~stopping[:, None]),

@@ -145,7 +145,7 @@ def mask_rows(one: Study) -> Rows:
     masked = settings.patterns(one.training.recording)
     start = int(np.searchsorted(one.training.truth.time, masked.time[0] - 1e-9))
     apart = one.training.truth.apart[start : start + masked.samples]
-    return list(mask_quality(np.asarray(masked.driven), apart).rows())
+    return list(mask_quality(np.asarray(masked.backlash_mask), apart).rows())
 
 
 def one_design(network: jc.CSLC, one: Study, other: Study) -> tuple[Rows, str]:
@@ -172,7 +172,7 @@ def torque_figure(network: jc.CSLC, one: Study) -> Any:
         },
         title=f"{one.name}: torques of the comparison trajectory",
         units=("N m",) * 6,
-        counts=one.judged.counts_in,
+        counts=one.judged.mask,
     )
 
 

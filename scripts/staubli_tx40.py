@@ -154,7 +154,7 @@ def held_out(network: jc.CSLC, patterns: Patterns) -> Float[np.ndarray, " joints
     squares = np.zeros(patterns.joints)
     for number in range(PARTS):
         others = np.broadcast_to((part != number)[:, None], patterns.q.shape)
-        rest = dataclasses.replace(patterns, sliding=others)
+        rest = dataclasses.replace(patterns, friction_mask=others)
         fit = jc.least_squares(network, rest, joint_weights=weights)
         squares += np.sum(part == number) * errors(network, fit.k, patterns, part == number) ** 2
     return np.sqrt(squares / patterns.samples)

@@ -74,7 +74,7 @@ def training(trainings: int = 256, epochs: int = 100, block: int | None = None) 
     network = inverse_dynamics(cslc)
     recording = sim.simulate(sim.puma560(), sim.training(), seed=1).recording
     patterns = jc.prepare(recording, spacing=9)
-    chosen = examples(network, patterns, patterns.torque, patterns.counts_in)
+    chosen = examples(network, patterns, patterns.torque, patterns.mask)
     samples = chosen.targets.shape[-1]
     start = jnp.asarray(jc.least_squares(cslc, patterns).k) * (
         1.0 + 0.3 * np.random.default_rng(0).normal(size=network.size)

@@ -341,7 +341,9 @@ def _standing_still(cells: list[list[str]]) -> list[list[str]]:
         ),
         pytest.param(lambda cells: cells[:1], ["rows"], id="no rows"),
         pytest.param(
-            _standing_still, ["none is sliding at joint 1"], id="nothing left after masking"
+            _standing_still,
+            ["none is above the friction threshold at joint 1"],
+            id="nothing left after masking",
         ),
     ],
 )

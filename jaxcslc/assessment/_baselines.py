@@ -46,7 +46,7 @@ def regress_friction(
         start += term.size
     rigid = np.where(friction, 0.0, np.asarray(k))
     left = np.asarray(torque_errors(network, patterns, jnp.asarray(rigid)))
-    counts = np.asarray(patterns.counts_in)
+    counts = np.asarray(patterns.mask)
     columns = np.asarray(regressor_of(network, patterns))[:, :, friction]
     rigid[friction] = np.linalg.lstsq(columns[counts], left[counts], rcond=None)[0]
     return jnp.asarray(rigid)

@@ -81,8 +81,8 @@ def mask_quality(
 ) -> MaskQuality:
     """Judges a mask by a record of what it should have left out.
 
-    For the backlash mask of Eqn. 2.5-7: `patterns.driven` against a simulator's record of when
-    the gears were apart. The mask is meant to catch every such sample, at the price of good
+    For the backlash mask of Eqn. 2.5-7: `patterns.backlash_mask` against a simulator's record of
+    when the gears were apart. The mask is meant to catch every such sample, at the price of good
     ones.
 
     **Arguments**

@@ -93,7 +93,7 @@ def _cells(row: dict[str, Any], names: list[str]) -> list[str]:
 
 def _errors(network: CSLC, found: PayloadFit, patterns: Patterns) -> dict[str, list[float]]:
     """Root mean square torque error of each joint, with the payload's part and without."""
-    k, counts = np.asarray(found.fit.k), np.asarray(patterns.counts_in)
+    k, counts = np.asarray(found.fit.k), np.asarray(patterns.mask)
     errors: dict[str, list[float]] = {}
     for name, own in (("with", k), ("without", np.concatenate([k[:-10], np.zeros(10)]))):
         torque = np.asarray(network.torque(own, patterns.q, patterns.qd, patterns.qdd))

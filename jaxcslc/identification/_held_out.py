@@ -102,7 +102,7 @@ def held_out_error(
 
     - `network`: n joints.
     - `fit`: made from `training`.
-    - `training`, `validation`: their pairs in `counts_in` are judged.
+    - `training`, `validation`: their pairs in `mask` are judged.
 
     **Returns** a `HeldOut`.
 
@@ -133,7 +133,7 @@ def held_out_error(
             )
         predicted = np.asarray(regressor_of(network, patterns) @ fit.k)
         errors.append(np.asarray(patterns.torque) - predicted)
-    masks = np.asarray(training.counts_in), np.asarray(validation.counts_in)
+    masks = np.asarray(training.mask), np.asarray(validation.mask)
     return _judged(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
 
 
@@ -175,12 +175,12 @@ def cross_validated_error(
     if not 2 <= folds <= samples:
         raise ValueError(f"{folds} folds of {samples} samples; expected from 2 to {samples}")
     regressor = np.asarray(regressor_of(network, patterns))
-    torque, counts_in = np.asarray(patterns.torque), np.asarray(patterns.counts_in)
+    torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
     equations = Equations.of(
         network,
         regressor,
         torque,
-        counts_in,
+        mask,
         time=np.asarray(patterns.time),
         cutoff=given.cutoff,
     )
@@ -192,7 +192,7 @@ def cross_validated_error(
     held_out = held_out_errors(regressor, torque, k, fold)
     fit = dataclasses.replace(given, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
-    return _judged(training, counts_in, held_out, counts_in, int(fit.rank))
+    return _judged(training, mask, held_out, mask, int(fit.rank))
 
 
 def _judged(

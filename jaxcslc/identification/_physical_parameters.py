@@ -233,7 +233,7 @@ def _torque_distance(
     if patterns is None:
         return np.full(network.joint_count, np.nan)
     torque = np.asarray(network.torque(change, patterns.q, patterns.qd, patterns.qdd))
-    counts = np.asarray(patterns.counts_in)
+    counts = np.asarray(patterns.mask)
     total = np.sum(np.where(counts, torque, 0.0) ** 2, axis=0)
     return np.sqrt(total / np.maximum(np.sum(counts, axis=0), 1))
 

@@ -143,5 +143,5 @@ def _static_friction(
         np.asarray(patterns.qd),
         np.asarray(patterns.torque) - predicted,
         minimum=minimum,
-        considered=np.asarray(patterns.driven),
+        considered=np.asarray(patterns.backlash_mask),
     )

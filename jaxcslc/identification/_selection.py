@@ -235,7 +235,7 @@ class _Course:
 
     folds: int
     fold: Int[np.ndarray, " samples"]
-    counts_in: Bool[np.ndarray, "samples joints"]
+    mask: Bool[np.ndarray, "samples joints"]
     judged: Bool[np.ndarray, "samples joints"]
     interval: float
     low_pass: float | None
@@ -250,8 +250,8 @@ def _course(
     folds: int,
     gap: float | None,
 ) -> _Course:
-    counts_in = np.asarray(strictest.patterns(recording).counts_in)
-    samples = len(counts_in)
+    mask = np.asarray(strictest.patterns(recording).mask)
+    samples = len(mask)
     most = samples // (2 * _FEWEST)
     if not 2 <= folds <= most:
         raise ValueError(
@@ -273,7 +273,7 @@ def _course(
         )
     fold, within = np.divmod(np.arange(samples), length)
     inside = (within >= margin) & (within < length - margin)
-    judged = counts_in & inside[:, None]
+    judged = mask & inside[:, None]
     enough = _by_fold(judged, fold, folds) >= _FEWEST
     if not np.any(enough):
         raise ValueError(
@@ -283,7 +283,7 @@ def _course(
     return _Course(
         folds=folds,
         fold=fold,
-        counts_in=counts_in,
+        mask=mask,
         judged=judged & enough[fold],
         interval=interval,
         low_pass=cutoffs[(len(cutoffs) - 1) // 2] if cutoffs else None,
@@ -309,7 +309,7 @@ def _held_out(
         network,
         regressor,
         torque,
-        np.asarray(patterns.counts_in),
+        np.asarray(patterns.mask),
         time=np.asarray(patterns.time),
         cutoff=settings.cutoff,
     )
@@ -331,7 +331,7 @@ def _summary(
     score = float(np.mean(np.log(cells)))
     if course.low_pass is not None:
         slow = zero_phase(
-            np.where(course.counts_in, error, 0.0), course.interval, cutoff=course.low_pass
+            np.where(course.mask, error, 0.0), course.interval, cutoff=course.low_pass
         )
         _, slow_cells = _root_mean_squares(slow, course.judged, course)
         score = 0.5 * (score + float(np.mean(np.log(slow_cells))))

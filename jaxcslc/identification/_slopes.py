@@ -117,7 +117,7 @@ def fit_slopes(
     slopes = jnp.asarray(network.static_slopes, float)
     # As an array, so that what is compiled for these slopes serves the next.
     network = network.with_static_slopes(slopes)
-    counts = jnp.asarray(patterns.counts_in)
+    counts = jnp.asarray(patterns.mask)
     qd, torque = jnp.asarray(patterns.qd), jnp.asarray(patterns.torque)
     fastest = jnp.max(jnp.abs(qd) * counts, axis=0)[own]
     regressor = jnp.asarray(regressor_of(network, patterns))

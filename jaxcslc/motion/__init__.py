@@ -7,9 +7,9 @@ from ._butterworth import (
 from ._clock import restore_clock as restore_clock
 from ._masks import (
     away_from_reversals as away_from_reversals,
+    friction_mask as friction_mask,
     friction_thresholds as friction_thresholds,
     possible_backlash as possible_backlash,
-    sliding as sliding,
 )
 from ._parallel_filter import (
     FilteredEquations as FilteredEquations,

@@ -87,7 +87,7 @@ def friction_thresholds(
     return fraction * np.max(np.abs(qd), axis=0)
 
 
-def sliding(
+def friction_mask(
     qd: Float[np.ndarray, "samples joints"], thresholds: Thresholds
 ) -> Bool[np.ndarray, "samples joints"]:
     """Marks the joint-and-sample pairs that move too fast for static friction (Section 7.2.2).
@@ -108,8 +108,8 @@ def sliding(
 
     ```python
     >>> import numpy as np
-    >>> from jaxcslc.motion import sliding
-    >>> sliding(np.array([[0.5, -0.01], [0.0, 0.3]]), [0.1, 0.1]).tolist()
+    >>> from jaxcslc.motion import friction_mask
+    >>> friction_mask(np.array([[0.5, -0.01], [0.0, 0.3]]), [0.1, 0.1]).tolist()
     [[True, False], [False, True]]
 
     ```

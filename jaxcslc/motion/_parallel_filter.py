@@ -67,7 +67,7 @@ def decimation_for(cutoff: float, interval: float) -> int:
 def parallel_filter(
     regressor: Float[np.ndarray, "samples joints coefficients"],
     torque: Float[np.ndarray, "samples joints"],
-    counts_in: Bool[np.ndarray, "samples joints"],
+    mask: Bool[np.ndarray, "samples joints"],
     *,
     interval: float,
     cutoff: float,
@@ -89,7 +89,7 @@ def parallel_filter(
 
     - `regressor`: shape `(samples, joints, coefficients)`.
     - `torque`: shape `(samples, joints)` [N m or N].
-    - `counts_in`: which pairs count, shape `(samples, joints)`.
+    - `mask`: which pairs count, shape `(samples, joints)`.
     - `interval`: between the samples, uniform [s].
     - `cutoff`: of the filter [Hz]. A little above the fastest motion; below the pass band of
         the smoothing that gave the accelerations, or it has nothing left to do.
@@ -112,8 +112,8 @@ def parallel_filter(
     >>> time = np.arange(500) * 0.01
     >>> regressor = np.stack([np.sin(time), np.cos(3 * time)], axis=1)[:, None, :]
     >>> torque = regressor @ np.array([2.0, -1.0])
-    >>> counts_in = np.abs(np.sin(time))[:, None] > 0.1
-    >>> equations = parallel_filter(regressor, torque, counts_in, interval=0.01, cutoff=5.0)
+    >>> mask = np.abs(np.sin(time))[:, None] > 0.1
+    >>> equations = parallel_filter(regressor, torque, mask, interval=0.01, cutoff=5.0)
     >>> np.linalg.lstsq(equations.regressor, equations.torque)[0].round(9).tolist()
     [2.0, -1.0]
 
@@ -130,7 +130,7 @@ def parallel_filter(
     regressors: list[Float[np.ndarray, "rows coefficients"]] = []
     columns: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []
     for joint in range(joints):
-        counts = counts_in[:, joint]
+        counts = mask[:, joint]
         weight = zero_phase(counts.astype(np.float64), interval, cutoff=cutoff, order=order)
         sides = np.concatenate([regressor[:, joint], torque[:, joint, None]], axis=1)
         # Empty columns, of coefficients that have no part in this joint, are not worth a filter.

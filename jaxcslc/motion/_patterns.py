@@ -6,7 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ._alignment import TorqueAlignment, align_torque
-from ._masks import Thresholds, away_from_reversals, friction_thresholds, possible_backlash, sliding
+from ._masks import (
+    Thresholds,
+    away_from_reversals,
+    friction_mask,
+    friction_thresholds,
+    possible_backlash,
+)
 from ._recording import Recording
 from ._smoothing import AbstractSmoothing, without_rounding
 from ._splines import AveragedSplines
@@ -24,20 +30,20 @@ class Patterns(eqx.Module):
     - `q`, `qd`, `qdd`: positions, velocities and accelerations, shape `(samples, joints)`
         [rad, rad/s, rad/s² or m, m/s, m/s²].
     - `torque`: the torques that drove that motion, shape `(samples, joints)` [N m or N].
-    - `driven`: True where the joint is not possibly in backlash (Eqn 2.5-7), shape
+    - `backlash_mask`: True where the joint is not possibly in backlash (Eqn 2.5-7), shape
         `(samples, joints)`.
-    - `sliding`: True where the joint moves faster than its static friction threshold
+    - `friction_mask`: True where the joint moves faster than its static friction threshold
         (Section 7.2.2), shape `(samples, joints)`.
 
     ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import Patterns
     >>> motion = np.ones((3, 2))
-    >>> sliding = np.array([[True, False], [True, True], [False, True]])
+    >>> friction_mask = np.array([[True, False], [True, True], [False, True]])
     >>> patterns = Patterns(
-    ...     np.arange(3.0), motion, motion, motion, motion, np.ones((3, 2), bool), sliding
+    ...     np.arange(3.0), motion, motion, motion, motion, np.ones((3, 2), bool), friction_mask
     ... )
-    >>> int(patterns.counts_in.sum())
+    >>> int(patterns.mask.sum())
     4
 
     ```
@@ -48,13 +54,13 @@ class Patterns(eqx.Module):
     qd: Float[np.ndarray | jax.Array, "samples joints"]
     qdd: Float[np.ndarray | jax.Array, "samples joints"]
     torque: Float[np.ndarray | jax.Array, "samples joints"]
-    driven: Bool[np.ndarray | jax.Array, "samples joints"]
-    sliding: Bool[np.ndarray | jax.Array, "samples joints"]
+    backlash_mask: Bool[np.ndarray | jax.Array, "samples joints"]
+    friction_mask: Bool[np.ndarray | jax.Array, "samples joints"]
 
     @property
-    def counts_in(self) -> Bool[np.ndarray | jax.Array, "samples joints"]:
-        """The pairs that take part in a fit: driven and sliding, shape `(samples, joints)`."""
-        return self.driven & self.sliding
+    def mask(self) -> Bool[np.ndarray | jax.Array, "samples joints"]:
+        """The pairs that take part in a fit: those of both masks, shape `(samples, joints)`."""
+        return self.backlash_mask & self.friction_mask
 
     @property
     def samples(self) -> int:
@@ -122,7 +128,7 @@ def prepare(
 
     **Returns:**
 
-    The patterns. Their `sliding` is False within `reversal_margin` too.
+    The patterns. Their `friction_mask` is False within `reversal_margin` too.
 
     **Raises:**
 
@@ -256,20 +262,25 @@ def _masked(
         qd=qd,
         qdd=qdd,
         torque=torque,
-        driven=~possible_backlash(qd, qdd, torque) if backlash else np.ones(q.shape, dtype=bool),
-        sliding=sliding(qd, limits) & away_from_reversals(qd, reversal_margin),
+        backlash_mask=~possible_backlash(qd, qdd, torque)
+        if backlash
+        else np.ones(q.shape, dtype=bool),
+        friction_mask=friction_mask(qd, limits) & away_from_reversals(qd, reversal_margin),
     )
-    if not np.any(patterns.counts_in):
-        masks = {"sliding": patterns.sliding, "driven": patterns.driven}
+    if not np.any(patterns.mask):
+        masks = {
+            "none is above the friction threshold": patterns.friction_mask,
+            "all may be in backlash": patterns.backlash_mask,
+        }
         empty = "; ".join(
-            f"none is {name} at joint {_listed(~np.any(mask, axis=0))}"
-            for name, mask in masks.items()
+            f"{reason} at joint {_listed(~np.any(mask, axis=0))}"
+            for reason, mask in masks.items()
             if not np.all(np.any(mask, axis=0))
         )
         raise ValueError(
             f"masking leaves nothing of {q.shape[0]} samples of {q.shape[1]} joints"
             + (f" ({empty})" if empty else "")
-            + "; expected some pair of joint and sample to be driven and above its threshold"
+            + "; expected some pair of joint and sample above its threshold and out of backlash"
         )
     return patterns
 
@@ -295,7 +306,7 @@ def joints_left_out(patterns: Patterns) -> tuple[int, ...]:
 
     ```
     """
-    some = np.any(np.asarray(patterns.counts_in), axis=0)
+    some = np.any(np.asarray(patterns.mask), axis=0)
     return tuple(int(joint) + 1 for joint in np.flatnonzero(~some))
 
 

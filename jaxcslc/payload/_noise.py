@@ -45,7 +45,7 @@ def torque_noise(
         network.torque(jnp.asarray(k), patterns.q, patterns.qd, patterns.qdd)
     )
     time = np.asarray(patterns.time)
-    counts = np.asarray(patterns.counts_in)
+    counts = np.asarray(patterns.mask)
     number = np.floor((time - time[0]) / block).astype(int)
     size = np.bincount(number)
     found = np.empty(residual.shape[1])

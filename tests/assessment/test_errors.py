@@ -28,7 +28,7 @@ def test_error_table_against_a_literal_loop(
         for sample in range(patterns.samples):
             squares = []
             for joint in range(6):
-                if patterns.counts_in[sample, joint]:
+                if patterns.mask[sample, joint]:
                     error = float(patterns.torque[sample, joint]) - torque[sample, joint]
                     moduli[joint].append(abs(error))
                     squares.append(error**2)
@@ -57,11 +57,11 @@ def test_friction_regression_is_the_best_for_those_rigid_coefficients(
     assert_allclose(best[:31], puma_k[:31])
 
     def cost(k: jax.Array) -> float:
-        kept = np.where(patterns.counts_in, torque_errors(puma, patterns, k), 0.0)
+        kept = np.where(patterns.mask, torque_errors(puma, patterns, k), 0.0)
         return float(np.sum(kept**2))
 
     gradient = jax.grad(
-        lambda k: jnp.sum(jnp.where(patterns.counts_in, torque_errors(puma, patterns, k), 0.0) ** 2)
+        lambda k: jnp.sum(jnp.where(patterns.mask, torque_errors(puma, patterns, k), 0.0) ** 2)
     )(best)
     assert_allclose(gradient[31:], 0.0, atol=1e-9 * cost(best))
     for _ in range(5):

@@ -18,7 +18,7 @@ def patterns(rng: np.random.Generator) -> jc.Patterns:
 
 def singular_values(network: jc.CSLC, patterns: jc.Patterns, columns: np.ndarray) -> np.ndarray:
     rows = np.asarray(network.regressor(patterns.q, patterns.qd, patterns.qdd))
-    rows = rows[np.asarray(patterns.counts_in)][:, columns]
+    rows = rows[np.asarray(patterns.mask)][:, columns]
     return np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
 
 
@@ -49,8 +49,8 @@ def test_neither_units_nor_length_enter(puma: jc.CSLC, patterns: jc.Patterns) ->
                 patterns.qd,
                 patterns.qdd,
                 1e3 * np.asarray(patterns.torque),
-                patterns.driven,
-                patterns.sliding,
+                patterns.backlash_mask,
+                patterns.friction_mask,
             )
         )
     )
@@ -61,7 +61,7 @@ def test_neither_units_nor_length_enter(puma: jc.CSLC, patterns: jc.Patterns) ->
 def test_weakest_is_the_combination_that_shows_least(puma: jc.CSLC, patterns: jc.Patterns) -> None:
     found = degree_of_excitation(puma, patterns)
     rows = np.asarray(puma.regressor(patterns.q, patterns.qd, patterns.qdd))
-    rows = rows[np.asarray(patterns.counts_in)]
+    rows = rows[np.asarray(patterns.mask)]
     shown = (rows / np.linalg.norm(rows, axis=0)) @ np.asarray(found.weakest)
     assert_allclose(np.linalg.norm(shown), found.smallest, rtol=1e-9)
     assert_allclose(np.linalg.norm(found.weakest), 1.0, rtol=1e-12)

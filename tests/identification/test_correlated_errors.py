@@ -113,11 +113,11 @@ def test_equals_its_formula(arm: jc.CSLC, motion: Motion, rng: np.random.Generat
     p = arm.size
     noise = red(rng, motion[0].shape)
     patterns = patterns_of(arm, jnp.asarray(TRUE[:p]), motion, noise)
-    patterns = eqx.tree_at(lambda x: x.driven, patterns, rng.random(noise.shape) < 0.7)
+    patterns = eqx.tree_at(lambda x: x.backlash_mask, patterns, rng.random(noise.shape) < 0.7)
     weights = np.array([2.0, 0.5])
     fit = jc.least_squares(arm, patterns, errors="correlated", joint_weights=weights)
 
-    counts = np.asarray(patterns.driven)
+    counts = np.asarray(patterns.backlash_mask)
     rows = np.asarray(arm.regressor(*motion))
     error = np.where(counts, np.asarray(patterns.torque) - rows @ np.asarray(fit.k), 0.0)
     pulls = np.einsum("tj,tjp->tp", weights**2 * error, rows)
@@ -215,7 +215,7 @@ def test_filtered_alike(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) 
     counts = (np.arange(SAMPLES) // 100 % 4 > 0)[:, None] & np.array([True, True])
     for _ in range(60):
         patterns = patterns_of(arm, k, motion, red(rng, motion[0].shape))
-        patterns = eqx.tree_at(lambda p: p.driven, patterns, counts)
+        patterns = eqx.tree_at(lambda p: p.backlash_mask, patterns, counts)
         fit = jc.least_squares(arm, patterns, cutoff=8.0, errors="correlated")
         low, high = fit.confidence_interval().T
         held.append((low < k) & (k < high))

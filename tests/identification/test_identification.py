@@ -160,7 +160,13 @@ class TestHeldOut:
         own, other = recorded(arm, rng), recorded(arm, rng)
         torque = np.asarray(other.torque) + 0.3 * np.asarray(other.q) ** 2
         more = jc.Patterns(
-            other.time, other.q, other.qd, other.qdd, torque, other.driven, other.sliding
+            other.time,
+            other.q,
+            other.qd,
+            other.qdd,
+            torque,
+            other.backlash_mask,
+            other.friction_mask,
         )
         held = held_out_error(arm, jc.least_squares(arm, own), own, more)
         assert held.beyond_chance == (1,)

@@ -19,7 +19,7 @@ _ROUNDING = 1e-10
 
 
 def masked(patterns: jc.Patterns, driven: np.ndarray) -> jc.Patterns:
-    return eqx.tree_at(lambda p: p.driven, patterns, driven)
+    return eqx.tree_at(lambda p: p.backlash_mask, patterns, driven)
 
 
 def test_recovers_the_coefficients_of_noise_free_patterns(
@@ -42,8 +42,8 @@ def test_equals_numpy_on_the_stacked_regressor(
     )
     fit = jc.least_squares(puma, patterns)
 
-    rows = np.asarray(puma.regressor(*exciting_motion))[np.asarray(patterns.driven)]
-    target = np.asarray(patterns.torque)[np.asarray(patterns.driven)]
+    rows = np.asarray(puma.regressor(*exciting_motion))[np.asarray(patterns.backlash_mask)]
+    target = np.asarray(patterns.torque)[np.asarray(patterns.backlash_mask)]
     k, squares, rank, _ = np.linalg.lstsq(rows, target, rcond=None)
     assert_allclose(fit.k, k, atol=_ROUNDING)
     assert int(fit.rank) == rank
@@ -52,9 +52,9 @@ def test_equals_numpy_on_the_stacked_regressor(
     assert_allclose(fit.covariance, covariance, rtol=1e-6, atol=1e-12)
     assert_allclose(fit.standard_error, np.sqrt(np.diag(covariance)), rtol=1e-6)
     errors = np.where(
-        patterns.driven, np.asarray(puma.torque(k, *exciting_motion)) - patterns.torque, 0.0
+        patterns.backlash_mask, np.asarray(puma.torque(k, *exciting_motion)) - patterns.torque, 0.0
     )
-    per_joint = np.sqrt((errors**2).sum(axis=0) / np.asarray(patterns.driven).sum(axis=0))
+    per_joint = np.sqrt((errors**2).sum(axis=0) / np.asarray(patterns.backlash_mask).sum(axis=0))
     assert_allclose(fit.torque_error, per_joint, rtol=1e-8)
     scaled = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
     assert_allclose(fit.condition, scaled[0] / scaled[-1], rtol=1e-8)

@@ -33,7 +33,7 @@ def _drawn(
 
 
 def _rows(network: jc.CSLC, patterns: jc.Patterns) -> tuple[np.ndarray, np.ndarray]:
-    counts = np.asarray(patterns.counts_in)
+    counts = np.asarray(patterns.mask)
     rows = np.asarray(network.regressor(patterns.q, patterns.qd, patterns.qdd))
     return rows[counts], np.asarray(patterns.torque)[counts]
 

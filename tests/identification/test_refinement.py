@@ -63,7 +63,9 @@ def test_what_is_returned_belongs_together(pendulum: jc.CSLC, rng: np.random.Gen
     recording = swing(pendulum, rng)
     refined = refine_thresholds(pendulum, recording, SETTINGS)
     again = refined.settings.patterns(recording)
-    assert np.array_equal(np.asarray(again.sliding), np.asarray(refined.patterns.sliding))
+    assert np.array_equal(
+        np.asarray(again.friction_mask), np.asarray(refined.patterns.friction_mask)
+    )
     np.testing.assert_allclose(
         np.asarray(refined.settings.fit(pendulum, again).k), np.asarray(refined.fit.k)
     )
@@ -122,7 +124,7 @@ def test_thresholds_take_the_place_of_the_fraction(
 ) -> None:
     settings = dataclasses.replace(SETTINGS, thresholds=(0.7,))
     patterns = settings.patterns(swing(pendulum, rng))
-    assert np.array_equal(np.asarray(patterns.sliding), np.abs(np.asarray(patterns.qd)) > 0.7)
+    assert np.array_equal(np.asarray(patterns.friction_mask), np.abs(np.asarray(patterns.qd)) > 0.7)
     assert "thresholds 0.7," in str(settings)
 
 

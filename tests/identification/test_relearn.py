@@ -70,7 +70,7 @@ def test_equals_numpy_on_the_columns_that_are_fitted(
     motion = (q[:200], qd[:200], qdd[:200])
     patterns = patterns_of(puma, puma_k, motion, rng.normal(size=motion[0].shape))
     counts = rng.random(motion[0].shape) < 0.7
-    patterns = dataclasses.replace(patterns, driven=counts)
+    patterns = dataclasses.replace(patterns, backlash_mask=counts)
     fit = jc.relearn(puma, patterns, before, groups=("dry", "gravity", "kv3"))
 
     free = np.array([*range(26, 31), 33, *range(37, 43)])
@@ -229,7 +229,7 @@ def test_failures(arm: jc.CSLC, puma: jc.CSLC, rng: np.random.Generator) -> None
         jc.relearn(arm, patterns, other)
     with pytest.raises(RuntimeError, match="NaN"):
         jc.relearn(arm, patterns, np.where(np.arange(arm.size) == 0, np.nan, k))
-    nothing = dataclasses.replace(patterns, driven=np.zeros((60, 2), bool))
+    nothing = dataclasses.replace(patterns, backlash_mask=np.zeros((60, 2), bool))
     with pytest.raises(RuntimeError, match="Fewer equations"):
         jc.relearn(arm, nothing, k)
     assert jc.relearn(arm, nothing, k, throw=False).result == jc.RESULTS.no_equations

@@ -94,9 +94,15 @@ def test_weights_by_residual_and_pairs_left_out(network: jc.CSLC, rng: np.random
     torque = patterns.torque + rng.normal(size=patterns.q.shape) * np.array([1e-3, 1.0])
     wrong = rng.random(torque.shape) < 0.1
     torque[wrong] += 100.0
-    sliding = ~wrong
+    friction_mask = ~wrong
     patterns = jc.Patterns(
-        patterns.time, patterns.q, patterns.qd, patterns.qdd, torque, patterns.driven, sliding
+        patterns.time,
+        patterns.q,
+        patterns.qd,
+        patterns.qdd,
+        torque,
+        patterns.backlash_mask,
+        friction_mask,
     )
     found = jc.fit_slopes(network, patterns, joint_weights="residual")
     assert_allclose(found.slopes[0], SLOPES[0], rtol=0.01)
@@ -119,8 +125,8 @@ def test_nothing_slow_tells_no_slope(network: jc.CSLC, rng: np.random.Generator)
     torque = np.asarray(network.torque(k, patterns.q, patterns.qd, patterns.qdd))
     torque = torque + 0.1 * rng.normal(size=torque.shape)
     patterns = jc.Patterns(
-        patterns.time, patterns.q, patterns.qd, patterns.qdd, torque, patterns.driven,
-        patterns.sliding,
+        patterns.time, patterns.q, patterns.qd, patterns.qdd, torque, patterns.backlash_mask,
+        patterns.friction_mask,
     )  # fmt: skip
     found = jc.fit_slopes(network, patterns)
     assert np.all(np.isfinite(found.fit.k))

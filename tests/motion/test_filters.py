@@ -141,18 +141,18 @@ def equations(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndar
     )
     regressor[:, 1, 0] = 0.0
     truth = rng.standard_normal(4)
-    counts_in = np.abs(np.sin(5 * time[:, None] + np.array([0.0, 1.0]))) > 0.3
-    return regressor, regressor @ truth, counts_in, truth
+    mask = np.abs(np.sin(5 * time[:, None] + np.array([0.0, 1.0]))) > 0.3
+    return regressor, regressor @ truth, mask, truth
 
 
 @pytest.mark.parametrize("cutoff", [2.0, 15.0, 100.0])
 def test_filtered_equations_are_true(
     equations: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], cutoff: float
 ) -> None:
-    regressor, torque, counts_in, truth = equations
+    regressor, torque, mask, truth = equations
     # What a masked pair says must not matter.
-    torque = np.where(counts_in, torque, 1e3)
-    filtered = parallel_filter(regressor, torque, counts_in, interval=INTERVAL, cutoff=cutoff)
+    torque = np.where(mask, torque, 1e3)
+    filtered = parallel_filter(regressor, torque, mask, interval=INTERVAL, cutoff=cutoff)
     assert filtered.regressor.shape == (filtered.torque.size, 4)
     np.testing.assert_allclose(filtered.regressor @ truth, filtered.torque, atol=1e-10)
 
@@ -177,15 +177,15 @@ def test_equations_far_from_what_counts_are_dropped(
     equations: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     regressor, torque, _, _ = equations
-    counts_in = np.zeros(torque.shape, dtype=bool)
-    counts_in[500:900, 0] = True
-    filtered = parallel_filter(regressor, torque, counts_in, interval=INTERVAL, cutoff=10.0)
+    mask = np.zeros(torque.shape, dtype=bool)
+    mask[500:900, 0] = True
+    filtered = parallel_filter(regressor, torque, mask, interval=INTERVAL, cutoff=10.0)
     assert np.all(filtered.joint == 0)
     assert np.all((filtered.sample > 480) & (filtered.sample < 920))
     assert np.all(filtered.weight >= 0.05)
     assert filtered.torque.size == pytest.approx(400 / 25, abs=2)
     nothing = parallel_filter(
-        regressor, torque, np.zeros_like(counts_in), interval=INTERVAL, cutoff=10.0
+        regressor, torque, np.zeros_like(mask), interval=INTERVAL, cutoff=10.0
     )
     assert nothing.regressor.shape == (0, 4)
     assert nothing.torque.shape == nothing.joint.shape == nothing.sample.shape == (0,)

@@ -17,13 +17,13 @@ from jaxcslc.motion import (
     away_from_reversals,
     choose_spacing,
     encoder_resolution,
+    friction_mask,
     friction_thresholds,
     joints_left_out,
     left_out_error,
     noise_level,
     possible_backlash,
     prepare,
-    sliding,
 )
 
 
@@ -98,13 +98,13 @@ def test_thresholds_and_sliding() -> None:
     thresholds = friction_thresholds(qd)
     assert thresholds.tolist() == [0.02, 0.01]
     # Strictly above: a velocity at the threshold is not.
-    assert sliding(qd, thresholds).tolist() == [[False, True], [True, False], [True, False]]
-    assert sliding(qd, 0.0).tolist() == [[True, True], [True, True], [True, False]]
+    assert friction_mask(qd, thresholds).tolist() == [[False, True], [True, False], [True, False]]
+    assert friction_mask(qd, 0.0).tolist() == [[True, True], [True, True], [True, False]]
     with pytest.raises(ValueError, match=r"shape \(3,\); expected one number, or one for each of"):
-        sliding(qd, [0.1, 0.1, 0.1])
+        friction_mask(qd, [0.1, 0.1, 0.1])
     for bad in (-0.1, [0.1, np.nan]):
         with pytest.raises(ValueError, match="expected none below 0"):
-            sliding(qd, bad)
+            friction_mask(qd, bad)
     with pytest.raises(ValueError, match="threshold fraction is 1"):
         friction_thresholds(qd, 1.0)
 
@@ -145,14 +145,14 @@ def test_patterns_are_what_their_parts_say() -> None:
         (patterns.qd, qd),
         (patterns.qdd, qdd),
         (patterns.torque, torque),
-        (patterns.driven, ~possible_backlash(qd, qdd, torque)),
-        (patterns.sliding, sliding(qd, [0.2, 0.4]) & away_from_reversals(qd, 5)),
-        (patterns.counts_in, patterns.driven & patterns.sliding),
+        (patterns.backlash_mask, ~possible_backlash(qd, qdd, torque)),
+        (patterns.friction_mask, friction_mask(qd, [0.2, 0.4]) & away_from_reversals(qd, 5)),
+        (patterns.mask, patterns.backlash_mask & patterns.friction_mask),
     ):
         assert np.array_equal(mine, expected)
     assert (patterns.samples, patterns.joints) == (1460, 2)
     # One joint's masks leave the other's pairs alone.
-    assert np.any(patterns.counts_in[:, 0] & ~patterns.counts_in[:, 1])
+    assert np.any(patterns.mask[:, 0] & ~patterns.mask[:, 1])
 
 
 def test_defaults() -> None:
@@ -161,9 +161,9 @@ def test_defaults() -> None:
     expected = AveragedSplines(9).smooth(recording.time, recording.position)
     assert np.array_equal(patterns.q, expected[0][9:-9])
     assert np.array_equal(patterns.torque, recording.torque[9:-9])
-    assert np.all(patterns.driven)
+    assert np.all(patterns.backlash_mask)
     assert np.array_equal(
-        patterns.sliding, np.abs(patterns.qd) > 0.01 * np.max(np.abs(patterns.qd), axis=0)
+        patterns.friction_mask, np.abs(patterns.qd) > 0.01 * np.max(np.abs(patterns.qd), axis=0)
     )
     assert prepare(recording, smoothing=Butterworth(20.0)).samples == recording.samples
 
@@ -205,16 +205,16 @@ def test_selections_that_leave_nothing() -> None:
     recording = swinging()
     with pytest.raises(
         ValueError,
-        match=r"nothing of 1482 samples of 2 joints \(none is sliding at joint 1, 2\); expected",
+        match=r"nothing of 1482 samples of 2 joints \(none is above .* at joint 1, 2\); expected",
     ):
         prepare(recording, thresholds=100.0)
     still = Recording(recording.time, np.zeros((1500, 2)), recording.torque)
-    with pytest.raises(ValueError, match="none is sliding at joint 1, 2"):
+    with pytest.raises(ValueError, match="none is above the friction threshold at joint 1, 2"):
         prepare(still)
     # A torque that always pushes the way the joints move and speed up.
     parabola = np.stack([recording.time**2, 1.0 - recording.time**2], axis=1)
     pushed = Recording(recording.time, parabola, parabola - [0.0, 100.0] + [1.0, 0.0])
-    with pytest.raises(ValueError, match="none is driven at joint 1, 2"):
+    with pytest.raises(ValueError, match="all may be in backlash at joint 1, 2"):
         prepare(pushed, smoothing=CentralDifferences(), backlash=True, trim=2)
     with pytest.raises(ValueError, match="trim of 750 samples at both ends leaves nothing of 1500"):
         prepare(recording, trim=750)
@@ -299,5 +299,5 @@ def test_a_joint_that_stands_still_has_no_direction() -> None:
     for smoothing in (AveragedSplines(9), Butterworth(20.0), SavitzkyGolay(15)):
         patterns = prepare(Recording(time, position, 0 * position), smoothing=smoothing)
         assert not np.any(patterns.qd[:, 1:]) and not np.any(patterns.qdd[:, 1:])
-        assert not np.any(patterns.sliding[:, 1:])
-        assert np.any(patterns.sliding[:, 0])
+        assert not np.any(patterns.friction_mask[:, 1:])
+        assert np.any(patterns.friction_mask[:, 0])

@@ -231,7 +231,9 @@ def test_torque_noise_is_a_spectral_density(puma: jc.CSLC, arm_k: Array) -> None
     np.testing.assert_allclose(torque_noise(puma, arm_k, patterns), 0.3**2 * 0.002, rtol=0.4)
     # Left-out samples do not count, and do not make the rest look shorter than it is.
     half = everything & (rng.uniform(size=q.shape) < 0.7)
-    wild = dataclasses.replace(patterns, torque=np.where(half, patterns.torque, 1e3), driven=half)
+    wild = dataclasses.replace(
+        patterns, torque=np.where(half, patterns.torque, 1e3), backlash_mask=half
+    )
     np.testing.assert_allclose(torque_noise(puma, arm_k, wild), 0.3**2 * 0.002, rtol=0.5)
     with pytest.raises(ValueError, match="joint 1: 2 blocks of 20 s in which it moves"):
         torque_noise(puma, arm_k, patterns, block=20.0)

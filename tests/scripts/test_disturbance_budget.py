@@ -38,7 +38,7 @@ def test_the_true_coefficients_leave_nothing_undisturbed(script: ModuleType) -> 
     network = script.network_of(script.Measures())
     k = script.true_coefficients(network, machine)
     torque = np.asarray(network.torque(k, patterns.q, patterns.qd, patterns.qdd))
-    error = np.abs(torque - patterns.torque)[np.asarray(patterns.counts_in)]
+    error = np.abs(torque - patterns.torque)[np.asarray(patterns.mask)]
     # Within a step of a stop, friction is whatever stops the joint: few pairs of many.
     assert np.median(error) < 1e-9
 

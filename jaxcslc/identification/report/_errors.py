@@ -78,7 +78,7 @@ def compare(
     **Arguments**
 
     - `network`: n joints, p coefficients.
-    - `patterns`: motion and torque; pairs outside `patterns.counts_in` are left out.
+    - `patterns`: motion and torque; pairs outside `patterns.mask` are left out.
     - `vectors`: (p,) coefficients by name.
 
     **Returns** an `ErrorTable`.
@@ -98,7 +98,7 @@ def compare(
     names = tuple(vectors)
     mean_modulus, rms, epsilon = _figures(
         jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names]),
-        jnp.asarray(patterns.counts_in),
+        jnp.asarray(patterns.mask),
     )
     kinds = set(network.robot.kinds)
     unit = "N m or N" if len(kinds) > 1 else {"R": "N m", "P": "N"}[kinds.pop()]
@@ -107,11 +107,11 @@ def compare(
 
 @jax.jit
 def _figures(
-    errors: Float[Array, "vectors samples joints"], counts_in: Bool[Array, "samples joints"]
+    errors: Float[Array, "vectors samples joints"], mask: Bool[Array, "samples joints"]
 ) -> tuple[
     Float[Array, "vectors joints"], Float[Array, "vectors joints"], Float[Array, " vectors"]
 ]:
-    counts = jnp.broadcast_to(counts_in, errors.shape)
+    counts = jnp.broadcast_to(mask, errors.shape)
     kept = jnp.where(counts, errors, 0.0)
     per_joint = jnp.maximum(jnp.sum(counts, axis=1), 1)
     per_pattern = jnp.sum(counts, axis=2)

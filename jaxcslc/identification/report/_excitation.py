@@ -108,7 +108,7 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
     **Arguments**
 
     - `network`: n joints, p coefficients.
-    - `patterns`: motion; pairs outside `patterns.counts_in` are left out.
+    - `patterns`: motion; pairs outside `patterns.mask` are left out.
 
     **Returns** an `Excitation`.
 
@@ -128,7 +128,7 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
     (True, ('base', 'viscous'))
     """
     motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque)
-    weight = jnp.asarray(patterns.counts_in, float)
+    weight = jnp.asarray(patterns.mask, float)
     factors = _factorise(network, *(jnp.asarray(filled_up(x)) for x in (*motion, weight)))
     triangle = factors.stacked(network, jnp.ones(network.joint_count))[:, :-1]
     length = jnp.linalg.norm(triangle, axis=0)

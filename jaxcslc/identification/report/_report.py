@@ -111,12 +111,12 @@ def _recording_files(
                 "joint": joint + 1,
                 "rms": float(errors.rms[0, joint]),
                 "mean_modulus": float(errors.mean_modulus[0, joint]),
-                "pairs": int(np.sum(np.asarray(patterns.counts_in)[:, joint])),
+                "pairs": int(np.sum(np.asarray(patterns.mask)[:, joint])),
             }
             for joint in range(n)
         ],
     )
-    measured, counts = np.asarray(patterns.torque), np.asarray(patterns.counts_in)
+    measured, counts = np.asarray(patterns.torque), np.asarray(patterns.mask)
     header = ["time"] + [
         f"{kind}_{joint + 1}" for kind in ("measured", "predicted", "counts") for joint in range(n)
     ]

@@ -29,14 +29,14 @@ class Equations(eqx.Module):
         network: CSLC,
         regressor: Float[np.ndarray, "samples joints coefficients"],
         torque: Float[np.ndarray, "samples joints"],
-        counts_in: Bool[np.ndarray, "samples joints"],
+        mask: Bool[np.ndarray, "samples joints"],
         *,
         time: Float[np.ndarray, " samples"],
         cutoff: float | None,
     ) -> "Equations":
         """The equations of the pairs that count, or those that a parallel filter makes of them."""
         if cutoff is None:
-            samples = [np.flatnonzero(column) for column in counts_in.T]
+            samples = [np.flatnonzero(column) for column in mask.T]
             rows = [
                 np.concatenate(
                     [regressor[own, joint][:, list(support)], torque[own, joint, None]], axis=1
@@ -45,7 +45,7 @@ class Equations(eqx.Module):
             ]
             return cls(tuple(rows), tuple(samples))
         filtered = parallel_filter(
-            regressor, torque, counts_in, interval=uniform_interval(time), cutoff=cutoff
+            regressor, torque, mask, interval=uniform_interval(time), cutoff=cutoff
         )
         joints = [filtered.joint == joint for joint in range(network.joint_count)]
         rows = [

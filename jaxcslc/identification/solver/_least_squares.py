@@ -47,7 +47,7 @@ def least_squares(
     **Arguments**
 
     - `network`: n joints, p coefficients.
-    - `patterns`: motion and torque (samples, n); pairs outside `patterns.counts_in` are left out.
+    - `patterns`: motion and torque (samples, n); pairs outside `patterns.mask` are left out.
     - `cutoff`: filter regressor and torque alike by a zero-phase low pass of this frequency [Hz]
       and decimate ('parallel filter', see `jaxcslc.motion.parallel_filter`). Needs a uniform
       sampling interval, and runs on the host: not under `jit`.
@@ -122,7 +122,7 @@ def fit_patterns(
     rows: AbstractRows | None = None
     samples = patterns.q.shape[0]
     if cutoff is None:
-        weight = jnp.asarray(patterns.counts_in, float)
+        weight = jnp.asarray(patterns.mask, float)
         motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
         q, qd, qdd, torque, weight = (jnp.asarray(filled_up(x)) for x in motion)
         factors = _factorise(network, q, qd, qdd, torque, weight)
@@ -246,7 +246,7 @@ def equations_of(network: CSLC, patterns: Patterns, cutoff: float | None) -> Equ
         network,
         np.asarray(regressor_of(network, patterns)),
         np.asarray(patterns.torque),
-        np.asarray(patterns.counts_in),
+        np.asarray(patterns.mask),
         time=np.asarray(patterns.time),
         cutoff=cutoff,
     )

@@ -90,7 +90,7 @@ def _regular(network: CSLC, chunks: Iterable[Patterns]) -> Iterator[_Piece]:
                 f"patterns have {chunk.q.shape[-1]} joints, {network.robot.name!r} has"
                 f" {network.joint_count}"
             )
-        weight = np.asarray(chunk.counts_in, dtype=float)
+        weight = np.asarray(chunk.mask, dtype=float)
         arrays = (chunk.q, chunk.qd, chunk.qdd, chunk.torque)
         held.append((*(np.asarray(x) for x in arrays), weight))
         size += len(weight)
