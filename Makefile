@@ -11,7 +11,7 @@ bin   := .venv/bin
 stamp := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: setup demo test check format bench clean help
+.PHONY: setup demo test check docs format bench clean help
 
 setup: $(stamp) ## create .venv with every dependency at its pinned version
 
@@ -43,6 +43,9 @@ check: $(stamp) ## check formatting, lint and types
 	$(bin)/ruff format --check .
 	$(bin)/ruff check .
 	$(bin)/pyright
+
+docs: $(stamp) ## build the documentation site, into build/site
+	NO_MKDOCS_2_WARNING=1 $(bin)/mkdocs build --quiet
 
 format: $(stamp) ## format the code and apply the linter's safe fixes
 	$(bin)/ruff check --fix .
