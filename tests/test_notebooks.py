@@ -16,7 +16,7 @@ LARGEST = 300_000  # bytes: what a reader on a slow line can wait for
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    return importlib.import_module("execute_notebooks")
+    return importlib.import_module("scripts.tools.execute_notebooks")
 
 
 def read(path: Path) -> nbformat.NotebookNode:
@@ -53,7 +53,7 @@ def test_it_runs_from_top_to_bottom(
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))
     monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
     executed = script.execute(path)
-    assert kinds(executed) == kinds(read(path)), "renew it: scripts/execute_notebooks.py"
+    assert kinds(executed) == kinds(read(path)), "renew it: scripts/tools/execute_notebooks.py"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

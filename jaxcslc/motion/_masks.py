@@ -22,8 +22,8 @@ def possible_backlash(
 
     The thesis holds that this includes every occurrence of backlash. On simulated PUMA 560s whose
     gears are known it left out about half of the pairs with gears apart and half of the others,
-    and fits were worse for it (`scripts/disturbance_budget.py`): choosing pairs by the sign of
-    the torque biases a fit.
+    and fits were worse for it (`scripts/studies/disturbances/budget.py`): choosing pairs by the
+    sign of the torque biases a fit.
 
     Backlash is decoupled, so a pair says nothing of the other joints of its sample.
 

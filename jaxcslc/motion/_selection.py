@@ -84,7 +84,7 @@ def choose_spacing(
 
     (On simulated recordings of the PUMA 560, 10 seeds, the accelerations of the choice had 1.0 to
     1.4 times the RMS error of the best spacing for each joint away from velocity reversals, 1.0 to
-    1.5 times at them: `scripts/smoothing_study.py`.)
+    1.5 times at them: `scripts/studies/smoothing/study.py`.)
 
     **Arguments:**
 

@@ -1,0 +1,1 @@
+"""Programs over both packages: studies, benchmarks, examples with real robots, tools."""

@@ -1,0 +1,1 @@
+"""Time and memory of both packages, compared with a committed baseline."""

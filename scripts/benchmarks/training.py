@@ -1,0 +1,137 @@
+"""Time trainings of the PUMA 560's CSLC: one, many side by side, and on normal equations.
+
+Prints named metrics with unit and direction; compile and run time apart. What many trainings
+find side by side is compared with what one of them finds alone.
+
+    python scripts/benchmarks/training.py                        256 trainings, this machine
+    python scripts/benchmarks/training.py --trainings 4096       as for a GPU
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxcslc as jc
+import sim
+from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
+from jaxcslc.training import (
+    PERAL,
+    AdaptedRates,
+    Backpropagation,
+    Examples,
+    FixedRates,
+    NormalEquations,
+    Plan,
+    examples,
+    half_square,
+    normal_equations,
+    train,
+)
+from scripts.benchmarks.metrics import Metric, report
+
+
+jax.config.update("jax_enable_x64", True)
+
+
+def timed(
+    network: AdaptiveNetwork,
+    chosen: Examples | NormalEquations,
+    weights: jax.Array,
+    plan: Plan,
+    epochs: int,
+    block: int | None = None,
+) -> tuple[float, float, jax.Array]:
+    """Seconds of the first and of the second training, the same but for compiling; its weights."""
+
+    def once() -> tuple[float, jax.Array]:
+        start = time.perf_counter()
+        result = train(
+            network,
+            chosen,
+            weights,
+            plan,
+            epochs=epochs,
+            chunk=epochs,
+            keep_weights=False,
+            block=block,
+            throw=False,
+        )
+        jax.block_until_ready(result.weights)
+        return time.perf_counter() - start, result.weights
+
+    (first, _), (second, found) = once(), once()
+    return first, second, found
+
+
+def training(trainings: int = 256, epochs: int = 100, block: int | None = None) -> Iterator[Metric]:
+    """PERAL on the training recording's 3,300 samples, and backpropagation on its equations."""
+    cslc = jc.derive(jc.puma560())
+    network = inverse_dynamics(cslc)
+    recording = sim.simulate(sim.puma560(), sim.training(), seed=1).recording
+    patterns = jc.prepare(recording, spacing=9)
+    chosen = examples(network, patterns, patterns.torque, patterns.mask)
+    samples = chosen.targets.shape[-1]
+    start = jnp.asarray(jc.least_squares(cslc, patterns).k) * (
+        1.0 + 0.3 * np.random.default_rng(0).normal(size=network.size)
+    )
+
+    def rate(seconds: float, passed: int, number: int = 1) -> float:
+        return samples * passed * number / seconds / 1e6
+
+    unit = "million pattern-epochs/s"
+    for name, plan in (
+        ("fixed_rates", Plan(PERAL(), FixedRates(0.05))),
+        ("adapted_rates", Plan(PERAL(), AdaptedRates(0.05))),
+    ):
+        first, second, alone = timed(network, chosen, start, plan, epochs)
+        yield Metric(f"peral.{name}.compile", first - second, "s", "lower", 0.5)
+        yield Metric(f"peral.{name}.rate", rate(second, epochs), unit, "higher")
+        starts = start * (
+            1.0 + 0.01 * np.random.default_rng(1).normal(size=(trainings, network.size))
+        )
+        starts = starts.at[0].set(start)
+        few = max(epochs // 20, 2)
+        first, many, _ = timed(network, chosen, starts, plan, few, block)
+        yield Metric(f"peral.{name}.{trainings}.compile", first - many, "s", "lower", 0.5)
+        together = rate(many, few, trainings)
+        yield Metric(f"peral.{name}.{trainings}.rate", together, unit, "higher")
+        factor = together / rate(second, epochs)
+        yield Metric(f"peral.{name}.{trainings}.over_single", factor, "1", "higher")
+        one = timed(network, chosen, start, plan, few)[2]
+        both = timed(network, chosen, starts[:2], plan, few, block)[2]
+        error = float(jnp.max(jnp.abs(both[0] - one)) / jnp.max(jnp.abs(alone)))
+        yield Metric(f"peral.{name}.disagreement", error, "1", "lower", 10.0)
+
+    equations = normal_equations(network, chosen)
+    plan = Plan(Backpropagation(), AdaptedRates(1e-3), cost=half_square, patience=10**9)
+    passed = 200 * epochs
+    first, second, _ = timed(network, equations, start, plan, passed)
+    yield Metric("normal_equations.compile", first - second, "s", "lower", 0.5)
+    yield Metric("normal_equations.rate", passed / second, "epochs/s", "higher")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--trainings", type=int, default=256)
+    parser.add_argument("--epochs", type=int, default=100, help="of the single training")
+    parser.add_argument("--block", type=int, default=None, help="trainings side by side")
+    arguments = parser.parse_args()
+    if min(arguments.trainings, arguments.epochs) < 2:
+        parser.error("--trainings and --epochs must be at least 2")
+    metrics: list[Metric] = []
+    for metric in training(arguments.trainings, arguments.epochs, arguments.block):
+        print(f"  {metric.name} {metric.value:.4g} {metric.unit}", file=sys.stderr, flush=True)
+        metrics.append(metric)
+    report(metrics, {})
+    device = jax.devices()[0]
+    peak = (device.memory_stats() or {}).get("peak_bytes_in_use", 0)
+    print(f"# on {device.device_kind}" + (f", peak {peak / 1e9:.2f} GB" if peak else ""))
+
+
+if __name__ == "__main__":
+    main()

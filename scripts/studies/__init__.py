@@ -1,0 +1,1 @@
+"""Experiments of the thesis and further ones, one folder a topic."""

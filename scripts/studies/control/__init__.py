@@ -1,0 +1,1 @@
+"""Computed torque with identified coefficients."""

@@ -1,0 +1,1 @@
+"""What every disturbance costs, and what the measure against it gains."""

@@ -1,0 +1,1 @@
+"""The CSLC beside other networks, outside the range of the training motion."""

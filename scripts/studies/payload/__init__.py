@@ -1,0 +1,1 @@
+"""Payloads learnt while they are carried."""

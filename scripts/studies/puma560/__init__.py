@@ -1,0 +1,1 @@
+"""The experiment of Chapter 7: `make demo`."""

@@ -1,0 +1,1 @@
+"""Friction re-identified after it has fallen."""

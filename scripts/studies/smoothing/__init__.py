@@ -1,0 +1,1 @@
+"""Smoothing methods beside the simulator's true velocities and accelerations."""

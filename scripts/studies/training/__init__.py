@@ -1,0 +1,1 @@
+"""Training of adaptive networks: the CSLC, PERAL, figures of Chapter 3."""

@@ -1,0 +1,285 @@
+"""The two problems of Section 6.3, and what both rules make of them from one hand-over."""
+
+import argparse
+import dataclasses
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from tqdm import tqdm
+
+import jaxcslc as jc
+import sim
+from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
+from jaxcslc.training import (
+    PERAL,
+    AbstractRule,
+    AdaptedRates,
+    Backpropagation,
+    Examples,
+    Plan,
+    Training,
+    examples,
+    mean_modulus,
+    normal_equations,
+    train,
+)
+from scripts.studies.training.peral_operations import BACKPROPAGATION, PERAL_RULE, seconds_per_epoch
+
+
+RULES: dict[str, AbstractRule] = {BACKPROPAGATION: Backpropagation(), PERAL_RULE: PERAL()}
+START = {"ultrasound": 0.5, "PUMA 560": 0.1}  # weights are drawn from ± this
+BACKPROPAGATION_RATE = 1e-3  # to start with: small (7.5)
+# PERAL starts with a share of the rate that gains most in an epoch: as high as 6.3.1's rule raises
+# the rate of a parabolic cost.
+LADDER, STABLE = tuple(0.01 * 2.0**step for step in range(14)), 0.31
+HAND_OVER_CORRECT = 0.30
+CORRECT = (0.40, 0.45, 0.50)
+PARTS = (0.25, 0.50, 0.75)
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """What both rules are given.
+
+    - `chosen`: patterns of all seeds, or of each with a leading axis; `one`: of the first.
+    """
+
+    name: str
+    variant: str
+    network: AdaptiveNetwork
+    chosen: Examples
+    one: Examples
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """Both rules on one problem, all seeds.
+
+    - `hand_over`: epochs of backpropagation alone, NaN where it never came to that.
+    - `curves`: by rule, (seeds, epochs): backpropagation from the start, PERAL from the hand-over.
+    - `goals`: by name, (seeds,), what the curves are to fall to.
+    - `epochs`: by rule and goal, (seeds,), from the hand-over; infinite if never.
+    - `ended`: by rule, in which way how many.
+    - `seconds`: of an epoch, by rule.
+    - `rate`: that PERAL set out with.
+    - `handed`, `at_end`: weights at the hand-over, and where each rule ended.
+    """
+
+    problem: Problem
+    hand_over: Float[np.ndarray, " seeds"]
+    curves: dict[str, Float[np.ndarray, "seeds epochs"]]
+    goals: dict[str, Float[np.ndarray, " seeds"]]
+    epochs: dict[str, dict[str, Float[np.ndarray, " seeds"]]]
+    ended: dict[str, dict[str, int]]
+    seconds: dict[str, float]
+    rate: float
+    handed: Float[Array, "seeds weights"]
+    at_end: dict[str, Float[Array, "seeds weights"]]
+
+
+def wrong(errors: Float[Array, "kinds patterns"], counts: Float[Array, "kinds patterns"]) -> Array:
+    """Share of patterns for which the winner of the outputs is not the right kind.
+
+    Targets are 1 for the right kind and -1 for others and outputs lie between, so that only the
+    right kind's error is above zero: the errors tell the targets.
+    """
+    right = jnp.argmax(errors, axis=0)
+    targets = jnp.where(jnp.arange(errors.shape[0])[:, None] == right[None, :], 1.0, -1.0)
+    some = jnp.any(counts > 0, axis=0)
+    missed = (jnp.argmax(targets - errors, axis=0) != right) & some
+    return jnp.sum(missed) / jnp.maximum(jnp.sum(some), 1)
+
+
+def ultrasound(patterns: int, *, centred: bool) -> Problem:
+    """The 25+1 to 10 network of Fig. 6.3-2, and as many patterns as asked for in equal shares."""
+    echoes = sim.ultrasound(seed=0).training
+    each = [np.flatnonzero(echoes.kind == kind) for kind in range(len(echoes.kinds))]
+    rows = np.concatenate([of[: max(1, patterns // len(each))] for of in each])
+    inputs = echoes.inputs[rows]
+    if centred:
+        inputs = inputs - inputs.mean(axis=0)
+    network = fully_connected([inputs.shape[1], len(each)], "hyperbolic tangent")
+    chosen = examples(network, jnp.asarray(inputs), jnp.asarray(echoes.targets[rows]))
+    variant = "inputs centred" if centred else "inputs as they are"
+    return Problem("ultrasound", variant, network, chosen, chosen)
+
+
+def puma(patterns: int, noise: float, seeds: int) -> Problem:
+    """The CSLC, and true motions and torques with noise of so much of their standard deviation."""
+    _, truth = sim.simulate(sim.puma560(), sim.training(), seed=0)
+    network = inverse_dynamics(jc.derive(jc.puma560()))
+    every = max(1, len(truth.time) // patterns)
+    columns = (truth.position, truth.velocity, truth.acceleration, truth.torque)
+
+    def one(seed: int) -> Examples:
+        rng = np.random.default_rng([seed, 1])
+        q, qd, qdd, torque = (
+            jnp.asarray((x + noise * x.std(axis=0) * rng.standard_normal(x.shape))[::every])
+            for x in columns
+        )
+        return examples(network, (q, qd, qdd), torque)
+
+    each = [one(seed) for seed in tqdm(range(seeds), desc=f"noise {noise:g}", disable=None)]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *each)
+    return Problem("PUMA 560", f"noise {noise:.0%}", network, stacked, each[0])
+
+
+def starts(problem: Problem, seeds: int) -> Float[Array, "seeds weights"]:
+    """Random weights, the same for a seed whatever the number of seeds."""
+    reach = START[problem.name]
+    rows = [
+        np.random.default_rng([seed, 0]).uniform(-reach, reach, problem.network.size)
+        for seed in range(seeds)
+    ]
+    return jnp.asarray(np.stack(rows))
+
+
+def stable_rate(problem: Problem, weights: Float[Array, "seeds weights"]) -> float:
+    """The share `STABLE` of the rate that leaves PERAL's mean error modulus lowest in an epoch."""
+    network, axis = problem.network, 0 if problem.chosen.targets.ndim == 3 else None
+    learning = (True,) * len(network.groups)
+
+    def after(chosen: Examples, own: Array) -> Array:
+        change = jnp.sum(chosen.change(network, RULES[PERAL_RULE], own, learning), axis=0)
+        return jnp.stack([chosen.costs(network, own + r * change, mean_modulus)[0] for r in LADDER])
+
+    costs = jax.jit(jax.vmap(after, in_axes=(axis, 0)))(problem.chosen, weights)
+    return STABLE * LADDER[int(np.argmin(np.median(np.asarray(costs), axis=0)))]
+
+
+def first_at_most(
+    curves: Float[np.ndarray, "seeds epochs"], goals: Float[np.ndarray, " seeds"]
+) -> Float[np.ndarray, " seeds"]:
+    """After how many epochs each curve is at its goal or below for the first time, or infinity."""
+    there = curves <= goals[:, None]
+    return np.where(there.any(axis=1), np.argmax(there, axis=1), np.inf)
+
+
+def plans(measure: Any, rate: float, **more: Any) -> dict[str, Plan]:
+    """One for each rule; numbers as arrays, so that plans that differ in them compile once."""
+    rates = {
+        BACKPROPAGATION: jnp.asarray(BACKPROPAGATION_RATE),
+        PERAL_RULE: jnp.asarray(rate),
+    }
+    return {
+        name: Plan(rule, AdaptedRates(rates[name]), cost=mean_modulus, measure=measure, **more)
+        for name, rule in RULES.items()
+    }
+
+
+def compare_ultrasound(problem: Problem, given: argparse.Namespace, folder: Path) -> Outcome:
+    start = starts(problem, given.seeds)
+    wanted = {"target": jnp.asarray(1.0 - CORRECT[-1])}
+    until = 1.0 - HAND_OVER_CORRECT
+    plan = plans(wrong, 1.0, **wanted)[BACKPROPAGATION]
+    # The same epochs twice: up to the hand-over for the weights there, and through it.
+    early = eqx.tree_at(lambda p: p.target, plan, jnp.asarray(until))
+    first = run(problem, start, early, given.before, folder / f"{problem.variant}-first.npz")
+    on = run(problem, start, plan, given.before + given.further, folder / f"{problem.variant}.npz")
+    rate = stable_rate(problem, first.weights)
+    by_peral = plans(wrong, rate, **wanted)[PERAL_RULE]
+    tuned = run(problem, first.weights, by_peral, given.tuning, folder / f"{problem.variant}-P.npz")
+    curves = {
+        BACKPROPAGATION: np.asarray(on.history.measure),
+        PERAL_RULE: np.asarray(tuned.history.measure),
+    }
+    reached = first_at_most(np.asarray(first.history.measure), np.full(given.seeds, until))
+    goals = {f"{share:.0%} correct": np.full(given.seeds, 1.0 - share) for share in CORRECT}
+    plan_of = {BACKPROPAGATION: plan, PERAL_RULE: by_peral}
+    return outcome(problem, reached, curves, goals, (first, on, tuned), plan_of, rate)
+
+
+def compare_puma(problem: Problem, given: argparse.Namespace, folder: Path) -> Outcome:
+    seeds = problem.chosen.targets.shape[0]
+    start = starts(problem, seeds)
+    plan = plans(None, 1.0)[BACKPROPAGATION]
+    before, after = folder / f"{problem.variant}-first.npz", folder / f"{problem.variant}.npz"
+    first = run(problem, start, plan, given.hand_over, before)
+    if not after.exists():  # goes on from the hand-over, its rates included
+        shutil.copyfile(before, after)
+    on = run(problem, start, plan, given.hand_over + given.further, after)
+    rate = stable_rate(problem, first.weights)
+    by_peral = plans(None, rate)[PERAL_RULE]
+    tuned = run(problem, first.weights, by_peral, given.tuning, folder / f"{problem.variant}-P.npz")
+    curves = {
+        BACKPROPAGATION: np.asarray(on.history.cost),
+        PERAL_RULE: np.asarray(tuned.history.cost),
+    }
+    direct, at = moduli(problem, direct_solutions(problem)), moduli(problem, first.weights)
+    goals = {f"{part:.0%} of the way": at + part * (direct - at) for part in PARTS}
+    reached = np.full(seeds, float(given.hand_over))
+    plan_of = {BACKPROPAGATION: plan, PERAL_RULE: by_peral}
+    return outcome(problem, reached, curves, goals, (first, on, tuned), plan_of, rate)
+
+
+def run(
+    problem: Problem, start: Float[Array, "seeds weights"], plan: Plan, epochs: int, file: Path
+) -> Training:
+    rule = plan.schedule.rules[0].name
+    tqdm.write(f"{problem.name}, {problem.variant}: {rule}, up to {epochs} epochs")
+    options: dict[str, Any] = {"epochs": epochs, "keep_weights": False, "progress": False}
+    return train(problem.network, problem.chosen, start, plan, checkpoint=file, **options)
+
+
+def outcome(
+    problem: Problem,
+    hand_over: Float[np.ndarray, " seeds"],
+    curves: dict[str, Float[np.ndarray, "seeds epochs"]],
+    goals: dict[str, Float[np.ndarray, " seeds"]],
+    trainings: tuple[Training, Training, Training],
+    plan_of: Mapping[str, Plan],
+    rate: float,
+) -> Outcome:
+    first, on, tuned = trainings
+    came = np.isfinite(hand_over)
+    beyond = np.array(curves[BACKPROPAGATION])
+    # What lies before the hand-over does not count, should it have been lower.
+    beyond[np.arange(beyond.shape[1]) < np.where(came, hand_over, np.inf)[:, None]] = np.inf
+    epochs = {
+        BACKPROPAGATION: {k: first_at_most(beyond, v) - hand_over for k, v in goals.items()},
+        PERAL_RULE: {k: first_at_most(curves[PERAL_RULE], v) for k, v in goals.items()},
+    }
+    epochs = {r: {k: np.where(came, v, np.nan) for k, v in e.items()} for r, e in epochs.items()}
+    seconds = {
+        name: seconds_per_epoch(problem.network, plan, problem.one, first.weights[0])
+        for name, plan in plan_of.items()
+    }
+    return Outcome(
+        problem,
+        np.where(came, hand_over, np.nan),
+        curves,
+        goals,
+        epochs,
+        {BACKPROPAGATION: on.outcomes(), PERAL_RULE: tuned.outcomes()},
+        seconds,
+        rate,
+        first.weights,
+        {BACKPROPAGATION: on.weights, PERAL_RULE: tuned.weights},
+    )
+
+
+def direct_solutions(problem: Problem) -> Float[Array, "seeds weights"]:
+    """The least-squares weights of every seed's patterns."""
+    equations = jax.vmap(lambda chosen: normal_equations(problem.network, chosen))(problem.chosen)
+    moment = np.asarray(equations.moment).sum(axis=1)
+    pairs = zip(np.asarray(equations.gram), moment, strict=True)
+    return jnp.asarray(np.stack([np.linalg.lstsq(a, b, rcond=None)[0] for a, b in pairs]))
+
+
+def moduli(problem: Problem, weights: Float[Array, "seeds weights"]) -> Float[np.ndarray, " seeds"]:
+    """The mean error modulus of every seed's patterns [N m]."""
+    return costs_of(problem, weights, mean_modulus)
+
+
+def costs_of(problem: Problem, weights: Float[Array, "seeds weights"], cost: Any) -> np.ndarray:
+    def one(chosen: Examples, own: Array) -> Array:
+        return chosen.costs(problem.network, own, cost)[0]
+
+    return np.asarray(jax.vmap(one)(problem.chosen, weights))

@@ -1,0 +1,69 @@
+"""Executes notebooks from top to bottom and stores what their cells answer.
+
+Stored are outputs and their numbers alone: no times, no paths, no version of the interpreter.
+"""
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError as CellExecutionError
+from tqdm import tqdm
+
+
+ROOT = Path(__file__).parents[2]
+# Of the interpreter, whoever reads needs to know the language.
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {"name": "python"},
+}
+# Long enough for a slow machine that is busy with other things.
+LONGEST = 600  # s for one cell
+
+
+def execute(path: Path) -> Any:
+    """The notebook with fresh outputs; nothing is written.
+
+    **Raises** `nbclient.exceptions.CellExecutionError` at the first cell that fails.
+    """
+    notebook = nbformat.read(path, as_version=4)
+    # What the environment says of pictures is for programs without a notebook around them.
+    environment = {name: text for name, text in os.environ.items() if name != "MPLBACKEND"}
+    client = NotebookClient(
+        notebook,
+        timeout=LONGEST,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(ROOT)}},
+        record_timing=False,
+        coalesce_streams=True,
+        # Kernels and clients of one machine talk unencrypted, and warn of it every time.
+        extra_arguments=["--IPKernelApp.log_level=40"],
+    )
+    client.execute(env=environment)
+    for cell in notebook.cells:
+        cell.metadata.clear()
+    notebook.metadata = nbformat.from_dict(METADATA)
+    return notebook
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument(
+        "notebooks", type=Path, nargs="*", help="those of notebooks/ if none is named"
+    )
+    given = parser.parse_args(arguments)
+    paths = given.notebooks or sorted((ROOT / "notebooks").glob("*.ipynb"))
+    for path in paths:
+        if not path.is_file():
+            parser.error(f"{path}: no such notebook")
+    for path in tqdm(paths, desc="notebooks", unit="notebook", disable=None):
+        nbformat.write(execute(path), path)
+        print(f"stored the outputs of {path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,281 @@
+"""Write docs/puma_a_b.md: what the presets `puma_a` and `puma_b` changed of Appendix B, and why.
+
+    .venv/bin/python scripts/tools/thesis_machines_page.py
+
+Every figure of the page is computed here; a test fails when the page and the code disagree.
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+import jaxcslc as jc
+import sim
+from sim import nearest_links, puma_a, puma_b, thesis_coefficients
+
+
+jax.config.update("jax_enable_x64", True)
+
+PAGE = Path(__file__).parents[2] / "docs" / "puma_a_b.md"
+_CONFIGURATIONS = 1000
+_FAR = 0.2  # m
+_MACHINES = {"A": puma_a(), "B": puma_b()}
+
+_INTRODUCTION = """\
+# PUMA A and PUMA B
+
+The presets `puma_a` and `puma_b` are the two machines on which the thesis identified its
+coefficients, as nearly as machines can be them. Friction is Appendix B's as printed. Of the 31 mass
+and gravity coefficients, which were identified one by one, no machine has the printed values. The
+presets have the links of the possible machine whose coefficients are nearest, each difference
+weighted by the output sensitivity that Appendix B prints beside it, in N m: the least change of
+torque. Possible means, link by link (spread along a joint's axis may first be lent between
+neighbours, see `possible_links`),
+
+- positive mass, and mass spread by no less than nothing in every direction, ∫ x xᵀ dm ≥ 0;
+- principal axes along the frame's and the zeros of Fig. 2.6-4, so that the thesis's network with
+  the preset's coefficients is exact;
+- a machine like Armstrong's: masses and motor inertias from a half to twice his, spreads of mass no
+  less than half his, centres of gravity within 0.1 m of his in each direction.
+
+Since no motor inertia is below half of Armstrong's, the mass matrix is positive definite
+everywhere.
+
+This page is written by `scripts/tools/thesis_machines_page.py`.
+"""
+
+_WHY = """\
+## What could not be
+
+**Several coefficients are one quantity times a known length.** A machine has one value of it.
+"""
+
+_OUTSIDE = """\
+By Appendix B, the mass beyond the elbow is negative and several times Armstrong's at once, and link
+2 has its centre of gravity a metre outside itself.
+"""
+
+_INEQUALITIES = """\
+**Some differences cannot be negative.** They are sums of masses times squares; `sx4` is the spread
+∫ x² dm of link 4 along its x axis.
+"""
+
+
+def constants() -> Mapping[str, float]:
+    """Lengths [m] and gravity [m/s²]."""
+    robot = sim.puma560().robot
+    return {**robot.length_values(), "g": -robot.gravity[2]}
+
+
+def quantities(k: Mapping[str, float]) -> list[tuple[str, str, str, float]]:
+    """Physical quantities that coefficients imply: what, from which coefficient, unit, value."""
+    c = constants()
+    reach, moment = c["d2"] + c["d3"], k["kG1"] / c["g"]
+    return [
+        ("`m6*rz6`", "kM1", "kg m", -k["kM1"] / c["d4"]),
+        ("", "kM2", "kg m", k["kM2"] / c["a3"]),
+        ("", "kM3", "kg m", k["kM3"] / c["a2"]),
+        ("", "kM7", "kg m", k["kM7"] / reach),
+        ("", "kG2", "kg m", -k["kG2"] / c["g"]),
+        ("`m4 + m5 + m6`", "kM10", "kg", k["kM10"] / (c["a2"] * c["a3"])),
+        ("", "kM17", "kg", k["kM17"] / (reach * c["a3"])),
+        ("", "kG3", "kg", -k["kG3"] / (c["a3"] * c["g"])),
+        ("`m3*ry3 - m4*rz4 - d4*(m4 + m5 + m6)`", "kM14", "kg m", k["kM14"] / c["a2"]),
+        ("", "kG5", "kg m", k["kG5"] / c["g"]),
+        ("`rx2`", "kM5, kG1", "m", -k["kM5"] / (2 * moment)),
+        ("`rz2`", "kM8, kG1", "m", k["kM8"] / moment - c["d2"]),
+    ]
+
+
+def spreads(k: Mapping[str, float]) -> list[tuple[str, str, float]]:
+    """Differences of coefficients that no machine can have negative [kg m²]."""
+    return [
+        ("`kM9 - kM15`", "`2*sx5 + Izz6`", k["kM9"] - k["kM15"]),
+        ("`kM13 - kM18`", "`2*sy4 + 2*sz5 + Izz6`", k["kM13"] - k["kM18"]),
+        (
+            "`kM22 - kM24`",
+            "`2*sy3 + 2*m3*ry3^2 + 2*sz4 + 2*m4*(rz4 + d4)^2 + 2*sx5 + 2*(m5 + m6)*d4^2 + Izz6`",
+            k["kM22"] - k["kM24"],
+        ),
+    ]
+
+
+def page(performed: sim.Truth) -> str:
+    """The page as text. `performed`: the training trajectory as Armstrong's machine performs it."""
+    network = jc.derive(sim.puma560().robot)
+    names = network.names[:31]
+    parts = [_INTRODUCTION]
+    armstrong = _inertial(network, sim.puma560())
+    thesis = {name: thesis_coefficients(name).coefficients[:31] for name in _MACHINES}
+    weight = {name: thesis_coefficients(name).sensitivity[:31] for name in _MACHINES}
+    preset = {name: _inertial(network, machine) for name, machine in _MACHINES.items()}
+
+    parts.append(_WHY)
+    columns = [*thesis.values(), *preset.values(), armstrong]
+    implied = [quantities(dict(zip(names, k.tolist(), strict=True))) for k in columns]
+    heads = ["thesis A", "thesis B", "`puma_a`", "`puma_b`", "Armstrong"]
+    parts.append(
+        _table(
+            ["quantity", "from", "unit", *heads],
+            [
+                [*rows[0][:3], *(_number(value) for *_, value in rows)]
+                for rows in zip(*implied, strict=True)
+            ],
+            text=3,
+        )
+    )
+    parts.append(_OUTSIDE)
+    parts.append(_INEQUALITIES)
+    signs = [spreads(dict(zip(names, k.tolist(), strict=True))) for k in columns]
+    parts.append(
+        _table(
+            ["at least 0", "is", *heads],
+            [
+                [*rows[0][:2], *(_number(value) for *_, value in rows)]
+                for rows in zip(*signs, strict=True)
+            ],
+            text=2,
+        )
+    )
+    parts.append("## What it costs\n")
+    parts.append(_cost(network, performed, thesis, preset, weight, armstrong))
+    for name in _MACHINES:
+        parts.append(f"## Coefficients of PUMA {name}\n")
+        change = preset[name] - thesis[name]
+        parts.append(
+            _table(
+                ["coefficient", "unit", "thesis", "preset", "change", "× sensitivity [N m]"],
+                [
+                    [k.name, k.unit, *(_number(value) for value in row[:3]), f"{row[3]:.4f}"]
+                    for k, *row in zip(
+                        network.coefficients[:31],
+                        thesis[name].tolist(),
+                        preset[name].tolist(),
+                        change.tolist(),
+                        (change * weight[name]).tolist(),
+                        strict=True,
+                    )
+                ],
+                text=2,
+            )
+        )
+    parts.append("## Links\n")
+    parts.append(
+        "kg, m and kg m²; moments of inertia at the centre of gravity. Of link 1 only `Izz + Im`"
+        " enters\nthe dynamics.\n"
+    )
+    parts.append(_links())
+    return "\n".join(parts)
+
+
+def _cost(
+    network: jc.CSLC,
+    performed: sim.Truth,
+    thesis: Mapping[str, Float[np.ndarray, "31"]],
+    preset: Mapping[str, Float[np.ndarray, "31"]],
+    weight: Mapping[str, Float[np.ndarray, "31"]],
+    armstrong: Float[np.ndarray, "31"],
+) -> str:
+    motion = performed.position, performed.velocity, performed.acceleration
+    network_torque = jax.jit(network.torque)
+    rows: list[list[str]] = []
+    for name in _MACHINES:
+        for what, change in (
+            ("thesis's torque", thesis[name]),
+            (f"`puma_{name.lower()}` against it", preset[name] - thesis[name]),
+            ("Armstrong against it", armstrong - thesis[name]),
+        ):
+            torque = np.asarray(network_torque(np.append(change, np.zeros(12)), *motion))
+            over = np.sqrt(np.mean(torque**2, axis=0))
+            distance = float(np.linalg.norm(weight[name] * change))
+            rows.append(
+                [
+                    name,
+                    what,
+                    "" if what.endswith("torque") else _number(distance, 3),
+                    *(_number(value, 3) for value in over.tolist()),
+                    _number(float(np.sqrt(np.mean(torque**2))), 3),
+                ]
+            )
+    far = [_distance_of_unlike(network, name) for name in _MACHINES]
+    smallest = [_smallest_eigenvalue(network, machine) for machine in _MACHINES.values()]
+    return (
+        "RMS torque [N m] over the motion of the training trajectory (7.4.1) as Armstrong's machine"
+        " performs\nit, friction left out. The distance [N m] is the weighted norm that was made"
+        " smallest.\n\n"
+        + _table(
+            ["PUMA", "", "distance", *(f"joint {i}" for i in range(1, 7)), "all"], rows, text=2
+        )
+        + f"\nThe smallest eigenvalue of M(q) over {_CONFIGURATIONS} configurations drawn from the"
+        f" joints' ranges is\n{_number(smallest[0], 3)} kg m² for `puma_a` and"
+        f" {_number(smallest[1], 3)} kg m² for `puma_b`.\n\n"
+        "How like Armstrong's a machine must be is a choice, and costs little: among machines whose"
+        " masses,\nmotor inertias and spreads may be a hundredth of his and whose centres may lie"
+        f" {_FAR} m away, the\nnearest is at a distance of"
+        f" {_number(far[0], 3)} from PUMA A and {_number(far[1], 3)} from PUMA B.\n"
+    )
+
+
+def _distance_of_unlike(network: jc.CSLC, name: str) -> float:
+    machine, thesis = sim.puma560(), thesis_coefficients(name)
+    k, weight = thesis.coefficients[:31], thesis.sensitivity[:31]
+    links = nearest_links(machine.robot, k, weight, least=0.01, shift=_FAR)
+    return float(np.linalg.norm(weight * (np.asarray(network.coefficients_from(links))[:31] - k)))
+
+
+def _smallest_eigenvalue(network: jc.CSLC, machine: sim.Machine) -> float:
+    low, high = np.array(machine.position_range).T
+    q = np.random.default_rng(0).uniform(low, high, (_CONFIGURATIONS, 6))
+    k = np.append(_inertial(network, machine), np.zeros(12))
+    return float(np.linalg.eigvalsh(np.asarray(network.mass_matrix(k, q))).min())
+
+
+def _links() -> str:
+    rows: list[list[str]] = []
+    machines = {"Armstrong": sim.puma560(), "A": _MACHINES["A"], "B": _MACHINES["B"]}
+    for i in range(6):
+        for name, machine in machines.items():
+            links = sim.possible_links(machine.robot, machine.robot.links or ())
+            link = links[i]
+            values = [
+                float(link.mass),
+                *np.asarray(link.centre_of_gravity).tolist(),
+                *np.diag(np.asarray(link.inertia)).tolist(),
+                float(link.motor_inertia),
+            ]
+            rows.append([str(i + 1), name, *(_number(value, 3) for value in values)])
+    heads = ["m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Im"]
+    return _table(["link", "machine", *heads], rows, text=2)
+
+
+def _inertial(network: jc.CSLC, machine: sim.Machine) -> Float[np.ndarray, "31"]:
+    assert machine.robot.links is not None  # a machine has them
+    return np.asarray(network.coefficients_from(machine.robot.links))[:31]
+
+
+def _number(value: float, digits: int = 4) -> str:
+    return f"{value:.{digits}g}"
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, text: int) -> str:
+    """A Markdown table whose first `text` columns are words, the rest figures."""
+    rule = ["---"] * text + ["---:"] * (len(heads) - text)
+    return "".join(f"| {' | '.join(row)} |\n" for row in (heads, rule, *rows))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description="Write docs/puma_a_b.md.")
+    parser.add_argument("-o", "--output", type=Path, default=PAGE)
+    output = parser.parse_args(arguments).output
+    _, performed = sim.simulate(sim.puma560(), sim.training(), seed=3)
+    output.write_text(page(performed), encoding="utf-8")
+    print(f"wrote {output}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

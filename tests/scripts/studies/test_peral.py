@@ -1,0 +1,215 @@
+"""The study of PERAL: its counts, its goals, its problems, and a tiny run."""
+
+import csv
+import importlib
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxcslc as jc
+from jaxcslc.adaptive import (
+    HYPERBOLIC_TANGENT as TANH,
+    AdaptiveNetwork,
+    ContextLayer,
+    Layer,
+    Links,
+    Signals,
+    Subnetwork,
+    fully_connected,
+    inverse_dynamics,
+)
+from jaxcslc.plotting import Learning, learning_picture
+from jaxcslc.training import PERAL, Backpropagation, examples, half_square
+
+
+@pytest.fixture(scope="module")
+def operations() -> ModuleType:
+    return importlib.import_module("scripts.studies.training.peral_operations")
+
+
+@pytest.fixture(scope="module")
+def comparison(operations: ModuleType) -> ModuleType:
+    return importlib.import_module("scripts.studies.training.peral_comparison")
+
+
+@pytest.fixture(scope="module")
+def tables(comparison: ModuleType) -> ModuleType:
+    return importlib.import_module("scripts.studies.training.peral_tables")
+
+
+@pytest.fixture(scope="module")
+def script(tables: ModuleType) -> ModuleType:
+    return importlib.import_module("scripts.studies.training.peral")
+
+
+def linear_problem(comparison: ModuleType, seeds: int) -> Any:
+    """Noisy answers of a linear combiner, another noise for every seed."""
+    network = fully_connected([4, 2], "linear combiner")
+    rng = np.random.default_rng(3)
+    inputs, truth = rng.standard_normal((40, 4)), rng.uniform(1.0, 2.0, network.size)
+    clean = network.outputs(jnp.asarray(truth), jnp.asarray(inputs))
+    each = [
+        examples(
+            network, jnp.asarray(inputs), clean + 0.3 * jnp.asarray(rng.standard_normal((40, 2)))
+        )
+        for _ in range(seeds)
+    ]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *each)
+    return comparison.Problem("PUMA 560", "noise 10%", network, stacked, each[0])
+
+
+def test_counts_of_the_thesis_s_networks(operations: ModuleType, puma: jc.CSLC) -> None:
+    ears = fully_connected([25, 10], "hyperbolic tangent")
+    assert operations.counted(ears) == {"backpropagation": 1080, "PERAL": 1840}
+    for name, printed in operations.THESIS_IDENTIFICATION.items():
+        assert abs(operations.counted(ears)[name] / printed - 1) < 0.01
+    arm = inverse_dynamics(puma)
+    assert operations.dense_links(arm)[0] == 114 + 408 + 13 + 6 + 6
+    for name, printed in operations.THESIS_CSLC.items():
+        assert abs(operations.counted(arm)[name] / printed - 1) < 0.15
+
+
+def test_counts_follow_their_formulas(operations: ModuleType) -> None:
+    """A general two-layer network with sigmoids, its second layer context-sensitive."""
+    i, h, o = 5, 4, 3
+    source, node = (tuple(x.ravel().tolist()) for x in np.meshgrid(range(h), range(o)))
+    context = ContextLayer(h, o, h * o, source, node, tuple(range(h * o)))
+    network = AdaptiveNetwork(
+        (Subnetwork("two", (Layer(Links.full(i, h), TANH),), (context,)),),
+        lambda x: Signals((x,), ((x,),)),
+        TANH,
+        tuple(f"w{n}" for n in range(i * h)),
+    )
+    assert operations.COUNTED_FORMULAS == {
+        "backpropagation": "4ih + 3h + 4ho + 4o",
+        "PERAL": "7ih + 3h + 6ho + 2o",
+    }
+    assert operations.counted(network) == {
+        "backpropagation": 4 * i * h + 3 * h + 4 * h * o + 4 * o,
+        "PERAL": 7 * i * h + 3 * h + 6 * h * o + 2 * o,
+    }
+
+
+def test_the_compiler_performs_what_a_dense_layer_needs(
+    operations: ModuleType, comparison: ModuleType
+) -> None:
+    problem = linear_problem(comparison, 1)
+    weights = jnp.ones(problem.network.size)
+    for rule, least in ((Backpropagation(), 4), (PERAL(), 6)):
+        found = operations.compiled(problem.network, rule, problem.one, weights)
+        links = operations.dense_links(problem.network)[1]
+        assert least * links <= found["operations"] <= 12 * links
+
+
+def test_epochs_to_a_goal(comparison: ModuleType) -> None:
+    curves = np.array([[3.0, 2.0, 1.0, 2.0], [3.0, 3.0, 3.0, 3.0], [1.0, 0.0, np.nan, np.nan]])
+    found = comparison.first_at_most(curves, np.array([1.5, 2.5, 1.0]))
+    assert_array_equal(found, [2.0, np.inf, 0.0])
+
+
+def test_wrong_is_known_from_errors(comparison: ModuleType, rng: np.random.Generator) -> None:
+    kind = rng.integers(0, 4, 200)
+    targets = np.where(np.arange(4)[:, None] == kind, 1.0, -1.0)
+    outputs = np.tanh(targets * 0.3 + rng.standard_normal(targets.shape))
+    found = comparison.wrong(jnp.asarray(targets - outputs), jnp.ones(targets.shape))
+    assert float(found) == pytest.approx(np.mean(outputs.argmax(axis=0) != kind))
+
+
+def test_direct_solutions_are_least_squares(comparison: ModuleType) -> None:
+    problem = linear_problem(comparison, 2)
+    found = comparison.direct_solutions(problem)
+    inputs = np.asarray(problem.one.signals.inputs[0]).T
+    design = np.hstack([inputs, np.ones((len(inputs), 1))])
+    for own, targets in zip(found, problem.chosen.targets, strict=True):
+        expected = np.linalg.lstsq(design, np.asarray(targets).T, rcond=None)[0]
+        assert_allclose(np.asarray(own).reshape(2, 5).T, expected, atol=1e-10)
+    least = comparison.costs_of(problem, found, half_square)
+    assert np.all(comparison.costs_of(problem, found + 0.01, half_square) > least)
+
+
+def test_ultrasound_patterns_are_in_equal_shares(comparison: ModuleType) -> None:
+    problem = comparison.ultrasound(120, centred=True)
+    assert_array_equal(np.sum(np.asarray(problem.chosen.targets) == 1.0, axis=1), np.full(10, 12))
+    assert_allclose(np.asarray(problem.chosen.signals.inputs[0]).mean(axis=1), 0.0, atol=1e-12)
+
+
+def test_never_is_longer_than_anything(tables: ModuleType) -> None:
+    found = tables.spread(np.array([4.0, np.inf, 2.0, np.nan, np.inf]))
+    assert (found["lowest"], found["highest"]) == (2.0, np.inf)
+    assert tables.spread(np.array([4.0, np.inf, 2.0]))["median"] == 4.0
+    assert np.isnan(tables.spread(np.array([np.nan]))["median"])
+    assert [tables.quotient(8.0, 2.0), tables.quotient(np.inf, 2.0)] == [4.0, np.inf]
+    assert tables.quotient(3.0, np.inf) == 0.0 and np.isnan(tables.quotient(np.inf, np.inf))
+    assert (tables.number(np.inf), tables.number(np.nan)) == ("never", "-")
+
+
+def test_a_picture_of_one_comparison() -> None:
+    curve = np.linspace(5.0, 1.0, 30)
+    one = Learning(("a", curve), {"b": curve[10:] - 0.5}, 10, {"best": 0.5})
+    figure = learning_picture({"panel": one, "other": one}, "cost [N m]")
+    assert isinstance(figure, Figure)
+    axes = figure.axes[0]
+    assert_array_equal(axes.lines[1].get_xdata(), np.arange(10, 30))
+    assert axes.get_xlabel() == "epochs" and len(figure.axes) == 2
+
+
+def test_a_tiny_run_and_its_resumption(
+    script: ModuleType,
+    comparison: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """With a linear combiner in the CSLC's place, whose compilation would take most of a minute."""
+    monkeypatch.setattr(
+        script, "puma", lambda patterns, noise, seeds: linear_problem(comparison, seeds)
+    )
+    arguments = ["--quick", "--seeds", "2", "--noise", "0.1", "-o", str(tmp_path / "study")]
+    assert script.main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "of 2 starts, backpropagation brings 2 to 1.001 times" in printed
+    assert "general two-layer" in printed
+    document = json.loads((tmp_path / "study" / "peral_study.json").read_text(encoding="utf-8"))
+    assert document["one minimum"]["backpropagation"]["highest"] <= 1.001
+    with (tmp_path / "study" / "epochs.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * 3 * 2
+    for row in rows:
+        assert int(row["reached"]) <= int(row["handed over"]) <= int(row["seeds"]) == 2
+    for name in ("ultrasound.png", "puma.png"):
+        assert (tmp_path / "study" / name).stat().st_size > 10_000
+
+    # The same command takes everything from its checkpoints.
+    assert script.main(arguments) == 0
+    again = json.loads((tmp_path / "study" / "peral_study.json").read_text(encoding="utf-8"))
+    for first, second in zip(document["trainings"], again["trainings"], strict=True):
+        assert first["epochs"] == second["epochs"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seeds", "0"], "--seeds is 0; expected 1 or more"),
+        (["--puma-patterns", "5"], "--puma-patterns is 5; expected 30 to 3300"),
+        (["--noise", "0.1", "0.1"], "expected each level once"),
+        (["--noise", "-1"], "expected finite numbers, 0 or more"),
+        (["--minimum-gain", "0.2"], "--minimum-gain at least 0 and below 0.1"),
+    ],
+)
+def test_bad_options(
+    script: ModuleType,
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        script.main(arguments)
+    assert message in capsys.readouterr().err
