@@ -13,7 +13,13 @@ from ._identifiability import (
 from ._inertial_terms import (
     BODY as BODY,
     InertialTerm as InertialTerm,
+    UnitInertia as UnitInertia,
     inertial_terms as inertial_terms,
+)
+from ._newton_euler import (
+    LinkFrame as LinkFrame,
+    NewtonEuler as NewtonEuler,
+    link_frames as link_frames,
 )
 from ._polynomials import PositionRing as PositionRing
 from ._tables import Link as Link, Table as Table

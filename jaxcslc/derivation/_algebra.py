@@ -12,7 +12,7 @@ from ._base_parameters import base_parameters
 from ._chain import Chain, LinkTwists, link_twists
 from ._coefficient import Addend, Coefficient, expression, unit_of
 from ._exact import exact_number
-from ._inertial_terms import InertialTerm, inertial_terms
+from ._inertial_terms import InertialTerm, UnitInertia, inertial_terms, unit_inertia
 from ._lagrange import Element, Form, christoffel_symbols, gravity_vector, mass_matrix
 from ._polynomials import PositionRing
 from ._positivity import positive_by_construction
@@ -67,7 +67,8 @@ class Algebra:
     - `terms`: the products of link parameters that occur.
     - `coefficients`: inertial coefficients, in the order of the network's vector. Friction is
       no matter of algebra and is added by the network.
-    - `chosen`: for numeric lengths, the term that each base parameter is named after.
+    - `base_terms`: for numeric lengths, the index in `terms` of the term that each base parameter
+      is named after.
 
     `mass`, `velocity` and `gravity` are the tables of the three subnetworks.
     """
@@ -77,7 +78,7 @@ class Algebra:
     ring: PositionRing
     terms: tuple[InertialTerm, ...]
     coefficients: tuple[Coefficient, ...]
-    chosen: tuple[int, ...]
+    base_terms: tuple[int, ...]
     tables: Tables
 
     def __eq__(self, other: object) -> bool:
@@ -89,6 +90,17 @@ class Algebra:
     @property
     def chain(self) -> Chain:
         return self.ring.chain
+
+    @property
+    def unit_inertias(self) -> tuple[UnitInertia, ...]:
+        """For numeric lengths, the inertia that each base parameter alone stands for.
+
+        Torque depends on the links through the base parameters only. So it is what the terms that
+        these are named after produce alone, set to the base parameters, all others being zero. (In
+        matrices: k = L θ with L in reduced echelon form, so selecting the columns of these terms is
+        a right inverse of L.)
+        """
+        return tuple(unit_inertia(self.terms[index]) for index in self.base_terms)
 
     @property
     def mass(self) -> Table:
@@ -143,7 +155,7 @@ def _derived(robot: Manipulator, lengths: Lengths) -> Algebra:
 
 def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, ...]) -> Algebra:
     robot.length_values()  # every length must have one
-    chosen, combinations = base_parameters(robot, chain, terms)
+    base_terms, combinations = base_parameters(robot, chain, terms)
     ring = PositionRing(chain, ())
     coefficients = tuple(
         _coefficient(f"kB{i}", "base", combination, terms, robot, ())
@@ -151,15 +163,15 @@ def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
     )
 
     def elements() -> tuple[dict[Column, Element], dict[Column, Element]]:
-        # A base parameter is the chosen term plus what is regrouped into it, so that a form is
-        # the combination that its entries at the chosen terms say: the others can be left out.
+        # A base parameter is its base term plus what is regrouped into it, so that a form is
+        # the combination that its entries at the base terms say: the others can be left out.
         twists = _twists(robot, ring, lambda length, _: exact_number(length.value or 0.0))
-        kept = [terms[index] for index in chosen]
+        kept = [terms[index] for index in base_terms]
         parts = mass_matrix(ring, twists, kept), gravity_vector(ring, twists, kept)
         return _in_coefficients(parts, lambda form: {i: fmpq(v) for (i, _), v in form.items()})
 
     tables = Tables(ring, None, elements)
-    return Algebra(robot, "numeric", ring, terms, coefficients, chosen, tables)
+    return Algebra(robot, "numeric", ring, terms, coefficients, base_terms, tables)
 
 
 def _with_symbols(

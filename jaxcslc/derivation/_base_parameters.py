@@ -47,8 +47,10 @@ def base_parameters(
     expanded tables gives the same echelon form (tested) but needs the tables, which have tens
     of thousands of monomials when twists are arbitrary.
 
-    **Returns** the chosen terms (indices into `terms`), and for each the combination it stands
-    for, as {index: rational}.
+    **Returns**
+
+    - The terms of the basis, as indices into `terms`.
+    - For each of them the combination that it stands for, as {index: rational}.
     """
     order = sorted(range(len(terms)), key=lambda index: _preference(terms[index], index))
     forms = _Forms(robot, chain, terms, order)
@@ -62,11 +64,9 @@ def base_parameters(
     combinations = [
         {order[column]: fmpq(*fraction) for column, fraction in row.items()} for row in fractions
     ]
-    chosen = [order[column] for column in pivots]
-    by_link = sorted(
-        range(len(chosen)), key=lambda i: (terms[chosen[i]].link, order.index(chosen[i]))
-    )
-    return tuple(chosen[i] for i in by_link), [combinations[i] for i in by_link]
+    basis = [order[column] for column in pivots]
+    by_link = sorted(range(len(basis)), key=lambda i: (terms[basis[i]].link, order.index(basis[i])))
+    return tuple(basis[i] for i in by_link), [combinations[i] for i in by_link]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,18 +188,8 @@ def _forms_at_random_position(
         [number(exact_number(getattr(joint, letter).value or 0.0)) for joint in robot.joints]
         for letter in "adb"
     )
-    turned = [
-        dataclasses.replace(
-            link,
-            **{
-                name: tuple(number(x) for x in getattr(link, name))
-                for name in ("branch", "twist", "offset")
-            },
-        )
-        for link in chain.links
-    ]
     twists = link_twists(
-        dataclasses.replace(chain, links=tuple(turned)),
+        chain.in_numbers(number),
         cosines=cosines,
         sines=sines,
         a=a,

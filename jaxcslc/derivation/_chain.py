@@ -1,4 +1,5 @@
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -7,6 +8,22 @@ from flint import fmpq
 
 from ..manipulator import Manipulator
 from ._exact import exact_cos_sin
+from ._vectors import (
+    ZERO,
+    Reduce,
+    Rotation,
+    Vector,
+    add,
+    compose,
+    cross,
+    minus,
+    plus,
+    signed,
+    times,
+    unchanged,
+    unrotate_x,
+    unrotate_z,
+)
 
 
 @dataclass(frozen=True)
@@ -39,12 +56,12 @@ class ChainLink:
 
     parent: int  # -1: the base
     prismatic: bool
-    branch: tuple[Any, Any]  # cos, sin of gamma
-    twist: tuple[Any, Any]  # cos, sin of alpha
+    branch: Rotation  # gamma
+    twist: Rotation  # alpha
     joins_group: bool  # its axis is parallel or antiparallel to the axis before
     side: int  # +1 or -1: direction of its axis within the group of parallel axes
     angle: int | None  # index of the group's running angle after this joint
-    offset: tuple[Any, Any]  # cos, sin of the constant part of that angle
+    offset: Rotation  # the constant part of that angle
 
 
 @dataclass(frozen=True)
@@ -67,11 +84,11 @@ class Chain:
             joins = parent >= 0 and twist[1] == 0
             if joins:
                 before = links[parent]
-                current, offset = before.angle, _rotate_by(before.offset, branch, before.side)
+                current, offset = before.angle, compose(before.offset, branch, before.side)
                 side = before.side * int(twist[0])
             else:
                 side, current, offset = 1, None, (fmpq(1), fmpq(0))
-            offset = _rotate_by(offset, exact_cos_sin(joint.theta), side)
+            offset = compose(offset, exact_cos_sin(joint.theta), side)
             if joint.kind == "R":
                 terms = () if current is None else angles[current].terms
                 current = len(angles)
@@ -80,17 +97,22 @@ class Chain:
             links.append(ChainLink(parent, prismatic, branch, twist, joins, side, current, offset))
         return cls(tuple(links), tuple(angles))
 
+    def in_numbers(self, number: Callable[[Any], Any]) -> "Chain":
+        """The same chain with its constant rotations in another kind of number, as by `float`."""
 
-def _rotate_by(a: tuple[Any, Any], b: tuple[Any, Any], side: int) -> tuple[Any, Any]:
-    """Cosine and sine of the sum of two angles, the second counted about an axis's own side."""
-    cos, sin = b[0], _signed(side, b[1])
-    return (
-        _plus(_scale(a[0], cos), _minus(_scale(a[1], sin))),
-        _plus(_scale(a[0], sin), _scale(a[1], cos)),
-    )
+        def rotation(x: Rotation) -> Rotation:
+            return number(x[0]), number(x[1])
 
-
-Vector = tuple[Any, Any, Any]
+        links = [
+            dataclasses.replace(
+                link,
+                branch=rotation(link.branch),
+                twist=rotation(link.twist),
+                offset=rotation(link.offset),
+            )
+            for link in self.links
+        ]
+        return Chain(tuple(links), self.angles)
 
 
 @dataclass(frozen=True)
@@ -116,7 +138,7 @@ def link_twists(
     d: Sequence[Any],
     b: Sequence[Any],
     gravity: Vector,
-    reduce: Any = lambda x: x,
+    reduce: Reduce = unchanged,
 ) -> tuple[LinkTwists, ...]:
     """The columns of every link's geometric Jacobian, in the link's own frame.
 
@@ -137,10 +159,9 @@ def link_twists(
 
     **Returns** one `LinkTwists` a link.
     """
-    nothing: Vector = (0, 0, 0)
     # For every link: Jacobian columns and gravity in the axes of its group of parallel axes, and
     # the rotation from there about the common axis.
-    seen: list[tuple[list[Vector], list[Vector], Vector, tuple[Any, Any]]] = []
+    seen: list[tuple[list[Vector], list[Vector], Vector, Rotation]] = []
     twists: list[LinkTwists] = []
     for i, link in enumerate(chain.links):
         angular: list[Vector] = []
@@ -149,11 +170,11 @@ def link_twists(
         if link.parent >= 0:
             angular, linear, weight, turn = seen[link.parent]
             side = chain.links[link.parent].side
-        turn = _rotate_by(turn, link.branch, side)
+        turn = compose(turn, link.branch, side)
         cos_twist, sin_twist = link.twist
         if link.joins_group:
-            height = _plus(_signed(side, b[i]), _signed(link.side, d[i]))
-            step = (_scale(turn[0], a[i]), _scale(turn[1], a[i]), height)
+            height = plus(signed(side, b[i]), signed(link.side, d[i]))
+            step = (times(turn[0], a[i]), times(turn[1], a[i]), height)
             linear = _moved(angular, linear, step, reduce)
         else:
             angular = [_into_frame(w, turn, side, reduce) for w in angular]
@@ -161,24 +182,21 @@ def link_twists(
             weight = _into_frame(weight, turn, side, reduce)
             step = (
                 a[i],
-                _minus(_scale(sin_twist, d[i])),
-                _plus(_scale(cos_twist, d[i]), b[i]),
+                minus(times(sin_twist, d[i])),
+                plus(times(cos_twist, d[i]), b[i]),
             )
             linear = _moved(angular, linear, step, reduce)
-            angular = [_untwist(w, cos_twist, sin_twist) for w in angular]
-            linear = [_untwist(v, cos_twist, sin_twist) for v in linear]
-            weight = _untwist(weight, cos_twist, sin_twist)
-        cos_offset, sin_offset = link.offset
+            angular = [unrotate_x(w, link.twist) for w in angular]
+            linear = [unrotate_x(v, link.twist) for v in linear]
+            weight = unrotate_x(weight, link.twist)
         if link.angle is None:
             turn = link.offset
         else:
-            c, s = cosines[link.angle], sines[link.angle]
-            turn = (_scale(cos_offset, c) - _scale(sin_offset, s),
-                    _scale(sin_offset, c) + _scale(cos_offset, s))  # fmt: skip
+            turn = compose(link.offset, (cosines[link.angle], sines[link.angle]))
         axis: Vector = (0, 0, link.side)
-        apart = [nothing] * (i - len(angular))  # joints that do not carry this link
-        angular = [*angular, *apart, nothing if link.prismatic else axis]
-        linear = [*linear, *apart, axis if link.prismatic else nothing]
+        apart = [ZERO] * (i - len(angular))  # joints that do not carry this link
+        angular = [*angular, *apart, ZERO if link.prismatic else axis]
+        linear = [*linear, *apart, axis if link.prismatic else ZERO]
         seen.append((angular, linear, weight, turn))
         twists.append(
             LinkTwists(
@@ -191,56 +209,13 @@ def link_twists(
 
 
 def _moved(
-    angular: Sequence[Vector], linear: Sequence[Vector], step: Vector, reduce: Any
+    angular: Sequence[Vector], linear: Sequence[Vector], step: Vector, reduce: Reduce
 ) -> list[Vector]:
     """Velocities of a point a step further out on the same body."""
-    return [_add(v, _cross(w, step, reduce)) for w, v in zip(angular, linear, strict=True)]
+    return [add(v, cross(w, step, reduce)) for w, v in zip(angular, linear, strict=True)]
 
 
-def _is_zero(x: Any) -> bool:
-    """Exactly zero; an array never is, so that this never asks for its value."""
-    return not hasattr(x, "shape") and x == 0
-
-
-def _signed(side: int, x: Any) -> Any:
-    return x if side > 0 else _minus(x)
-
-
-def _scale(factor: Any, x: Any) -> Any:
-    return 0 if _is_zero(factor) or _is_zero(x) else factor * x
-
-
-def _plus(x: Any, y: Any) -> Any:
-    return y if _is_zero(x) else (x if _is_zero(y) else x + y)
-
-
-def _add(x: Vector, y: Vector) -> Vector:
-    return _plus(x[0], y[0]), _plus(x[1], y[1]), _plus(x[2], y[2])
-
-
-def _minus(x: Any) -> Any:
-    return 0 if _is_zero(x) else -x
-
-
-def _cross(x: Vector, y: Vector, reduce: Any) -> Vector:
-    return (
-        reduce(_plus(_scale(x[1], y[2]), _minus(_scale(x[2], y[1])))),
-        reduce(_plus(_scale(x[2], y[0]), _minus(_scale(x[0], y[2])))),
-        reduce(_plus(_scale(x[0], y[1]), _minus(_scale(x[1], y[0])))),
-    )
-
-
-def _into_frame(x: Vector, turn: tuple[Any, Any], side: int, reduce: Any) -> Vector:
+def _into_frame(x: Vector, turn: Rotation, side: int, reduce: Reduce) -> Vector:
     """From the axes of a group into the frame of one of its links: Rot(z, -angle), then a flip."""
-    c, s = turn
-    along = reduce(_plus(_scale(c, x[0]), _scale(s, x[1])))
-    across = reduce(_plus(_scale(c, x[1]), _minus(_scale(s, x[0]))))
-    return (along, across, x[2]) if side > 0 else (along, _minus(across), _minus(x[2]))
-
-
-def _untwist(x: Vector, cos: Any, sin: Any) -> Vector:
-    return (
-        x[0],
-        _plus(_scale(cos, x[1]), _scale(sin, x[2])),
-        _plus(_scale(cos, x[2]), _minus(_scale(sin, x[1]))),
-    )
+    along, across, axial = unrotate_z(x, turn, reduce)
+    return (along, across, axial) if side > 0 else (along, minus(across), minus(axial))

@@ -1,15 +1,17 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..manipulator import Manipulator
-from ._chain import LinkTwists, Vector
+from ._chain import LinkTwists
+from ._vectors import add, cross, dot, minus
 
 
 # The ten numbers that a rigid body's dynamics are linear in: inertia tensor about the frame's
 # origin, first moments, mass.
 BODY = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "hx", "hy", "hz", "m")
 _AXES = ("x", "y", "z")
+_FIRST_MOMENTS = BODY[6:9]
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,28 @@ class InertialTerm:
             name = f"{'Im' if factor == 'motor' else factor}{self.link + 1}"
             counts[name] = counts.get(name, 0) + 1
         return "*".join(name if power == 1 else f"{name}^{power}" for name, power in counts.items())
+
+
+class UnitInertia(NamedTuple):
+    """What a robot is whose base parameters are zero but for one, which is 1.
+
+    **Attributes**
+
+    - `link`: index of the link that has inertia.
+    - `body`: its ten numbers, in the order of `BODY`; zeros for a motor.
+    - `motor`: inertia that the link's joint adds to its own, 1 or 0.
+    """
+
+    link: int
+    body: tuple[int, ...]
+    motor: int
+
+
+def unit_inertia(term: InertialTerm) -> UnitInertia:
+    """The inertia of a link of which one term is 1 and all others are zero."""
+    multiples = dict(term.body)
+    body = tuple(multiples.get(entry, 0) for entry in BODY)
+    return UnitInertia(term.link, body, int(term.factors == ("motor",)))
 
 
 def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
@@ -102,11 +126,10 @@ def kinetic_factors(twists: LinkTwists, j: int, k: int, needed: set[str]) -> dic
         name = f"I{_AXES[a]}{_AXES[b]}"
         if name in needed:
             factors[name] = wj[a] * wk[b] + wj[b] * wk[a]
-    for a, name in enumerate(_AXES):
-        if f"h{name}" in needed:
-            factors[f"h{name}"] = _cross_entry(vj, wk, a) + _cross_entry(vk, wj, a)
+    if not needed.isdisjoint(_FIRST_MOMENTS):
+        factors |= zip(_FIRST_MOMENTS, add(cross(vj, wk), cross(vk, wj)), strict=True)
     if "m" in needed:
-        factors["m"] = vj[0] * vk[0] + vj[1] * vk[1] + vj[2] * vk[2]
+        factors["m"] = dot(vj, vk)
     return factors
 
 
@@ -117,14 +140,8 @@ def gravity_factors(twists: LinkTwists, j: int, needed: set[str]) -> dict[str, A
     """
     w, v, g = twists.angular[j], twists.linear[j], twists.gravity
     factors: dict[str, Any] = {}
-    for a, name in enumerate(_AXES):
-        if f"h{name}" in needed:
-            factors[f"h{name}"] = -_cross_entry(g, w, a)
+    if not needed.isdisjoint(_FIRST_MOMENTS):
+        factors |= zip(_FIRST_MOMENTS, cross(w, g), strict=True)
     if "m" in needed:
-        factors["m"] = -(v[0] * g[0] + v[1] * g[1] + v[2] * g[2])
+        factors["m"] = minus(dot(v, g))
     return factors
-
-
-def _cross_entry(x: Vector, y: Vector, a: int) -> Any:
-    b, c = (a + 1) % 3, (a + 2) % 3
-    return x[b] * y[c] - x[c] * y[b]

@@ -5,16 +5,15 @@ from jaxtyping import Float
 
 from ..network import CSLC
 from ..network.terms import FrictionTerm
-from ._expressions import Expressions, Value
+from ._expressions import Expressions, Motion, Value
 
 
-def friction_entries(
-    network: CSLC, graph: Expressions, q: Sequence[Value], qd: Sequence[Value], qdd: Sequence[Value]
-) -> list[tuple[int, int, Value]]:
+def friction_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]:
     """The regressor's entries beside the rigid body's: joint, coefficient, value.
 
     Everything that the network adds to it: friction, offsets, springs, coupled joints.
     """
+    graph, q, qd, qdd = motion.graph, motion.q, motion.qd, motion.qdd
     slopes = network.static_slopes
     held = [1.0] * network.joint_count if slopes is None else np.asarray(slopes, float).tolist()
     entries: list[tuple[int, int, Value]] = []

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..derivation import Algebra, Table
-from ._expressions import Expressions, Value
+from ._expressions import Expressions, Motion, Value
 
 
 Monomial = tuple[int, ...]
@@ -19,12 +19,9 @@ class ClosedForm:
     on inside and outside of the bracket.
     """
 
-    def __init__(self, graph: Expressions, algebra: Algebra) -> None:
-        self.graph, self.algebra = graph, algebra
-        n = algebra.robot.joint_count
-        self.q = [graph.input(f"q[{i}]") for i in range(n)]
-        self.qd = [graph.input(f"qd[{i}]") for i in range(n)]
-        self.qdd = [graph.input(f"qdd[{i}]") for i in range(n)]
+    def __init__(self, motion: Motion, algebra: Algebra) -> None:
+        self.graph, self.algebra = motion.graph, algebra
+        self.q, self.qd, self.qdd = motion.q, motion.qd, motion.qdd
         self.variables = self._position_variables()
 
     def _position_variables(self) -> list[Value]:
@@ -111,16 +108,16 @@ class ClosedForm:
         sums: dict[tuple[int, int], dict[Monomial, Fraction]] = {}
         for link in table.links:
             for coefficient, multiple in link.weights:
-                own = sums.setdefault((link.column, coefficient), {})
+                polynomial = sums.setdefault((link.column, coefficient), {})
                 monomial = table.inputs[link.input]
-                own[monomial] = own.get(monomial, Fraction(0)) + multiple
+                polynomial[monomial] = polynomial.get(monomial, Fraction(0)) + multiple
         return [
             (
                 table.columns[column],
                 coefficient,
-                nested(self.graph, {m: float(f) for m, f in own.items()}, self.variables),
+                nested(self.graph, {m: float(f) for m, f in polynomial.items()}, self.variables),
             )
-            for (column, coefficient), own in sums.items()
+            for (column, coefficient), polynomial in sums.items()
         ]
 
 

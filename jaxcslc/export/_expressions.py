@@ -33,10 +33,10 @@ class Expressions:
 
     def __init__(self) -> None:
         self.operations: list[Operation] = []
-        self._known: dict[Operation, int] = {}
+        self._indices: dict[Operation, int] = {}
 
     def input(self, text: str) -> "Value":
-        """A value that is given, as C calls it."""
+        """An argument of the C function, by its name there."""
         return self._value(Operation("input", text=text))
 
     def constant(self, number: float) -> "Value":
@@ -50,10 +50,10 @@ class Expressions:
         return self._value(Operation(name, (x.index,)))
 
     def _value(self, operation: Operation) -> "Value":
-        if operation not in self._known:
-            self._known[operation] = len(self.operations)
+        if operation not in self._indices:
+            self._indices[operation] = len(self.operations)
             self.operations.append(operation)
-        return Value(self, self._known[operation])
+        return Value(self, self._indices[operation])
 
     def _binary(self, name: str, x: "Value", y: "Value") -> "Value":
         return self._value(Operation(name, (x.index, y.index)))
@@ -164,20 +164,20 @@ class Value:
     def _times(self, other: "Value") -> "Value":
         graph = self.graph
         first, second = sorted((self, other), key=lambda value: value.index)
-        for factor, rest in ((first, second), (second, first)):
+        for factor, other_factor in ((first, second), (second, first)):
             if factor.number == 0.0:
                 return factor
             if factor.number == 1.0:
-                return rest
+                return other_factor
             if factor.number is None:
                 continue
-            if rest.number is not None:
-                return graph.constant(factor.number * rest.number)
-            if rest.operation.name == "multiply":  # a constant times a constant times x
-                for i, inner in enumerate(rest.operation.arguments):
+            if other_factor.number is not None:
+                return graph.constant(factor.number * other_factor.number)
+            if other_factor.operation.name == "multiply":  # a constant times a constant times x
+                for i, inner in enumerate(other_factor.operation.arguments):
                     number = Value(graph, inner).number
                     if number is not None:
-                        other_one = Value(graph, rest.operation.arguments[1 - i])
+                        other_one = Value(graph, other_factor.operation.arguments[1 - i])
                         return other_one._times(graph.constant(number * factor.number))
         return graph._binary("multiply", first, second)  # pyright: ignore[reportPrivateUsage]
 
@@ -192,12 +192,23 @@ class Value:
 
 
 Number: TypeAlias = Value | float | int
-Vector = tuple[Value, Value, Value]
 
 
-def total(graph: Expressions, values: Sequence[Value]) -> Value:
-    """Their sum."""
-    result = graph.constant(0.0)
-    for value in values:
-        result = result + value
-    return result
+class Motion:
+    """Positions, velocities and accelerations of a robot's joints, as the inputs of a C function.
+
+    **Attributes**
+
+    - `graph`: the expressions that they are inputs of.
+    - `q`, `qd`, `qdd`: one value a joint.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.graph = Expressions()
+        self.q = [self.graph.input(f"q[{i}]") for i in range(joints)]
+        self.qd = [self.graph.input(f"qd[{i}]") for i in range(joints)]
+        self.qdd = [self.graph.input(f"qdd[{i}]") for i in range(joints)]
+
+    def values(self, numbers: Sequence[Number]) -> list[Value]:
+        """Values of the graph, constants where they are plain numbers."""
+        return [self.graph.lift(x) for x in numbers]

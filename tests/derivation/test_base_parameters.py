@@ -25,7 +25,7 @@ SIZES = {"puma560": (36, 40), "panda": (43, 48), "ur5": (36, 40), "stanford": (3
 def test_exact_size(literature: dict[str, Manipulator], name: str, motors: bool) -> None:
     robot = literature[name].with_inertia("full", motor_inertia=motors)
     algebra = derive_algebra(robot, "numeric")
-    assert len(algebra.coefficients) == len(algebra.chosen) == SIZES[name][motors]
+    assert len(algebra.coefficients) == len(algebra.base_terms) == SIZES[name][motors]
 
 
 @pytest.mark.parametrize("motors", [False, True], ids=["bare", "motors"])
@@ -117,8 +117,8 @@ def test_sampling_finds_the_echelon_form_of_the_tables(
         for pivot, row in zip(pivots, echelon.to_ddm().to_list()[: len(pivots)], strict=True)
     }
     assert terms == algebra.terms
-    assert set(algebra.chosen) == set(expected)
-    for index, coefficient in zip(algebra.chosen, algebra.coefficients, strict=True):
+    assert set(algebra.base_terms) == set(expected)
+    for index, coefficient in zip(algebra.base_terms, algebra.coefficients, strict=True):
         combination = {
             terms.index(addend.term): QQ(addend.factor.numerator, addend.factor.denominator)
             for addend in coefficient.addends
@@ -140,8 +140,10 @@ def test_each_is_one_term_and_what_is_regrouped_into_it(
     literature: dict[str, Manipulator], name: str
 ) -> None:
     algebra = derive_algebra(literature[name], "numeric")
-    assert np.array_equal(combinations(algebra)[:, algebra.chosen], np.eye(len(algebra.chosen)))
-    for index, coefficient in zip(algebra.chosen, algebra.coefficients, strict=True):
+    assert np.array_equal(
+        combinations(algebra)[:, algebra.base_terms], np.eye(len(algebra.base_terms))
+    )
+    for index, coefficient in zip(algebra.base_terms, algebra.coefficients, strict=True):
         assert coefficient.addends[0].term == algebra.terms[index]
         assert not coefficient.addends[0].constants
     assert [each.name for each in algebra.coefficients] == [

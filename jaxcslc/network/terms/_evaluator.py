@@ -17,6 +17,11 @@ class AbstractEvaluator(eqx.Module):
     leading batch axes. Everything is linear in `k`, and `regressor` is that linear map.
     """
 
+    @property
+    @abc.abstractmethod
+    def has_tables(self) -> bool:
+        """Whether it computes from the closed-form tables: they are small enough to be expanded."""
+
     @abc.abstractmethod
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor: ...
 

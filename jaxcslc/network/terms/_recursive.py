@@ -50,7 +50,7 @@ class RecursiveEvaluator(AbstractEvaluator):
         places: list[list[int]] = [[] for _ in range(n)]
         columns: list[list[list[float]]] = [[] for _ in range(n)]
         motors: list[tuple[int, int]] = []
-        for place, index in enumerate(algebra.chosen):
+        for place, index in enumerate(algebra.base_terms):
             term = algebra.terms[index]
             if term.factors == ("motor",):
                 motors.append((term.link, place))
@@ -67,8 +67,12 @@ class RecursiveEvaluator(AbstractEvaluator):
             tuple(tuple(p) for p in places),
             tuple(motors),
             paths_of(algebra.robot.parents),
-            len(algebra.chosen),
+            len(algebra.base_terms),
         )
+
+    @property
+    def has_tables(self) -> bool:
+        return False
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:

@@ -41,6 +41,10 @@ class TableEvaluator(AbstractEvaluator):
         )
 
     @property
+    def has_tables(self) -> bool:
+        return True
+
+    @property
     def support(self) -> tuple[tuple[int, ...], ...]:
         reach: list[set[int]] = [set() for _ in range(self.joints)]
         for table, outputs in ((self.mass, 2), (self.velocity, 1), (self.gravity, 1)):

@@ -1,0 +1,227 @@
+import abc
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from ..derivation import BODY, Algebra, NewtonEuler, link_frames
+from ..inertia import body_map
+from ..manipulator import Joint
+from ..network import CSLC
+from ._closed_form import ClosedForm
+from ._expressions import Expressions, Motion, Value
+
+
+# Coefficients that bodies can have are reproduced by bodies to this part of the largest.
+_ROUNDING = 1e-13
+# An angle this close to a multiple of 90 degrees is meant to be it [rad].
+_RIGHT_ANGLE = 1e-14
+
+
+class AbstractRigidBody(abc.ABC):
+    """The rigid-body part of a network, payload included, as expressions of the joints' motion."""
+
+    @abc.abstractmethod
+    def torque(self) -> list[Value]:
+        """Of every joint."""
+
+    @abc.abstractmethod
+    def mass_matrix(self) -> list[list[Value]]:
+        """Row by row."""
+
+    @abc.abstractmethod
+    def gravity(self) -> list[Value]:
+        """Torque of every joint at rest."""
+
+    @abc.abstractmethod
+    def regressor(self) -> list[list[Value]] | None:
+        """A row a joint: columns of the inertial coefficients, then of the payload's.
+
+        None where the coefficients are not those of bodies.
+        """
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Inertia of a robot with certain coefficients.
+
+    **Attributes**
+
+    - `links`: ten numbers of each link, in the order of `BODY`, about its frame.
+    - `motors`: the inertia that each joint adds to its own.
+    - `payload`: like `links`, of what they carry.
+    """
+
+    links: Float[np.ndarray, "links 10"]
+    motors: Float[np.ndarray, " links"]
+    payload: Float[np.ndarray, "links 10"]
+
+
+class RecursiveRigidBody(AbstractRigidBody):
+    """Newton-Euler recursion, unrolled. A payload is one body with the link that carries it."""
+
+    def __init__(self, motion: Motion, network: CSLC, bodies: Bodies) -> None:
+        self._motion, self._network = motion, network
+        self._links = (bodies.links + bodies.payload).tolist()
+        self._motors = bodies.motors.tolist()
+        self._recursion = newton_euler(motion, network.algebra)
+
+    def torque(self) -> list[Value]:
+        motion = self._motion
+        return motion.values(
+            self._recursion.torque(self._links, self._motors, motion.qd, motion.qdd)
+        )
+
+    def mass_matrix(self) -> list[list[Value]]:
+        rows = self._recursion.mass_matrix(self._links, self._motors)
+        return [self._motion.values(row) for row in rows]
+
+    def gravity(self) -> list[Value]:
+        return self._motion.values(self._recursion.gravity_torque(self._links))
+
+    def regressor(self) -> list[list[Value]] | None:
+        network, motion = self._network, self._motion
+        if network.algebra.lengths != "numeric":
+            return None
+        units = network.algebra.unit_inertias
+        bodies = [(unit.link, unit.body) for unit in units] + _payload_units(network)
+        rows = self._recursion.columns(bodies, motion.qd, motion.qdd)
+        for column, unit in enumerate(units):
+            if unit.motor:
+                rows[unit.link][column] = motion.qdd[unit.link]
+        return [motion.values(row) for row in rows]
+
+
+class TabulatedRigidBody(AbstractRigidBody):
+    """The closed form of the tables, and Newton-Euler recursion for a payload."""
+
+    def __init__(
+        self, motion: Motion, network: CSLC, k: Float[np.ndarray, " coefficients"]
+    ) -> None:
+        self._motion, self._network = motion, network
+        self._k = k[: len(network.algebra.coefficients)]
+        self._tables = ClosedForm(motion, network.algebra)
+        self._recursion = newton_euler(motion, network.algebra)
+        payload = payload_bodies(network, k)
+        self._payload = payload.tolist() if np.any(payload) else None
+
+    def torque(self) -> list[Value]:
+        total, motion = self._tables.torque(self._k), self._motion
+        if self._payload is None:
+            return total
+        still = [0.0] * len(total)
+        added = self._recursion.torque(self._payload, still, motion.qd, motion.qdd)
+        return [x + y for x, y in zip(total, added, strict=True)]
+
+    def mass_matrix(self) -> list[list[Value]]:
+        total = self._tables.mass_matrix(self._k)
+        if self._payload is None:
+            return total
+        added = self._recursion.mass_matrix(self._payload, [0.0] * len(total))
+        return [
+            [x + y for x, y in zip(row, other, strict=True)]
+            for row, other in zip(total, added, strict=True)
+        ]
+
+    def gravity(self) -> list[Value]:
+        total = self._tables.gravity(self._k)
+        if self._payload is None:
+            return total
+        added = self._recursion.gravity_torque(self._payload)
+        return [x + y for x, y in zip(total, added, strict=True)]
+
+    def regressor(self) -> list[list[Value]] | None:
+        motion = self._motion
+        added = self._recursion.columns(_payload_units(self._network), motion.qd, motion.qdd)
+        return [
+            [*row, *motion.values(other)]
+            for row, other in zip(self._tables.columns(), added, strict=True)
+        ]
+
+
+def newton_euler(motion: Motion, algebra: Algebra) -> NewtonEuler:
+    """The recursion of a robot over expressions of its motion."""
+    robot = algebra.robot
+    a, d, b = (
+        [float(getattr(joint, letter).value or 0.0) for joint in robot.joints] for letter in "adb"
+    )
+    frames = link_frames(
+        algebra.chain.in_numbers(float),
+        rotations=[
+            _rotation(motion.graph, joint, q)
+            for joint, q in zip(robot.joints, motion.q, strict=True)
+        ],
+        a=a,
+        d=[
+            offset + q if joint.kind == "P" else offset
+            for offset, joint, q in zip(d, robot.joints, motion.q, strict=True)
+        ],
+        b=b,
+    )
+    return NewtonEuler(frames, robot.gravity)
+
+
+def _rotation(graph: Expressions, joint: Joint, q: Value) -> tuple[Value, Value]:
+    """Cosine and sine of a joint's angle about z; multiples of 90 degrees are exact."""
+    quarters = round(joint.theta / (math.pi / 2))
+    remainder = joint.theta - quarters * (math.pi / 2)
+    if abs(remainder) < _RIGHT_ANGLE:
+        remainder = 0.0
+    if joint.kind == "P":
+        c, s = graph.constant(math.cos(remainder)), graph.constant(math.sin(remainder))
+    else:
+        c, s = graph.apply("cos", q + remainder), graph.apply("sin", q + remainder)
+    for _ in range(quarters % 4):
+        c, s = -s, c
+    return c, s
+
+
+def payload_bodies(
+    network: CSLC, k: Float[np.ndarray, " coefficients"]
+) -> Float[np.ndarray, "links 10"]:
+    """The payload's ten numbers, at the link that carries it."""
+    bodies = np.zeros((network.joint_count, 10))
+    if network.carrying_link is not None:
+        bodies[network.carrying_link - 1] = k[-10:]
+    return bodies
+
+
+def _payload_units(network: CSLC) -> list[tuple[int, tuple[int, ...]]]:
+    """For each of the payload's coefficients, the link that carries it and ten numbers."""
+    if network.carrying_link is None:
+        return []
+    size = len(BODY)
+    return [
+        (network.carrying_link - 1, tuple(int(i == j) for j in range(size))) for i in range(size)
+    ]
+
+
+def bodies_of_coefficients(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> Bodies | None:
+    """Links and motors that have these coefficients, most of their numbers zero.
+
+    They need not be possible bodies: what is regrouped into a base parameter is zero. None if no
+    numbers have them: symbolic coefficients that were identified one by one are rarely consistent.
+    """
+    n, algebra = network.joint_count, network.algebra
+    inertial = k[: len(algebra.coefficients)]
+    links, motors = np.zeros((n, 10)), np.zeros(n)
+    if algebra.lengths == "numeric":
+        for value, unit in zip(inertial, algebra.unit_inertias, strict=True):
+            links[unit.link] += value * np.array(unit.body)
+            motors[unit.link] += value * unit.motor
+        return Bodies(links, motors, payload_bodies(network, k))
+    of_bodies, of_motors = body_map(algebra)
+    matrix = np.concatenate([of_bodies.reshape(len(inertial), -1), of_motors], axis=1)
+    # A basic solution: as many numbers as the matrix has rank. Later ones are preferred last.
+    _, triangle, order = scipy.linalg.qr(matrix, mode="economic", pivoting=True)
+    diagonal = np.abs(np.diag(triangle))
+    rank = int(np.sum(diagonal > 1e-10 * diagonal[0]))
+    basic = np.linalg.lstsq(matrix[:, order[:rank]], inertial)[0]
+    numbers = np.zeros(matrix.shape[1])
+    numbers[order[:rank]] = basic
+    if np.max(np.abs(matrix @ numbers - inertial)) > _ROUNDING * np.max(np.abs(inertial)):
+        return None
+    links, motors = numbers[: 10 * n].reshape(n, 10), numbers[10 * n :]
+    return Bodies(links, motors, payload_bodies(network, k))
