@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from jaxcslc.identification import text_table
-from jaxcslc.plotting import (
+from jaxcslc.plotting import save_picture
+from scripts.studies.control.pictures import (
     control_error_picture,
     joint_error_picture,
-    save_picture,
     traced_path_picture,
 )
 

@@ -41,7 +41,6 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
-from matplotlib.ticker import LogLocator
 from scipy.stats import t as student
 from tqdm import tqdm
 
@@ -50,7 +49,8 @@ import sim
 from jaxcslc.assessment import mask_quality, output_sensitivity
 from jaxcslc.identification import all_or_nothing, text_table, write_csv
 from jaxcslc.motion import CentralDifferences, as_recorded, choose_spacing
-from jaxcslc.plotting import budget_picture, save_picture
+from jaxcslc.plotting import save_picture
+from scripts.studies.disturbances.pictures import budget_picture
 from sim.recording._fingerprint import fingerprint
 
 
@@ -519,8 +519,6 @@ def write(
             for summary in chosen
         ]
         picture = budget_picture(names, off, on, title=title, quantity=quantity)
-        # Over several decades, labels at 2 and 5 as well would run into each other.
-        picture.axes[0].xaxis.set_major_locator(LogLocator())
         save_picture(picture, folder / f"{figure}.png")
 
 

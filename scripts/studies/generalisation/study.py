@@ -50,7 +50,7 @@ from tqdm import tqdm
 import jaxcslc as jc
 import sim
 from jaxcslc.identification import all_or_nothing, text_table, write_csv
-from jaxcslc.plotting import generalisation_picture, save_picture
+from jaxcslc.plotting import save_picture
 from scripts.studies.generalisation.networks import (
     PARTS,
     Data,
@@ -65,6 +65,7 @@ from scripts.studies.generalisation.networks import (
     start_radial,
     trained,
 )
+from scripts.studies.generalisation.pictures import generalisation_picture
 
 
 jax.config.update("jax_enable_x64", True)

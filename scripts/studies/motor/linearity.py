@@ -16,7 +16,8 @@ from tqdm import tqdm
 
 import sim
 from jaxcslc.identification import all_or_nothing, write_csv
-from jaxcslc.plotting import motor_curve_picture, motor_response_picture, save_picture
+from jaxcslc.plotting import save_picture
+from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
 
 
 jax.config.update("jax_enable_x64", True)

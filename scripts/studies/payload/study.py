@@ -31,7 +31,7 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxcslc.identification import text_table, write_csv
-from jaxcslc.plotting import PayloadCurve, Spread, hand_error_picture, payload_picture, save_picture
+from jaxcslc.plotting import save_picture
 
 
 # Before MuJoCo is loaded: a film needs OpenGL, and no screen. Without the library MuJoCo would not
@@ -40,6 +40,12 @@ if ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")
 
 import sim
+from scripts.studies.payload.pictures import (
+    PayloadCurve,
+    Spread,
+    hand_error_picture,
+    payload_picture,
+)
 from scripts.studies.payload.runs import (
     CASES,
     CENTRE,

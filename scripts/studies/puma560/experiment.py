@@ -30,17 +30,14 @@ from jaxcslc.identification import (
     text_table,
     write_csv,
 )
-from jaxcslc.plotting import (
+from jaxcslc.plotting import save_picture, torque_picture
+from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
+from scripts.studies.puma560.machine_pictures import friction_picture, hysteresis_picture
+from scripts.studies.puma560.motion_pictures import (
     averaged_spline_picture,
-    friction_picture,
-    hysteresis_picture,
     motion_picture,
-    motor_curve_picture,
-    motor_response_picture,
     reversal_picture,
-    save_picture,
     spline_subsets_picture,
-    torque_picture,
 )
 
 

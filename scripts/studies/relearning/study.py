@@ -30,7 +30,8 @@ import jaxcslc as jc
 import sim
 from jaxcslc.identification import text_table, write_csv
 from jaxcslc.motion import as_recorded, choose_spacing
-from jaxcslc.plotting import relearning_picture, save_picture
+from jaxcslc.plotting import save_picture
+from scripts.studies.relearning.pictures import relearning_picture
 
 
 jax.config.update("jax_enable_x64", True)

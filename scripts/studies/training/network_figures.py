@@ -25,12 +25,7 @@ from matplotlib.figure import Figure
 
 from jaxcslc.adaptive import AdaptiveNetwork, PolynomialTerms, fully_connected
 from jaxcslc.identification import all_or_nothing, write_json
-from jaxcslc.plotting import (
-    decision_picture,
-    fitted_curves_picture,
-    overtraining_picture,
-    save_picture,
-)
+from jaxcslc.plotting import save_picture
 from jaxcslc.training import (
     Backpropagation,
     FixedRates,
@@ -41,6 +36,11 @@ from jaxcslc.training import (
     half_square,
     mean_modulus,
     train,
+)
+from scripts.studies.training.network_pictures import (
+    decision_picture,
+    fitted_curves_picture,
+    overtraining_picture,
 )
 
 

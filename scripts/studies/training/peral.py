@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from jaxcslc.identification import all_or_nothing, write_csv, write_json
-from jaxcslc.plotting import Learning, learning_picture, save_picture
+from jaxcslc.plotting import save_picture
 from jaxcslc.training import (
     AdaptedRates,
     Backpropagation,
@@ -41,6 +41,7 @@ from jaxcslc.training import (
     normal_equations,
     training_steps,
 )
+from scripts.studies.training.learning_pictures import Learning, learning_picture
 from scripts.studies.training.peral_comparison import (
     BACKPROPAGATION_RATE,
     CORRECT,

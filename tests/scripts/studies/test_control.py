@@ -12,7 +12,11 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.plotting import control_error_picture, joint_error_picture, traced_path_picture
+from scripts.studies.control.pictures import (
+    control_error_picture,
+    joint_error_picture,
+    traced_path_picture,
+)
 
 
 FEW = ["--seeds", "2", "--durations", "0.6", "--controllers", "PID", "computed torque"]

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import decision_picture, fitted_curves_picture, overtraining_picture
+from scripts.studies.training.network_pictures import (
+    decision_picture,
+    fitted_curves_picture,
+    overtraining_picture,
+)
 
 
 @pytest.fixture(scope="module")

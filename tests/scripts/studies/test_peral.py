@@ -26,8 +26,8 @@ from jaxcslc.adaptive import (
     fully_connected,
     inverse_dynamics,
 )
-from jaxcslc.plotting import Learning, learning_picture
 from jaxcslc.training import PERAL, Backpropagation, examples, half_square
+from scripts.studies.training.learning_pictures import Learning, learning_picture
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,15 @@
+"""Pictures of the payload study."""
+
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, QUIET, STYLES, new_figure
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS, STYLES, new_figure
+from scripts.studies.figures import QUIET
 
 
 _SIGMAS = 1.96  # of a 95 % band
@@ -64,7 +64,7 @@ class Spread(NamedTuple):
     high: Float[np.ndarray, " samples"]
 
 
-def payload_picture(curves: Mapping[str, PayloadCurve], *, title: str | None = None) -> "Figure":
+def payload_picture(curves: Mapping[str, PayloadCurve], *, title: str | None = None) -> Figure:
     """Estimates of a payload's mass and centre of gravity with their 95 % bands, over time.
 
     One column a payload: the mass, its error while something is carried and thought to be, and the
@@ -138,7 +138,7 @@ def hand_error_picture(
     picked: float,
     placed: float,
     title: str | None = None,
-) -> "Figure":
+) -> Figure:
     """How far the hand was from where it should have been, in several ways to control it.
 
     Lines are medians over the runs, bands from the lower to the higher quantile. One column a
@@ -178,14 +178,14 @@ def hand_error_picture(
 
 
 def _band(
-    axes: "Axes", time: np.ndarray, value: np.ndarray, error: np.ndarray, look: int, label: str
+    axes: Axes, time: np.ndarray, value: np.ndarray, error: np.ndarray, look: int, label: str
 ) -> None:
     half = _SIGMAS * np.where(np.isfinite(error), error, np.nan)
     axes.fill_between(time, value - half, value + half, color=COLOURS[look], alpha=0.3, lw=0)
     axes.plot(time, value, color=COLOURS[look], ls=STYLES[look], lw=1.3, label=label)
 
 
-def _finish(figure: "Figure", title: str | None) -> None:
+def _finish(figure: Figure, title: str | None) -> None:
     """A legend below of everything that has a name, once."""
     found: dict[str, Any] = {}
     for axes in figure.axes:

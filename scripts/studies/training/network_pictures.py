@@ -1,14 +1,14 @@
+"""Pictures of three small problems (Figs. 3.3-4, 3.6-1 and 4.3-1)."""
+
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, MEASURED, QUIET, figure_of, legend_below, new_figure, single_axes
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS, MEASURED, new_figure
+from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
 
 
 # What a node answers to the points of a plane: its sums over a grid, and the answers to patterns.
@@ -25,7 +25,7 @@ def decision_picture(
     targets: Float[np.ndarray, " patterns"],
     *,
     title: str | None = None,
-) -> "Figure":
+) -> Figure:
     """Where in the plane of its two inputs a hard limiter answers one (Fig. 3.3-4).
 
     Shaded where it does; the line is where the sum of its weighted inputs is zero. Patterns that
@@ -77,7 +77,7 @@ def overtraining_picture(
     *,
     title: str | None = None,
     error: str = "root mean square error",
-) -> "Figure":
+) -> Figure:
     """Errors of the training set and of the stop set, epoch by epoch (Fig. 3.6-1).
 
     The vertical dashed line is at the lowest error of the stop set, where to cease training.
@@ -112,7 +112,7 @@ def fitted_curves_picture(
     *,
     title: str | None = None,
     height: float = 4.0,
-) -> "Figure":
+) -> Figure:
     """Curves fitted to a few points each, and the system that the points are of (Fig. 4.3-1).
 
     **Arguments**

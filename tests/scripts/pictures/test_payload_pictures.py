@@ -6,7 +6,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
-from jaxcslc.plotting import PayloadCurve, Spread, hand_error_picture, payload_picture
+from scripts.studies.payload.pictures import (
+    PayloadCurve,
+    Spread,
+    hand_error_picture,
+    payload_picture,
+)
 
 
 TIME = np.linspace(0.0, 4.0, 41)

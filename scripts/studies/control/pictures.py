@@ -1,15 +1,13 @@
+"""Pictures of the control study."""
+
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
-from ._budget_picture import readable_decades
-from ._look import COLOURS, MEASURED, QUIET, STYLES, new_figure
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS, MEASURED, STYLES, new_figure
+from scripts.studies.figures import QUIET, readable_decades
 
 
 # Within the row of a controller, of height 1, its coefficient sets share this much.
@@ -22,7 +20,7 @@ def control_error_picture(
     columns: int,
     quantity: str,
     title: str | None = None,
-) -> "Figure":
+) -> Figure:
     """Errors of controllers with several coefficient sets, on several motions.
 
     A panel a motion, a row a controller, and in it a lane a coefficient set: a dot for every seed
@@ -36,13 +34,6 @@ def control_error_picture(
     - `quantity`: what is drawn, with its unit.
 
     **Returns** a matplotlib figure.
-
-    >>> import numpy as np
-    >>> from jaxcslc.assessment import control_error_picture
-    >>> own = {"PID": {"none": np.array([5.0, 6.0])}, "computed torque": {"CSLC": np.ones(2)}}
-    >>> figure = control_error_picture({"circle": own}, columns=1, quantity="error [mm]")
-    >>> [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    ['PID', 'computed torque']
     """
     controllers = list(dict.fromkeys(name for panel in panels.values() for name in panel))
     sets = list(
@@ -100,7 +91,7 @@ def traced_path_picture(
     *,
     magnified: float,
     title: str | None = None,
-) -> "Figure":
+) -> Figure:
     """A path in its plane as the hand draws it, its departure from what was asked magnified.
 
     **Arguments**
@@ -144,7 +135,7 @@ def joint_error_picture(
     *,
     title: str | None = None,
     unit: str = "mrad",
-) -> "Figure":
+) -> Figure:
     """Errors of every joint over time, one line a controller.
 
     **Arguments**

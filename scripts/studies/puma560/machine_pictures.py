@@ -1,14 +1,12 @@
-from typing import TYPE_CHECKING
+"""Pictures of friction and backlash (Figs. 2.5-1 and 2.5-3)."""
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, QUIET, cross_hair, figure_of, legend_below, single_axes
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS
+from scripts.studies.figures import QUIET, cross_hair, figure_of, legend_below, single_axes
 
 
 def friction_picture(
@@ -20,7 +18,7 @@ def friction_picture(
     static: float,
     title: str | None = None,
     units: tuple[str, str] = ("rad/s", "N m"),
-) -> "Figure":
+) -> Figure:
     """The friction profile of a joint and its three parts (Fig. 2.5-1, Eqn. 2.5-4).
 
     **Arguments**
@@ -73,7 +71,7 @@ def friction_picture(
     return figure_of(axes)
 
 
-def _mark_slope(axes: "Axes", fastest: float, viscous: float, dry: float, unit: str) -> None:
+def _mark_slope(axes: Axes, fastest: float, viscous: float, dry: float, unit: str) -> None:
     """The triangle under a straight line that says how steep it is."""
     left, right = 0.55 * fastest, 0.85 * fastest
     low, high = dry + viscous * left, dry + viscous * right
@@ -97,7 +95,7 @@ def hysteresis_picture(
     arrows: int = 8,
     title: str | None = None,
     unit: str = "mrad",
-) -> "Figure":
+) -> Figure:
     """The loop that backlash makes of a link's position against its rotor's (Fig. 2.5-3).
 
     **Arguments**
@@ -137,7 +135,7 @@ def hysteresis_picture(
 
 
 def _mark_width(
-    axes: "Axes",
+    axes: Axes,
     rotor: Float[np.ndarray, " samples"],
     link: Float[np.ndarray, " samples"],
     backlash: float,

@@ -1,14 +1,14 @@
+"""Picture of learning rules side by side (Figs. 6.3-3 and 6.3-4)."""
+
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, QUIET, STYLES, new_figure
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS, STYLES, new_figure
+from scripts.studies.figures import QUIET
 
 
 class Learning(NamedTuple):
@@ -33,7 +33,7 @@ def learning_picture(
     *,
     title: str | None = None,
     limits: tuple[float, float] | None = None,
-) -> "Figure":
+) -> Figure:
     """Rules that set out from one state side by side (Figs. 6.3-3 and 6.3-4).
 
     **Arguments**

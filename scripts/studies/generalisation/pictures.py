@@ -1,14 +1,14 @@
+"""Picture of the generalisation study."""
+
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, QUIET, new_figure
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS, new_figure
+from scripts.studies.figures import QUIET
 
 
 # A family of networks: numbers of weights, and ε of the training and the comparison recording.
@@ -26,7 +26,7 @@ def generalisation_picture(
     *,
     title: str | None = None,
     unit: str = "N m",
-) -> "Figure":
+) -> Figure:
     """Errors of networks of several sizes where they were trained, and where they were not (4.3).
 
     One panel for the patterns trained on and one for the comparison recording, on the same axes.

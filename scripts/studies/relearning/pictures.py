@@ -1,14 +1,13 @@
+"""Picture of the relearning study."""
+
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, QUIET, figure_of, legend_below, single_axes
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS
+from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
 
 
 def relearning_picture(
@@ -19,7 +18,7 @@ def relearning_picture(
     quantiles: tuple[float, float] = (0.1, 0.9),
     title: str | None = None,
     quantity: str = "mean error cost ε [N m]",
-) -> "Figure":
+) -> Figure:
     """What is left of the torque error after learning from recordings of several lengths.
 
     Lines are medians over the seeds, bands the range between two quantiles.

@@ -1,15 +1,14 @@
+"""Picture of the disturbance budget."""
+
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, QUIET, figure_of, legend_below, single_axes
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS
+from scripts.studies.figures import QUIET, figure_of, legend_below, readable_decades, single_axes
 
 
 def budget_picture(
@@ -21,7 +20,7 @@ def budget_picture(
     quantiles: tuple[float, float] = (0.05, 0.95),
     title: str | None = None,
     quantity: str = "mean error cost ε [N m]",
-) -> "Figure":
+) -> Figure:
     """What each disturbance costs, its counter-measure off and on, over many seeds.
 
     A dot is the mean over the seeds, a bar the range between two quantiles.
@@ -68,7 +67,7 @@ def budget_picture(
     axes.grid(False, axis="y")
     axes.grid(alpha=0.15, axis="x", which="minor")
     axes.tick_params(axis="y", length=0)
-    readable_decades(axes)
+    readable_decades(axes, ticks=(1.0,))  # of several decades: more labels would overlap
     low, high = (f"{100 * quantile:.3g} %" for quantile in quantiles)
     axes.set_xlabel(f"{quantity}: mean, and {low} to {high} of the seeds")
     legend_below(axes)
@@ -76,7 +75,7 @@ def budget_picture(
 
 
 def _bars(
-    axes: "Axes",
+    axes: Axes,
     values: Float[np.ndarray, "disturbances seeds"],
     height: Float[np.ndarray, " disturbances"],
     quantiles: tuple[float, float],
@@ -94,12 +93,3 @@ def _bars(
     axes.plot(
         np.nanmean(drawn, axis=1), height[some], marker, color=colour, ms=6, ls="", label=label
     )
-
-
-def readable_decades(axes: "Axes") -> None:
-    """Ticks at 1, 2 and 5 of every decade, as plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())

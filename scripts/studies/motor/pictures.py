@@ -1,13 +1,11 @@
-from typing import TYPE_CHECKING
+"""Pictures of a motor's response (Figs. 7.2-1 and 7.2-2)."""
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
-from ._look import COLOURS, QUIET, figure_of, legend_below, single_axes
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from jaxcslc.plotting import COLOURS
+from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
 
 
 def motor_curve_picture(
@@ -17,7 +15,7 @@ def motor_curve_picture(
     limit: float,
     title: str | None = None,
     unit: str = "N m",
-) -> "Figure":
+) -> Figure:
     """The response curve of a motor and its limit of linearity (Fig. 7.2-1).
 
     **Arguments**
@@ -55,7 +53,7 @@ def motor_response_picture(
     *,
     title: str | None = None,
     unit: str = "N m",
-) -> "Figure":
+) -> Figure:
     """Mean torque of a joint against the mass that hangs from it (Fig. 7.2-2).
 
     The line is the least-squares fit to all measurements but those with the heaviest mass: a
