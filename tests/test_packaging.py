@@ -25,7 +25,7 @@ LAYERS = {
     "derivation": {"manipulator"},
     "network": {"derivation"},
     "motion": set[str](),
-    "inertia": {"network"},
+    "inertia": {"derivation"},
     "adaptive": {"network", "motion"},
     "plotting": {"network", "motion"},
     "identification": {"network", "motion", "inertia", "plotting"},

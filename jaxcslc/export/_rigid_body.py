@@ -3,7 +3,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from jaxtyping import Float
 
 from ..derivation import BODY, Algebra, NewtonEuler, link_frames
@@ -212,10 +211,12 @@ def bodies_of_coefficients(network: CSLC, k: Float[np.ndarray, " coefficients"])
             links[unit.link] += value * np.array(unit.body)
             motors[unit.link] += value * unit.motor
         return Bodies(links, motors, payload_bodies(network, k))
+    from scipy.linalg import qr
+
     of_bodies, of_motors = body_map(algebra)
     matrix = np.concatenate([of_bodies.reshape(len(inertial), -1), of_motors], axis=1)
     # A basic solution: as many numbers as the matrix has rank. Later ones are preferred last.
-    _, triangle, order = scipy.linalg.qr(matrix, mode="economic", pivoting=True)
+    _, triangle, order = qr(matrix, mode="economic", pivoting=True)
     diagonal = np.abs(np.diag(triangle))
     rank = int(np.sum(diagonal > 1e-10 * diagonal[0]))
     basic = np.linalg.lstsq(matrix[:, order[:rank]], inertial)[0]

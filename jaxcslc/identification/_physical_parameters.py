@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..inertia import Fitted, NearestBodies, bodies_of, link_of, tied
+from ..inertia import Fitted, NearestBodies, bodies_of, constrained, link_of
 from ..manipulator import LinkParameters
 from ..motion import Patterns
 from ..network import CSLC
@@ -170,29 +170,37 @@ def physical_parameters(
         raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
     if not 0 < least < 1:
         raise ValueError(f"least: expected a number between 0 and 1, got {least!r}")
-    problem = NearestBodies.of(network, fit, prior, fixed, prior_weight, motors)
-    found = problem.found(least)
-    if found is None:
+    problem = NearestBodies.from_fit(
+        network.algebra,
+        network.coefficients,
+        fit,
+        prior=prior,
+        fixed=fixed,
+        weight=prior_weight,
+        motors=motors,
+    )
+    optimum = problem.solve(least)
+    if optimum is None:
         if throw:
             raise RuntimeError(f"physical_parameters: {POSSIBILITY[POSSIBILITY.failed]}")
         bodies, others = problem.prior.bodies, problem.others * problem.scales
         code = POSSIBILITY.failed
     else:
-        bodies, others, exactly = found
-        code = POSSIBILITY.successful if exactly else POSSIBILITY.inexact
+        bodies, others, converged = optimum
+        code = POSSIBILITY.successful if converged else POSSIBILITY.inexact
 
     inertia = network.robot.inertia
     driven = np.array([motors and kind.motor for kind in inertia], bool)
     rotors = np.zeros(n)
     rotors[driven] = others[: driven.sum()]
     links = tuple(
-        tied(kind, link_of(body, float(motor)))
+        constrained(kind, link_of(body, float(motor)))
         for kind, body, motor in zip(inertia, bodies + problem.fixed, rotors, strict=True)
     )
     free = bodies_of(links) - problem.fixed
     k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
     k += problem.of_others @ (others / problem.scales)
-    moved = problem.white @ (k - problem.k)
+    moved = problem.whitening @ (k - problem.k)
     return PhysicalParameters(
         network.names,
         links,

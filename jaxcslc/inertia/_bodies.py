@@ -1,13 +1,13 @@
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from ..derivation import BODY, Algebra, Coefficient, constant_values
+from ..derivation import BODY, Algebra, Coefficient, InertialTerm, constant_values
 from ..manipulator import LinkInertia, LinkParameters
 
 
-_ENTRY = {name: place for place, name in enumerate(BODY)}
+_ENTRY = {name: index for index, name in enumerate(BODY)}
 _AXES = "xyz"
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 # The linear map exists for every network; this much of its largest entry is rounding.
@@ -82,35 +82,37 @@ def body_map(
     in them, also where links have principal axes and the algebra's own terms are products such
     as m rx ry.
 
-    **Returns** what multiplies each body's ten numbers, and each motor's inertia.
+    **Returns**
+
+    - What multiplies each body's ten numbers.
+    - What multiplies each motor's inertia.
     """
     n = algebra.robot.joint_count
     constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}
-    places = [
+    columns = [
         {term: i for i, term in enumerate(t for t in algebra.terms if t.link == link and t.body)}
         for link in range(n)
     ]
-    holds = [np.zeros((10, len(place))) for place in places]
-    for place, hold in zip(places, holds, strict=True):
-        for term, i in place.items():
+    body_entries = [np.zeros((10, len(terms))) for terms in columns]
+    for terms, matrix in zip(columns, body_entries, strict=True):
+        for term, column in terms.items():
             for entry, multiple in term.body:
-                hold[_ENTRY[entry], i] += multiple
+                matrix[_ENTRY[entry], column] += multiple
     bodies = np.zeros((len(algebra.coefficients), n, 10))
     motors = np.zeros((len(algebra.coefficients), n))
     for row, coefficient in enumerate(algebra.coefficients):
-        forms = [np.zeros(len(place)) for place in places]
-        for addend, factor in _numbers(coefficient, constants):
-            link = addend.link
-            if addend.factors == ("motor",):
-                motors[row, link] += factor
+        forms = [np.zeros(len(terms)) for terms in columns]
+        for term, factor in _factors(coefficient, constants):
+            if term.factors == ("motor",):
+                motors[row, term.link] += factor
             else:
-                forms[link][places[link][addend]] += factor
-        for link, (hold, form) in enumerate(zip(holds, forms, strict=True)):
+                forms[term.link][columns[term.link][term]] += factor
+        for link, (matrix, form) in enumerate(zip(body_entries, forms, strict=True)):
             if not form.any():
                 continue
-            entries = np.linalg.lstsq(hold.T, form)[0]
+            entries = np.linalg.lstsq(matrix.T, form)[0]
             entries[np.abs(entries) < _ROUNDING * np.max(np.abs(entries))] = 0.0
-            if np.max(np.abs(hold.T @ entries - form)) > _ROUNDING * np.max(np.abs(form)):
+            if np.max(np.abs(matrix.T @ entries - form)) > _ROUNDING * np.max(np.abs(form)):
                 raise ValueError(
                     f"{coefficient.name}: {coefficient.expression} is no linear form in bodies"
                 )
@@ -118,7 +120,9 @@ def body_map(
     return bodies, motors
 
 
-def _numbers(coefficient: Coefficient, constants: dict[str, float]):
+def _factors(
+    coefficient: Coefficient, constants: dict[str, float]
+) -> Iterator[tuple[InertialTerm, float]]:
     for addend in coefficient.addends:
         factor = float(addend.factor)
         for name, power in addend.constants:
@@ -126,12 +130,12 @@ def _numbers(coefficient: Coefficient, constants: dict[str, float]):
         yield addend.term, factor
 
 
-def ties(inertia: LinkInertia) -> Float[np.ndarray, "ties 10"]:
+def constraints_of(inertia: LinkInertia) -> Float[np.ndarray, "constraints 10"]:
     """What a link's `LinkInertia` says of its body, as equations `rows @ body = 0`.
 
     For a full tensor: products of inertia and coordinates of the centre that are zero, moments
     that are equal. A moment or a mass that is listed as zero is no equation: no body has it, and
-    it is listed because the torque does not see it.
+    it is listed because the torque does not depend on it.
     """
     unit = np.eye(10)
     rows = [unit[_ENTRY[f"h{axis}"]] for axis in _AXES if f"r{axis}" in inertia.zero]
@@ -145,8 +149,8 @@ def bodies_of(links: Sequence[LinkParameters]) -> Float[np.ndarray, "links 10"]:
     return np.stack([body_of(link) for link in links])
 
 
-def tied(inertia: LinkInertia, link: LinkParameters) -> LinkParameters:
-    """A link that is of its kind but for rounding, without the rounding."""
+def constrained(inertia: LinkInertia, link: LinkParameters) -> LinkParameters:
+    """A link with exactly the zeros of its `LinkInertia`, which it has but for rounding."""
     zero = [f"r{axis}" in inertia.zero for axis in _AXES]
     centre, tensor = np.where(zero, 0.0, link.centre_of_gravity), np.asarray(link.inertia)
     if inertia.form == "principal":

@@ -11,7 +11,7 @@ _FINEST = 1e-6
 
 @runtime_checkable
 class Fitted(Protocol):
-    """Coefficients and how far they are known: what an `Identification` and its file share."""
+    """Coefficients and their uncertainty: what an `Identification` and its file share."""
 
     @property
     def k(self) -> Float[Array | np.ndarray, " coefficients"]: ...
@@ -26,16 +26,25 @@ def whitening(
 ) -> Float[np.ndarray, "rank coefficients"]:
     """The matrix that turns a change of the coefficients into standard errors.
 
-    Those that independent residuals would give: the norm of the result is then also the torque
-    that the change causes over the patterns, in units of the residual.
+    The standard errors are those of independent residuals: the norm of the result is then also the
+    torque that the change causes over the patterns, in units of the residual.
 
     A change along a combination that the data do not determine costs nothing: the covariance is
     inverted on its range only, along the undetermined combinations. The result's squared norm is
     what the change adds to the sum of squared residuals, in units of their variance.
 
-    - `sizes`: (p,) of typical coefficients, in their units.
+    **Arguments**
 
-    **Raises** `ValueError` if the covariance is not finite.
+    - `fit`: its coefficients, covariance and undetermined combinations.
+    - `sizes`: of typical coefficients, in their units.
+
+    **Returns**
+
+    - A matrix with one row for each determined combination.
+
+    **Raises**
+
+    - `ValueError`: if the coefficients or their covariance are not finite.
     """
     # A covariance that allows for correlation is of low rank; torques are measured by the other.
     covariance = np.asarray(getattr(fit, "independent_covariance", fit.covariance), float)

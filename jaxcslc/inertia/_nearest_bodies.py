@@ -1,167 +1,216 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from ..manipulator import LinkParameters
-from ..network import CSLC
-from ._bodies import bodies_of, body_map, ties
+from ..derivation import Algebra, Coefficient
+from ..manipulator import LinkParameters, Manipulator
+from ._bodies import bodies_of, body_map, constraints_of
 from ._coefficient_metric import Fitted, whitening
 from ._nearest_body import in_units_of
 from ._principal_programme import BodyChart, nearest_in_charts
 from ._prior_bodies import Prior, balls, prior_of
+from ._semidefinite import semidefinite_least_squares
+
+
+class Optimum(NamedTuple):
+    """What `NearestBodies.solve` returns.
+
+    **Attributes**
+
+    - `bodies`: ten numbers a link, without what is fixed to it.
+    - `others`: motor inertias, then the coefficients that are not inertial, in their units.
+    - `converged`: whether the solver says that it is the optimum.
+    """
+
+    bodies: Float[np.ndarray, "links 10"]
+    others: Float[np.ndarray, " others"]
+    converged: bool
 
 
 @dataclass(frozen=True, eq=False)
 class NearestBodies:
-    """Which bodies, motor inertias and friction come nearest to a fit, as a programme.
+    """The programme that finds the bodies, motor inertias and friction nearest to a fit.
 
-    `k = of_bodies · (bodies + fixed) + of_others @ others`; `others` are motor inertias, then all
-    coefficients that are not inertial, in units of `scales`.
+    Coefficients are `of_bodies · (bodies + fixed) + of_others @ others`. The `others` are motor
+    inertias, then all coefficients that are not inertial, in units of `scales`.
+
+    **Attributes**
+
+    - `robot`: whose links the bodies are.
+    - `k`: the fit's coefficients.
+    - `whitening`: the matrix that turns changes of coefficients into standard errors.
+    - `fixed`: bodies that are fixed to links and known.
+    - `prior`: bodies to keep to where the data say nothing.
+    - `of_bodies`, `of_others`: what multiplies the unknowns in every coefficient.
+    - `others`: the prior of the others, in units of `scales`.
+    - `bounded`: 1 for others that cannot be negative.
+    - `scales`: units of the others.
+    - `weight`: standard errors that a change by the whole prior counts.
     """
 
-    network: CSLC
+    robot: Manipulator
     k: Float[np.ndarray, " coefficients"]
-    white: Float[np.ndarray, "rank coefficients"]
-    """Turns changes of coefficients into standard errors."""
+    whitening: Float[np.ndarray, "rank coefficients"]
     fixed: Float[np.ndarray, "links 10"]
     prior: Prior
     of_bodies: Float[np.ndarray, "coefficients links 10"]
     of_others: Float[np.ndarray, "coefficients others"]
     others: Float[np.ndarray, " others"]
-    """What to keep to where the data say nothing."""
     bounded: Float[np.ndarray, " others"]
-    """1 for what cannot be negative."""
     scales: Float[np.ndarray, " others"]
     weight: float
 
     @classmethod
-    def of(
+    def from_fit(
         cls,
-        network: CSLC,
+        algebra: Algebra,
+        coefficients: Sequence[Coefficient],
         fit: Fitted,
+        *,
         prior: Sequence[LinkParameters] | None,
         fixed: Sequence[LinkParameters | None] | None,
         weight: float,
-        drive: bool,
+        motors: bool,
     ) -> "NearestBodies":
-        robot, p = network.robot, network.size
+        """The programme of a fit.
+
+        **Arguments**
+
+        - `algebra`, `coefficients`: of the network; the inertial coefficients come first.
+        - `fit`, `prior`, `fixed`, `weight`, `motors`: as of `physical_parameters`.
+
+        **Raises**
+
+        - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
+        """
+        robot, p = algebra.robot, len(coefficients)
         k = np.asarray(fit.k, float)
         if k.shape != (p,):
             raise ValueError(f"fit: expected {p} coefficients, got an array of shape {k.shape}")
-        held = np.zeros((robot.joint_count, 10))
-        for i, body in enumerate(fixed or ()):
-            if body is not None:
-                held[i] = bodies_of([body])[0]
-        bodies, motors = body_map(network.algebra)
-        inertial, driven = len(bodies), [drive and inertia.motor for inertia in robot.inertia]
-        of_bodies = np.zeros((p, *bodies.shape[1:]))
-        of_bodies[:inertial] = bodies
+        fixed_bodies = np.zeros((robot.joint_count, 10))
+        for i, link in enumerate(fixed or ()):
+            if link is not None:
+                fixed_bodies[i] = bodies_of([link])[0]
+        inertial_of_bodies, of_motors = body_map(algebra)
+        inertial = len(inertial_of_bodies)
+        motor_mask = np.array([motors and inertia.motor for inertia in robot.inertia], bool)
+        motor_count = int(motor_mask.sum())
+        of_bodies = np.zeros((p, *inertial_of_bodies.shape[1:]))
+        of_bodies[:inertial] = inertial_of_bodies
 
-        known = prior if prior is not None else robot.links
-        if known is None:
-            ball = balls(robot, _mass(fit, np.einsum("ple,le->p", of_bodies, _unit_balls(network))))
-            before = prior_of(robot, ball, ball, 0.0 * held)
+        links = prior if prior is not None else robot.links
+        if links is None:
+            unit_balls = bodies_of(balls(robot, 1.0))
+            ball = balls(robot, _mass(fit, np.einsum("ple,le->p", of_bodies, unit_balls)))
+            prior_bodies = prior_of(robot, ball, ball, 0.0 * fixed_bodies)
         else:
-            masses = [float(link.mass) for link in known if float(link.mass) > 0]
-            before = prior_of(robot, known, balls(robot, float(np.mean(masses or [1.0]))), held)
+            masses = [float(link.mass) for link in links if float(link.mass) > 0]
+            ball = balls(robot, float(np.mean(masses or [1.0])))
+            prior_bodies = prior_of(robot, links, ball, fixed_bodies)
 
         errors = np.sqrt(np.maximum(np.diag(np.asarray(fit.covariance, float)), 0.0))[inertial:]
         sizes = np.maximum(np.abs(k[inertial:]), errors)
-        scales = np.concatenate([before.motor_scales[driven], np.where(sizes > 0, sizes, 1.0)])
-        positive = np.array([c.positive for c in network.coefficients[inertial:]], bool)
+        scales = np.concatenate(
+            [prior_bodies.motor_scales[motor_mask], np.where(sizes > 0, sizes, 1.0)]
+        )
+        positive = np.array([c.positive for c in coefficients[inertial:]], bool)
         start = np.where(positive, np.maximum(k[inertial:], 0.0), k[inertial:])
         of_others = np.zeros((p, len(scales)))
-        of_others[:inertial, : sum(driven)] = motors[:, driven]
-        of_others[inertial:, sum(driven) :] = np.eye(p - inertial)
+        of_others[:inertial, :motor_count] = of_motors[:, motor_mask]
+        of_others[inertial:, motor_count:] = np.eye(p - inertial)
         of_others *= scales
-        sizes = [of_bodies[:, i] @ in_units_of(body) for i, body in enumerate(before.bodies)]
-        typical = np.linalg.norm(np.concatenate([*sizes, of_others], axis=1), axis=1)
+        changes = [
+            of_bodies[:, i] @ in_units_of(body) for i, body in enumerate(prior_bodies.bodies)
+        ]
+        typical = np.linalg.norm(np.concatenate([*changes, of_others], axis=1), axis=1)
         return cls(
-            network,
-            k,
-            whitening(fit, np.where(typical > 0, typical, 1.0)),
-            held,
-            before,
-            of_bodies,
-            of_others,
-            np.concatenate([before.motors[driven], start]) / scales,
-            np.concatenate([np.ones(sum(driven)), 1.0 * positive]),
-            scales,
-            weight,
+            robot=robot,
+            k=k,
+            whitening=whitening(fit, np.where(typical > 0, typical, 1.0)),
+            fixed=fixed_bodies,
+            prior=prior_bodies,
+            of_bodies=of_bodies,
+            of_others=of_others,
+            others=np.concatenate([prior_bodies.motors[motor_mask], start]) / scales,
+            bounded=np.concatenate([np.ones(motor_count), 1.0 * positive]),
+            scales=scales,
+            weight=weight,
         )
 
-    def found(
-        self, least: float
-    ) -> tuple[Float[np.ndarray, "links 10"], Float[np.ndarray, " others"], bool] | None:
-        """Bodies without what is fixed to them, `others` in their units, and whether the solver
-        says that it is the optimum; None if it found nothing.
+    def solve(self, least: float) -> Optimum | None:
+        """The nearest bodies; None if the solver fails.
 
-        Full tensors make a convex programme. Principal axes do not, and have a search of their
-        own.
+        Full tensors make a convex programme. Principal axes do not, and have a search of their own.
+
+        **Arguments**
+
+        - `least`: part of its prior that every body holds at least.
+
+        **Raises**
+
+        - `ValueError`: for bodies fixed to links with principal axes.
+        - `ImportError`: without the conic solver, where it is needed.
         """
-        if all(inertia.form == "full" for inertia in self.network.robot.inertia):
-            solution = self._convex(least)
+        if all(inertia.form == "full" for inertia in self.robot.inertia):
+            optimum = self._convex(least)
         else:
-            solution = self._in_charts(least)
-        if solution is None:
+            optimum = self._in_charts(least)
+        if optimum is None:
             return None
-        bodies, others, exactly = solution
+        bodies, others, converged = optimum
         others = np.where(self.bounded > 0, np.maximum(others, 0.0), others) * self.scales
-        return bodies, others, exactly
+        return Optimum(bodies, others, converged)
 
-    def _convex(self, least: float) -> tuple[np.ndarray, np.ndarray, bool] | None:
-        from ._semidefinite import semidefinite_least_squares
-
+    def _convex(self, least: float) -> Optimum | None:
         count = len(self.prior.bodies)
         units = [in_units_of(body) for body in self.prior.bodies]
         columns = [self.of_bodies[:, i] @ unit for i, unit in enumerate(units)]
-        matrix = self.white @ np.concatenate([*columns, self.of_others], axis=1)
-        held = np.einsum("ple,le->p", self.of_bodies, self.fixed)
+        matrix = self.whitening @ np.concatenate([*columns, self.of_others], axis=1)
+        of_fixed = np.einsum("ple,le->p", self.of_bodies, self.fixed)
         wanted = np.concatenate([np.tile(np.eye(4).ravel(), count), self.others])
         rows: list[np.ndarray] = []
         values: list[float] = []
-        for i, (inertia, unit) in enumerate(zip(self.network.robot.inertia, units, strict=True)):
-            for form in ties(inertia):
+        for i, (inertia, unit) in enumerate(zip(self.robot.inertia, units, strict=True)):
+            for form in constraints_of(inertia):
                 row = np.zeros(matrix.shape[1])
                 row[16 * i : 16 * (i + 1)] = form @ unit
                 size = np.linalg.norm(row)
                 rows.append(row / size)
                 values.append(float(-form @ self.fixed[i] / size))
-        found, exactly = semidefinite_least_squares(
+        solution, converged = semidefinite_least_squares(
             np.concatenate([matrix, self.weight * np.eye(matrix.shape[1])]),
-            np.concatenate([self.white @ (self.k - held), self.weight * wanted]),
+            np.concatenate([self.whitening @ (self.k - of_fixed), self.weight * wanted]),
             np.array(rows).reshape(-1, matrix.shape[1]),
             np.array(values),
             bodies=count,
             bounded=self.bounded,
             least=least,
         )
-        if found is None:
+        if solution is None:
             return None
-        bodies = np.stack([unit @ found[16 * i : 16 * (i + 1)] for i, unit in enumerate(units)])
-        return bodies, found[16 * count :], exactly
+        bodies = [unit @ solution[16 * i : 16 * (i + 1)] for i, unit in enumerate(units)]
+        return Optimum(np.stack(bodies), solution[16 * count :], converged)
 
-    def _in_charts(self, least: float) -> tuple[np.ndarray, np.ndarray, bool]:
+    def _in_charts(self, least: float) -> Optimum:
         if np.any(self.fixed):
             raise ValueError("fixed: bodies can be fixed to links with full inertia tensors only")
-        return nearest_in_charts(
-            [
-                BodyChart.of(inertia, body, least)
-                for inertia, body in zip(self.network.robot.inertia, self.prior.bodies, strict=True)
-            ],
-            np.einsum("rp,ple->rle", self.white, self.of_bodies),
-            self.white @ self.of_others,
-            self.white @ self.k,
+        charts = [
+            BodyChart.from_prior(inertia, body, least)
+            for inertia, body in zip(self.robot.inertia, self.prior.bodies, strict=True)
+        ]
+        solution = nearest_in_charts(
+            charts,
+            np.einsum("rp,ple->rle", self.whitening, self.of_bodies),
+            self.whitening @ self.of_others,
+            self.whitening @ self.k,
             self.others,
             self.bounded,
             self.weight,
         )
-
-
-def _unit_balls(network: CSLC) -> Float[np.ndarray, "links 10"]:
-    return bodies_of(balls(network.robot, 1.0))
+        return Optimum(*solution)
 
 
 def _mass(fit: Fitted, of_mass: Float[np.ndarray, " coefficients"]) -> float:
@@ -169,5 +218,5 @@ def _mass(fit: Fitted, of_mass: Float[np.ndarray, " coefficients"]) -> float:
     inertial = of_mass != 0
     white = whitening(fit, np.full(len(of_mass), max(float(np.abs(of_mass).max()), 1e-12)))
     columns = np.concatenate([of_mass[:, None], np.eye(len(of_mass))[:, ~inertial]], axis=1)
-    found = float(np.linalg.lstsq(white @ columns, white @ np.asarray(fit.k, float))[0][0])
-    return min(max(found, 0.1), 1000.0) if np.isfinite(found) and found > 0 else 1.0
+    mass = float(np.linalg.lstsq(white @ columns, white @ np.asarray(fit.k, float))[0][0])
+    return min(max(mass, 0.1), 1000.0) if np.isfinite(mass) and mass > 0 else 1.0

@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from ._bodies import body_of_pseudo_inertia, principal_body, pseudo_inertia
 from ._coefficient_metric import whitening
+from ._semidefinite import semidefinite_least_squares
 
 
 # Of aluminium [kg/m³]: how large the ball is that a body of unknown shape is compared with.
@@ -35,24 +36,33 @@ def nearest_body(
     nearest to an aluminium ball of the estimate's mass around its centre. An estimate that can
     exist is its own answer, but for rounding.
 
+    **Arguments**
+
+    - `body`, `covariance`: the estimate, and how uncertain it is.
+    - `undetermined`: combinations that the data do not determine; none if omitted.
     - `least`: the body holds at least this part of such a ball (eigenvalues of its
       pseudo-inertia, in units of the ball's).
 
-    **Returns** None if the solver finds nothing.
+    **Returns**
+
+    - Ten numbers of the body; None if the solver fails.
+
+    **Raises**
+
+    - `ImportError`: without the conic solver, where the estimate cannot exist.
 
     >>> import numpy as np
-    >>> found = nearest_body(np.array([-0.1, 1, 1, 0, 0, 0, 0.5, 0, 0, 2.0]), np.eye(10))
-    >>> bool(np.all(np.linalg.eigvalsh(pseudo_inertia(found)) > 0))
+    >>> body = nearest_body(np.array([-0.1, 1, 1, 0, 0, 0, 0.5, 0, 0, 2.0]), np.eye(10))
+    >>> bool(np.all(np.linalg.eigvalsh(pseudo_inertia(body)) > 0))
     True
     """
-    from ._semidefinite import semidefinite_least_squares
-
-    nothing = np.zeros((0, 10))
+    if undetermined is None:
+        undetermined = np.zeros((0, 10))
     ball = _ball(body, covariance)
     unit = in_units_of(ball)
-    estimate = _Estimate(body, covariance, nothing if undetermined is None else undetermined)
+    estimate = _Estimate(body, covariance, undetermined)
     white = whitening(estimate, np.linalg.norm(unit, axis=1))
-    found, _ = semidefinite_least_squares(
+    solution, _ = semidefinite_least_squares(
         np.concatenate([white @ unit, _WEIGHT * np.eye(16)]),
         np.concatenate([white @ body, _WEIGHT * np.eye(4).ravel()]),
         np.zeros((0, 16)),
@@ -61,7 +71,7 @@ def nearest_body(
         bounded=np.zeros(0),
         least=least,
     )
-    return None if found is None else unit @ found
+    return None if solution is None else unit @ solution
 
 
 def in_units_of(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 16"]:
@@ -77,7 +87,7 @@ def in_units_of(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 16"]:
 def _ball(
     body: Float[np.ndarray, "10"], covariance: Float[np.ndarray, "10 10"]
 ) -> Float[np.ndarray, "10"]:
-    """Of the estimate's mass, or of its error's if that is more, around the estimate's centre."""
+    """A ball around the estimate's centre, of its mass or the mass's error, whichever is more."""
     mass = max(float(body[9]), float(np.sqrt(max(covariance[9, 9], 0.0))), _LIGHTEST)
     radius = (3.0 * mass / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
     return principal_body(mass, body[6:9] / mass, np.full(3, mass * radius**2 / 5.0))

@@ -3,7 +3,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 
 from ..manipulator import LinkInertia
 from ._bodies import body_of_pseudo_inertia, central_tensor, principal_body, pseudo_inertia
@@ -16,23 +15,34 @@ _LOWER = [(a, b) for a in range(4) for b in range(a + 1)]
 
 @dataclass(frozen=True, eq=False)
 class BodyChart:
-    """A body in numbers of the size of one that bounds alone keep possible.
+    """Coordinates of a body, each of order one, that are possible wherever their bounds hold.
 
     A link with principal axes: mass, coordinates of the centre, and spread of mass along each
     axis, equal spreads as one. A full tensor: a triangle M with J̃ = M Mᵀ + least, in units of
-    the prior's pseudo-inertia. Both are the prior at `start`.
+    the prior's pseudo-inertia.
+
+    **Attributes**
+
+    - `prior`: ten numbers of the body at `start`.
+    - `scale`: triangular factor of the prior's pseudo-inertia.
+    - `start`, `low`: coordinates of the prior, and lower bounds.
+    - `least`: part of the prior that every body holds at least.
+    - `centre`: axes along which the centre is free.
+    - `spreads`: axes that share a spread; () for a full tensor.
     """
 
     prior: Float[np.ndarray, "10"]
     scale: Float[np.ndarray, "4 4"]
-    start: Float[np.ndarray, " numbers"]
-    low: Float[np.ndarray, " numbers"]
+    start: Float[np.ndarray, " coordinates"]
+    low: Float[np.ndarray, " coordinates"]
     least: float
-    centre: tuple[int, ...] = ()  # axes along which the centre is free
-    spreads: tuple[tuple[int, ...], ...] = ()  # axes that share a spread; () for a full tensor
+    centre: tuple[int, ...] = ()
+    spreads: tuple[tuple[int, ...], ...] = ()
 
     @classmethod
-    def of(cls, inertia: LinkInertia, prior: Float[np.ndarray, "10"], least: float) -> "BodyChart":
+    def from_prior(
+        cls, inertia: LinkInertia, prior: Float[np.ndarray, "10"], least: float
+    ) -> "BodyChart":
         scale = np.linalg.cholesky(pseudo_inertia(prior))
         if inertia.form == "full":
             start = np.array([np.sqrt(1 - least) if a == b else 0.0 for a, b in _LOWER])
@@ -49,14 +59,16 @@ class BodyChart:
         low = np.array([least, *(-np.inf for _ in centre), *(least for _ in spreads)])
         return cls(prior, scale, start, low, least, centre, spreads)
 
-    def body(self, z: Float[np.ndarray, " numbers"]) -> Float[np.ndarray, "10"]:
+    def body(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "10"]:
+        """Ten numbers of the body with coordinates z."""
         if not self.spreads:
             lower = self._lower(z)
             return self._from_unit(lower @ lower.T + self.least * np.eye(4))
         mass, centre, spread = self._principal(z)
         return principal_body(mass, centre, spread)
 
-    def slope(self, z: Float[np.ndarray, " numbers"]) -> Float[np.ndarray, "10 numbers"]:
+    def jacobian(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "10 coordinates"]:
+        """Derivatives of the ten numbers by the coordinates."""
         columns: list[np.ndarray] = []
         if not self.spreads:
             lower = self._lower(z)
@@ -80,7 +92,7 @@ class BodyChart:
         return np.stack(columns, axis=1)
 
     def _principal(
-        self, z: Float[np.ndarray, " numbers"]
+        self, z: Float[np.ndarray, " coordinates"]
     ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         centre, spread = self.prior[6:9] / self.prior[9], self._prior_spread()
         centre[list(self.centre)] += self._radius() * z[1 : 1 + len(self.centre)]
@@ -95,7 +107,7 @@ class BodyChart:
     def _radius(self) -> float:
         return float(np.sqrt(np.sum(self._prior_spread()) / self.prior[9]))
 
-    def _lower(self, z: Float[np.ndarray, " numbers"]) -> Float[np.ndarray, "4 4"]:
+    def _lower(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "4 4"]:
         lower = np.zeros((4, 4))
         for value, (a, b) in zip(z, _LOWER, strict=True):
             lower[a, b] = value
@@ -115,11 +127,15 @@ def nearest_in_charts(
     bounded: Float[np.ndarray, " others"],
     weight: float,
 ) -> tuple[Float[np.ndarray, "links 10"], Float[np.ndarray, " others"], bool]:
-    """min |of_bodies · bodies + of_others · y - target|² + weight² |numbers - start|², bodies
+    """min |of_bodies · bodies + of_others · y - target|² + weight² |coordinates - start|², bodies
     possible, y ≥ 0 where `bounded`. Not convex; the search starts at the prior.
 
-    **Returns** bodies, y, and whether the search settled.
+    **Returns**
+
+    - Bodies, y, and whether the search converged.
     """
+    from scipy.optimize import least_squares  # half a second to import
+
     start = np.concatenate(
         [
             *(chart.start for chart in charts),
@@ -129,10 +145,10 @@ def nearest_in_charts(
     wanted = np.concatenate([*(chart.start for chart in charts), others])
     low = np.concatenate([*(chart.low for chart in charts), np.where(bounded > 0, 0.0, -np.inf)])
     edges = np.cumsum([0, *(len(chart.start) for chart in charts)])
-    places = [slice(a, b) for a, b in itertools.pairwise(edges)]
+    slices = [slice(a, b) for a, b in itertools.pairwise(edges)]
 
     def bodies(z: np.ndarray) -> np.ndarray:
-        return np.stack([c.body(z[at]) for c, at in zip(charts, places, strict=True)])
+        return np.stack([c.body(z[part]) for c, part in zip(charts, slices, strict=True)])
 
     def residual(z: np.ndarray) -> np.ndarray:
         change = np.einsum("rle,le->r", of_bodies, bodies(z)) + of_others @ z[edges[-1] :] - target
@@ -140,14 +156,14 @@ def nearest_in_charts(
 
     def jacobian(z: np.ndarray) -> np.ndarray:
         blocks = [
-            of_bodies[:, i] @ chart.slope(z[at])
-            for i, (chart, at) in enumerate(zip(charts, places, strict=True))
+            of_bodies[:, i] @ chart.jacobian(z[part])
+            for i, (chart, part) in enumerate(zip(charts, slices, strict=True))
         ]
         return np.concatenate(
             [np.concatenate([*blocks, of_others], axis=1), weight * np.eye(len(z))]
         )
 
-    found = least_squares(
+    optimum = least_squares(
         residual,
         start,
         jacobian,
@@ -157,4 +173,4 @@ def nearest_in_charts(
         gtol=_TOLERANCE,
         max_nfev=_EVALUATIONS,
     )
-    return bodies(found.x), found.x[edges[-1] :], found.status > 0
+    return bodies(optimum.x), optimum.x[edges[-1] :], optimum.status > 0

@@ -26,8 +26,11 @@ _FILL = 0.02
 class Prior:
     """Bodies and motor inertias to keep to where the data say nothing.
 
-    - `bodies`: ten numbers a link; each can exist.
-    - `motors`: motor inertias; `motor_scales`: what counts as a change by a whole one.
+    **Attributes**
+
+    - `bodies`: ten numbers a link, all of them possible.
+    - `motors`: motor inertias.
+    - `motor_scales`: what counts as a change by a whole one.
     """
 
     bodies: Float[np.ndarray, "links 10"]
@@ -38,15 +41,17 @@ class Prior:
 def balls(robot: Manipulator, mass: float) -> tuple[LinkParameters, ...]:
     """Solid balls of equal mass, one a link, half way to where the next joint is.
 
-    What is assumed of a robot of which nothing is known but its lengths.
+    The assumption for a robot of which only the lengths are known.
     """
     n = robot.joint_count
-    reach = sum(abs(length.value or 0.0) for joint in robot.joints for length in _lengths(joint))
+    reach = sum(
+        abs(length.value or 0.0) for joint in robot.joints for _, _, length in joint.lengths
+    )
     ends = np.zeros((n, 3))
     for child, parent in enumerate(robot.parents):
-        place = _origin(robot.joints[child])
-        if parent >= 0 and np.linalg.norm(place) > np.linalg.norm(ends[parent]):
-            ends[parent] = place
+        origin = _origin(robot.joints[child])
+        if parent >= 0 and np.linalg.norm(origin) > np.linalg.norm(ends[parent]):
+            ends[parent] = origin
     links: list[LinkParameters] = []
     for inertia, end in zip(robot.inertia, ends, strict=True):
         radius = max(float(np.linalg.norm(end)) / 2, _SMALLEST_PART * reach, _SMALLEST_RADIUS)
@@ -66,7 +71,10 @@ def prior_of(
 
     **Arguments**
 
-    - `filler`: bodies; each lends what its link lacks.
+    - `robot`: its links' kinds of inertia.
+    - `links`: their parameters.
+    - `filler`: a possible body for each link, which lends it what it lacks.
+    - `fixed`: ten numbers of the body that is fixed to each link.
     """
     bodies = bodies_of(links) - fixed
     lenders = bodies_of(filler)
@@ -77,8 +85,8 @@ def prior_of(
         ]
     )
     motors = np.array([float(link.motor_inertia) for link in links])
-    own = np.where([kind == "R" for kind in robot.kinds], possible[:, 2], possible[:, 9])
-    return Prior(possible, motors, np.where(motors > 0, motors, own))
+    link_scales = np.where([kind == "R" for kind in robot.kinds], possible[:, 2], possible[:, 9])
+    return Prior(possible, motors, np.where(motors > 0, motors, link_scales))
 
 
 def _possible(
@@ -110,12 +118,8 @@ def _possible_principal(
     return principal_body(mass, centre, spread)
 
 
-def _lengths(joint: Joint):
-    return (length for _, _, length in joint.lengths)
-
-
 def _origin(joint: Joint) -> Float[np.ndarray, "3"]:
-    """Where a joint's frame stands in the frame of the link that carries it [m]."""
+    """Where a joint's frame is in the frame of the link that carries it [m]."""
     a, d, b = (length.value or 0.0 for length in (joint.a, joint.d, joint.b))
     across = np.array([a, -math.sin(joint.alpha) * d, math.cos(joint.alpha) * d])
     c, s = math.cos(joint.gamma), math.sin(joint.gamma)

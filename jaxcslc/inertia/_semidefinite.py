@@ -1,10 +1,7 @@
 import warnings
 from typing import Any
 
-import cvxpy as cp
 import numpy as np
-import scipy.linalg
-from cvxpy.error import SolverError
 from jaxtyping import Float
 
 
@@ -15,8 +12,8 @@ _ROUNDING = 1e-12
 def semidefinite_least_squares(
     matrix: Float[np.ndarray, "rows unknowns"],
     target: Float[np.ndarray, " rows"],
-    rows: Float[np.ndarray, "ties unknowns"],
-    values: Float[np.ndarray, " ties"],
+    rows: Float[np.ndarray, "constraints unknowns"],
+    values: Float[np.ndarray, " constraints"],
     *,
     bodies: int,
     bounded: Float[np.ndarray, " others"],
@@ -25,24 +22,32 @@ def semidefinite_least_squares(
     """min |matrix x - target|² with x = (X₁, …, Xₘ, y), rows @ x = values, every Xᵢ (4, 4)
     symmetric with eigenvalues ≥ least, y ≥ 0 where `bounded` is not zero.
 
-    Where no inequality holds it back, the optimum is that of a least-squares problem: that is
-    tried first, for it is exact where a conic solver is good to some eight digits.
+    Where no inequality is active, the optimum is that of a least-squares problem: that is tried
+    first, for it is exact where a conic solver is good to some eight digits.
 
-    **Returns** the optimum, None if there is none, and whether the solver says that it is one.
+    **Returns**
+
+    - The optimum, or None if the solver fails.
+    - Whether the solver says that it is one.
+
+    **Raises**
+
+    - `ImportError`: an inequality is active, and no conic solver is installed.
     """
+    from scipy.linalg import solve_triangular
+
     origin, span = _solutions(rows @ (expand := _expansion(bodies, len(bounded))), values)
     origin, span = expand @ origin, expand @ span
     stacked = np.concatenate([matrix @ span, (target - matrix @ origin)[:, None]], axis=1)
     triangle: Any = np.linalg.qr(stacked, mode="r")  # says all that the equations say
     size = span.shape[1]
-    inverse = scipy.linalg.solve_triangular(triangle[:size, :size], np.eye(size))
+    inverse = solve_triangular(triangle[:size, :size], np.eye(size))
     free = origin + span @ (inverse @ triangle[:size, size])
-    own = free[16 * bodies :][bounded > 0]
-    if np.min(np.linalg.eigvalsh(free[: 16 * bodies].reshape(-1, 4, 4))) >= least and np.all(
-        own >= 0
-    ):
+    lowest = np.min(np.linalg.eigvalsh(free[: 16 * bodies].reshape(-1, 4, 4)))
+    if lowest >= least and np.all(free[16 * bodies :][bounded > 0] >= 0):
         return free, True
 
+    cp = _conic_solver()
     # From there, in steps that cost alike: what the data fix moves the bodies little. In the
     # unknowns themselves the condition number would be that of the data.
     step = cp.Variable(size)
@@ -59,26 +64,37 @@ def semidefinite_least_squares(
         warnings.simplefilter("ignore")
         try:
             problem.solve(solver=cp.CLARABEL)
-        except SolverError:
+        except cp.error.SolverError:
             return None, False
     if step.value is None or not np.all(np.isfinite(step.value)):
         return None, False
     return free + steps @ np.asarray(step.value), problem.status == cp.OPTIMAL
 
 
+def _conic_solver() -> Any:
+    """CVXPY with Clarabel; they take a second to import and few fits need them."""
+    try:
+        import cvxpy
+    except ImportError:
+        raise ImportError(
+            "possible link parameters need a conic solver: pip install 'jaxcslc[inertia]'"
+        ) from None
+    return cvxpy
+
+
 def _expansion(bodies: int, others: int) -> Float[np.ndarray, "unknowns independent"]:
     """From the ten independent entries of each symmetric matrix to all sixteen."""
     expand = np.zeros((16 * bodies + others, 10 * bodies + others))
     for body in range(bodies):
-        for place, (a, b) in enumerate(_UPPER):
-            expand[16 * body + 4 * a + b, 10 * body + place] = 1.0
-            expand[16 * body + 4 * b + a, 10 * body + place] = 1.0
+        for entry, (a, b) in enumerate(_UPPER):
+            expand[16 * body + 4 * a + b, 10 * body + entry] = 1.0
+            expand[16 * body + 4 * b + a, 10 * body + entry] = 1.0
     expand[16 * bodies :, 10 * bodies :] = np.eye(others)
     return expand
 
 
 def _solutions(
-    rows: Float[np.ndarray, "ties unknowns"], values: Float[np.ndarray, " ties"]
+    rows: Float[np.ndarray, "constraints unknowns"], values: Float[np.ndarray, " constraints"]
 ) -> tuple[Float[np.ndarray, " unknowns"], Float[np.ndarray, "unknowns free"]]:
     """All x with rows @ x = values: one of them, and what can be added to it."""
     if not len(rows):
