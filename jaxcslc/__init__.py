@@ -13,7 +13,9 @@ from .identification import (
     RESULTS as RESULTS,
     Candidates as Candidates,
     ErrorTable as ErrorTable,
+    Fixed as Fixed,
     Identification as Identification,
+    LeastSquares as LeastSquares,
     PayloadFit as PayloadFit,
     PhysicalParameters as PhysicalParameters,
     Refinement as Refinement,
@@ -24,11 +26,9 @@ from .identification import (
     compare as compare,
     fit_payload as fit_payload,
     fit_slopes as fit_slopes,
-    least_squares as least_squares,
-    least_squares_stream as least_squares_stream,
     physical_parameters as physical_parameters,
     refine_thresholds as refine_thresholds,
-    relearn as relearn,
+    reidentify as reidentify,
 )
 from .manipulator import (
     LinkInertia as LinkInertia,

@@ -140,7 +140,7 @@ def agreement(
     >>> all_pairs, k = np.ones(q.shape, bool), jnp.array([0.5, 0.3, -0.1, 0.2, 0.05])
     >>> noise = np.random.default_rng(1).normal(size=(2, 500, 1))
     >>> fits = [
-    ...     jc.least_squares(
+    ...     jc.LeastSquares(errors="independent").fit(
     ...         network,
     ...         jc.Patterns(
     ...             np.arange(500.0), q, qd, qdd, network.torque(k, q, qd, qdd) + error,

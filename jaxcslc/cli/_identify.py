@@ -92,14 +92,14 @@ def identify_command(
         slopes, words = "", [word.strip() for word in (relearn or "").split(",")]
         if before is None and "static" in network.robot.friction_terms:
             step("looking for the slopes of static friction")
-            searched = fit_slopes(network, patterns["training"], joint_weights=chosen.joint_weights)
+            searched = fit_slopes(network, patterns["training"], solver=chosen.solver)
             network, slopes = searched.network, _slopes(searched.network, searched)
         step("solving")
         vectors: dict[str, Array] = {}
         if before is None:
             fit = chosen.fit(network, patterns["training"])
         else:
-            fit = chosen.relearn(network, patterns["training"], before.fit, words)
+            fit = chosen.reidentify(network, patterns["training"], before.fit, words)
             vectors["before"] = before.fit.k
         step("judging")
         excitation = elsewhere = None
@@ -131,8 +131,8 @@ def identify_command(
     if slopes:
         typer.echo(f"\n{slopes}")
     typer.echo(
-        f"\nlow and high: 95 % intervals for {fit.errors} errors, {float(fit.freedom):.0f} degrees"
-        " of freedom"
+        f"\nlow and high: 95 % intervals for {fit.errors} errors,"
+        f" {float(fit.degrees_of_freedom):.0f} degrees of freedom"
     )
     for sentence in fit.unidentifiable:
         typer.echo(f"not determined: {sentence}")

@@ -59,11 +59,11 @@ def payload_command(
             patterns = chosen.patterns(recording)
         step("solving")
         if unloaded is None or empty is None:
-            found = fit_payload(network, patterns, known=before.fit, **chosen.options)
+            found = fit_payload(network, patterns, previous=before.fit, solver=chosen.solver)
         else:
             with of_file(unloaded):
                 alone = chosen.patterns(empty)
-            found = fit_payload(network, patterns, alone, **chosen.options)
+            found = fit_payload(network, patterns, alone, solver=chosen.solver)
         step("writing")
         errors = _errors(network, found, patterns)
         with all_or_nothing(output) as folder:

@@ -82,7 +82,7 @@ def write_robot(
     ...     torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
     ...     torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
     ...     patterns = jc.Patterns(t[:, 0], *motion, torque, pairs, pairs)
-    ...     found = jc.physical_parameters(network, jc.least_squares(network, patterns))
+    ...     found = jc.physical_parameters(network, jc.LeastSquares().fit(network, patterns))
     ...     written = jc.write_robot(network, found, folder / "identified.toml")
     ...     text = written.path.read_text()
     >>> "# hinge" in text, "mass = " in text, bool(written.largest.max() < 1e-9)

@@ -12,7 +12,7 @@ from ._physical_parameters import (
     physical_parameters as physical_parameters,
 )
 from ._refinement import Refinement as Refinement, refine_thresholds as refine_thresholds
-from ._relearn import relearn as relearn
+from ._reidentification import reidentify as reidentify
 from ._selection import Selection as Selection, Trial as Trial, choose_settings as choose_settings
 from ._settings import Settings as Settings
 from ._settings_document import (
@@ -41,22 +41,10 @@ from .report import (
 from .solver import (
     RESULTS as RESULTS,
     Errors as Errors,
+    Fixed as Fixed,
     Identification as Identification,
-    JointFactors as JointFactors,
     JointWeights as JointWeights,
-    KeptRows as KeptRows,
-    Known as Known,
+    LeastSquares as LeastSquares,
     Loss as Loss,
-    check_patterns as check_patterns,
-    check_words as check_words,
-    checked as checked,
-    equations_of as equations_of,
-    factorise as factorise,
-    filled_up as filled_up,
-    fit_factors as fit_factors,
-    fit_rows as fit_rows,
-    least_squares as least_squares,
-    least_squares_stream as least_squares_stream,
-    regressor_of as regressor_of,
-    require_float64 as require_float64,
+    Previous as Previous,
 )

@@ -10,12 +10,9 @@ from ..motion import Patterns
 from ..network import CSLC
 from ._settings import Settings
 from .solver import (
-    Equations,
     Identification,
     effective_counts,
     filled_up,
-    fit_without_each,
-    held_out_errors,
     regressor_of,
 )
 
@@ -121,7 +118,7 @@ def held_out_error(
     >>> everything = np.ones(t.shape, bool)
     >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
     >>> early, late = patterns.between(0.0, 2.5), patterns.between(2.5, 5.1)
-    >>> held_out_error(network, jc.least_squares(network, early), early, late).beyond_chance
+    >>> held_out_error(network, jc.LeastSquares().fit(network, early), early, late).beyond_chance
     ()
     """
     errors: list[np.ndarray] = []
@@ -176,20 +173,8 @@ def cross_validated_error(
         raise ValueError(f"{folds} folds of {samples} samples; expected from 2 to {samples}")
     regressor = np.asarray(regressor_of(network, patterns))
     torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
-    equations = Equations.of(
-        network,
-        regressor,
-        torque,
-        mask,
-        time=np.asarray(patterns.time),
-        cutoff=given.cutoff,
-    )
     fold = np.arange(samples) * folds // samples
-    residual = given.joint_weights == "residual"
-    k = fit_without_each(
-        network, equations.factors_of_folds(fold, folds), residual_weights=residual
-    )
-    held_out = held_out_errors(regressor, torque, k, fold)
+    held_out = given.solver.held_out_errors(network, patterns, fold)
     fit = dataclasses.replace(given, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
     return _judged(training, mask, held_out, mask, int(fit.rank))

@@ -4,33 +4,17 @@ from ..inertia import link_of, nearest_body
 from ..motion import Patterns
 from ..network import CSLC
 from ._payload_fit import PayloadFit
-from ._relearn import relearn
-from .solver import (
-    Errors,
-    Identification,
-    JointWeights,
-    KeptRows,
-    Known,
-    Loss,
-    check_patterns,
-    check_words,
-    checked,
-    equations_of,
-    fit_rows,
-)
+from ._reidentification import reidentify
+from .solver import Identification, LeastSquares, Previous
 
 
 def fit_payload(
     network: CSLC,
     loaded: Patterns,
     unloaded: Patterns | None = None,
-    known: Known | None = None,
+    previous: Previous | None = None,
     *,
-    cutoff: float | None = None,
-    joint_weights: JointWeights = "equal",
-    loss: Loss = "squared",
-    errors: Errors = "independent",
-    rcond: float | None = None,
+    solver: LeastSquares | None = None,
     throw: bool = True,
 ) -> PayloadFit:
     """The ten inertial parameters of a payload from a recording of the loaded arm (thesis 8.2.4).
@@ -41,9 +25,9 @@ def fit_payload(
 
     - `unloaded`, a recording of the arm without it: the coefficients of both are fitted to both
       recordings together. Payload columns of the unloaded one are zero.
-    - `known`, what was identified before: the arm's coefficients are held there
-      (`relearn(..., groups=("payload",))`). If it is an `Identification`, its uncertainty counts:
-      the payload's covariance holds what errors of the arm's coefficients do to it.
+    - `previous`, an earlier identification of the arm, whose coefficients stay fixed
+      (`reidentify(..., groups=("payload",))`). If it is an `Identification`, its uncertainty
+      counts: the payload's covariance includes what errors of the arm's coefficients do to it.
 
     The payload is in the frame of the link that carries it, the last one unless the network says
     otherwise (`with_payload`). Friction that changes with the load, and an arm whose friction has
@@ -53,17 +37,18 @@ def fit_payload(
 
     - `network`: of the arm, with or without payload.
     - `loaded`, `unloaded`: patterns (samples, n).
-    - `known`: an `Identification` of the arm, or its coefficients; exact ones, then.
-    - `cutoff`, `joint_weights`, `loss`, `errors`, `rcond`, `throw`: as for `least_squares`.
+    - `previous`: an `Identification` of the arm, or its coefficients, which then count as exact.
+    - `solver`: options of the fit; the defaults of `LeastSquares` if None.
+    - `throw`: as of `LeastSquares.fit`.
 
     **Returns** a `PayloadFit`. Runs on the host; with `unloaded` it keeps the equations of both
     recordings in memory.
 
     **Raises**
 
-    - `ValueError`: unless one of `unloaded` and `known` is given; for another network's
-      coefficients; or as `least_squares`.
-    - `RuntimeError`: as `least_squares`.
+    - `ValueError`: unless one of `unloaded` and `previous` is passed; for another network's
+      coefficients; or as `LeastSquares.fit`.
+    - `RuntimeError`: as `LeastSquares.fit`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.puma560()
@@ -78,53 +63,27 @@ def fit_payload(
     >>> pairs = np.ones(q.shape, bool)
     >>> time, torque = 0.1 * np.arange(100), carried.torque(k, q, qd, qdd)
     >>> patterns = jc.Patterns(time, q, qd, qdd, torque, pairs, pairs)
-    >>> found = jc.fit_payload(network, patterns, known=arm)
+    >>> found = jc.fit_payload(network, patterns, previous=arm)
     >>> round(float(found.mass), 6), np.round(found.centre_of_gravity, 6).tolist()
     (1.5, [0.02, 0.0, 0.1])
     """
-    if unloaded is not None and known is not None:
-        raise ValueError("fit_payload: got both unloaded and known; expected one of them")
-    if unloaded is None and known is None:
+    if unloaded is not None and previous is not None:
+        raise ValueError("fit_payload: got both unloaded and previous; expected one of them")
+    if unloaded is None and previous is None:
         raise ValueError(
             "fit_payload: a loaded recording alone cannot tell payload and last link apart;"
-            " expected one of unloaded and known"
+            " expected one of unloaded and previous"
         )
     whole = network.with_payload() if network.payload is None else network
-    if known is not None:
-        fit = relearn(
-            whole,
-            loaded,
-            known,
-            groups=("payload",),
-            cutoff=cutoff,
-            joint_weights=joint_weights,
-            loss=loss,
-            errors=errors,
-            rcond=rcond,
-            throw=throw,
-        )
+    solver = solver or LeastSquares()
+    if previous is not None:
+        fit = reidentify(whole, loaded, previous, groups=("payload",), solver=solver, throw=throw)
     else:
         assert unloaded is not None
-        check_patterns(whole, loaded)
-        check_patterns(whole, unloaded)
-        check_words(loss, errors)
         payload = range(whole.size - 10, whole.size)
-        alone = equations_of(whole, unloaded, cutoff).without(whole, payload)
-        both = equations_of(whole, loaded, cutoff).followed_by(alone, loaded.samples)
-        again = loss != "squared" or errors != "independent"
-        rows = KeptRows.of(both, loaded.samples + unloaded.samples) if again else None
-        fit = checked(
-            fit_rows(
-                whole,
-                both.factors(),
-                rows,
-                joint_weights=joint_weights,
-                loss=loss,
-                errors=errors,
-                rcond=rcond,
-            ),
-            throw,
-        )
+        alone = solver.equations(whole, unloaded).without(whole, payload)
+        both = solver.equations(whole, loaded).followed_by(alone, loaded.samples)
+        fit = solver.fit_equations(whole, both, loaded.samples + unloaded.samples, throw=throw)
     body = _possible(fit)
     return PayloadFit(fit, None if body is None else link_of(body))
 

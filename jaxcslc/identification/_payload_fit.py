@@ -37,7 +37,7 @@ class PayloadFit(eqx.Module):
     >>> k = np.zeros(network.size)
     >>> k[-10:] = 0.01, 0.01, 0.02, 0, 0, 0, 0.1, 0, 0, 1
     >>> patterns = jc.Patterns(t[:, 0], *motion, network.torque(k, *motion), pairs, pairs)
-    >>> found = jc.fit_payload(network, patterns, known=np.zeros(network.size - 10))
+    >>> found = jc.fit_payload(network, patterns, previous=np.zeros(network.size - 10))
     >>> print(found.unidentifiable[0])
     pIxx: nothing in the patterns depends on it
     >>> round(float(found.parameters[6]), 6)  # first moment along x
@@ -130,7 +130,7 @@ class PayloadFit(eqx.Module):
         """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level is {level}; expected more than 0 and less than 1")
-        half = float(stdtrit(float(self.fit.freedom), 0.5 + 0.5 * level)) * np.asarray(
+        half = float(stdtrit(float(self.fit.degrees_of_freedom), 0.5 + 0.5 * level)) * np.asarray(
             self.physical_error
         )
         value = np.asarray(self.physical)

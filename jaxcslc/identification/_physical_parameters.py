@@ -52,7 +52,7 @@ class PhysicalParameters:
     >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
     >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
     >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> fit = jc.least_squares(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
     >>> found = jc.physical_parameters(network, fit)
     >>> bool(found.links[0].mass > 0), found.to_pandas().shape[0]
     (True, 1)
@@ -130,7 +130,7 @@ def physical_parameters(
     **Arguments**
 
     - `network`: p coefficients.
-    - `fit`: from `least_squares` and its relatives; `k`, `covariance` and `undetermined` are used.
+    - `fit`: of `LeastSquares`; `k`, `covariance` and `undetermined` are used.
     - `prior`: links to keep to where the data say nothing; `network.robot.links` if omitted, or
       else balls of equal mass between the joints. Links that cannot exist are filled up first.
     - `fixed`: for each link a body that is part of it and known, such as a gripper's, or None.

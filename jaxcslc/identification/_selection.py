@@ -9,7 +9,7 @@ from ..motion import AbstractSmoothing, Recording, without_rounding, zero_phase
 from ..network import CSLC
 from ._candidates import Candidates
 from ._settings import Settings
-from .solver import Equations, fit_without_each, held_out_errors, regressor_of, require_float64
+from .solver import require_float64
 
 
 # Fewer judged samples of a joint in one fold say little.
@@ -303,20 +303,7 @@ def _held_out(
 ) -> Float[np.ndarray, "samples joints"]:
     """Torque error of every sample under coefficients fitted without its stretch."""
     patterns = settings.patterns(recording)
-    regressor = np.asarray(regressor_of(network, patterns))
-    torque = np.asarray(patterns.torque)
-    equations = Equations.of(
-        network,
-        regressor,
-        torque,
-        np.asarray(patterns.mask),
-        time=np.asarray(patterns.time),
-        cutoff=settings.cutoff,
-    )
-    factors = equations.factors_of_folds(course.fold, course.folds)
-    residual = settings.joint_weights == "residual"
-    k = fit_without_each(network, factors, residual_weights=residual)
-    error = held_out_errors(regressor, torque, k, course.fold)
+    error = settings.solver.held_out_errors(network, patterns, course.fold)
     if settings.torque_alignment == "mean":
         return error
     # A torque averaged over two samples has less noise: that must not speak for averaging it.

@@ -1,6 +1,6 @@
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from ..motion import (
     prepare,
 )
 from ..network import CSLC
-from ._relearn import relearn
-from .solver import ERRORS, LOSSES, Errors, Identification, Known, Loss, least_squares
+from ._reidentification import reidentify
+from .solver import ERRORS, LOSSES, Errors, Identification, LeastSquares, Loss, Previous
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Settings:
     """Everything that stands between a recording and its coefficients, in one place.
 
     The defaults do for a first look; `choose_settings` finds better ones from the recording. What
-    they mean is said where they are used, in `jaxcslc.motion.prepare` and in `least_squares`.
+    they mean is said where they are used, in `jaxcslc.motion.prepare` and in `LeastSquares`.
 
     **Attributes**
 
@@ -123,24 +123,25 @@ alike at 15 Hz, joints weighted by residual
     def fit(self, network: CSLC, patterns: Patterns) -> Identification:
         """The direct solve under these settings.
 
-        **Raises** as `least_squares`.
+        **Raises** as `LeastSquares.fit`.
         """
-        return least_squares(network, patterns, **self.options)
+        return self.solver.fit(network, patterns)
 
-    def relearn(
-        self, network: CSLC, patterns: Patterns, known: Known, groups: Sequence[str]
+    def reidentify(
+        self, network: CSLC, patterns: Patterns, previous: Previous, groups: Sequence[str]
     ) -> Identification:
         """A part of the coefficients under these settings.
 
-        **Raises** as `relearn`.
+        **Raises** as `reidentify`.
         """
-        return relearn(network, patterns, known, groups=groups, **self.options)
+        return reidentify(network, patterns, previous, groups=groups, solver=self.solver)
 
     @property
-    def options(self) -> dict[str, Any]:
-        """Those of the solvers: `cutoff`, `joint_weights`, `loss` and `errors`."""
-        names = ("cutoff", "joint_weights", "loss", "errors")
-        return {name: getattr(self, name) for name in names}
+    def solver(self) -> LeastSquares:
+        """The solver with these options."""
+        return LeastSquares(
+            joint_weights=self.joint_weights, loss=self.loss, errors=self.errors, cutoff=self.cutoff
+        )
 
     def trimmed(self, recording: Recording) -> int:
         """How many samples `patterns` drops at both ends of a recording."""

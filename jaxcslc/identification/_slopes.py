@@ -1,3 +1,4 @@
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..motion import Patterns
 from ..network import CSLC
-from .solver import Identification, JointWeights, least_squares, regressor_of
+from .solver import Identification, JointWeights, LeastSquares, regressor_of
 
 
 # Slopes that a fit starts from, tried joint by joint: static friction that has gone to exp(-3) at
@@ -63,7 +64,7 @@ def fit_slopes(
     patterns: Patterns,
     *,
     start: Float[Array | np.ndarray, " joints"] | None = None,
-    joint_weights: JointWeights = "equal",
+    solver: LeastSquares | None = None,
     blocks: int | None = None,
     max_steps: int = 100,
 ) -> SlopeFit:
@@ -77,9 +78,9 @@ def fit_slopes(
     **Arguments**
 
     - `network`: n joints, p coefficients; some joint has the friction term `"static"`.
-    - `patterns`: as of `least_squares`. Slow pairs must be among those that count.
+    - `patterns`: as of `LeastSquares.fit`. Slow pairs must be among those that count.
     - `start`: (n,) slopes to start from; by default the best of some for each joint in turn.
-    - `joint_weights`: as of `least_squares`.
+    - `solver`: options of the fit; the defaults of `LeastSquares` if None.
     - `blocks`: by default, errors are for independent residuals. With a number, for residuals
       that hang together within so many equal stretches of time and not between them (a sandwich
       of their sums), as smoothing makes them; some 20 or more.
@@ -87,8 +88,8 @@ def fit_slopes(
 
     **Raises**
 
-    - `ValueError`: no joint has static friction, too few blocks, or as `least_squares`.
-    - `RuntimeError`: as `least_squares`.
+    - `ValueError`: no joint has static friction, too few blocks, or as `LeastSquares.fit`.
+    - `RuntimeError`: as `LeastSquares.fit`.
 
     >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -108,6 +109,8 @@ def fit_slopes(
             f"{network.robot.name!r} has no static friction, whose slopes could be fitted;"
             ' give its robot the friction term "static"'
         )
+    solver = dataclasses.replace(solver or LeastSquares(), errors="independent")
+    joint_weights = solver.joint_weights
     if blocks is not None and not 2 <= blocks <= patterns.samples:
         raise ValueError(f"{blocks} blocks; expected 2 or more, and no more than samples")
     joints, columns = _static_columns(network)
@@ -121,7 +124,7 @@ def fit_slopes(
     qd, torque = jnp.asarray(patterns.qd), jnp.asarray(patterns.torque)
     fastest = jnp.max(jnp.abs(qd) * counts, axis=0)[own]
     regressor = jnp.asarray(regressor_of(network, patterns))
-    fit = least_squares(network, patterns, joint_weights=joint_weights)
+    fit = solver.fit(network, patterns)
     by_residual = isinstance(joint_weights, str) and joint_weights == "residual"
     steps, settled, weight = jnp.asarray(0), jnp.asarray(True), counts
     for number in range(_ROUNDS if by_residual else 1):
@@ -136,7 +139,7 @@ def fit_slopes(
         settled = solution.result == optx.RESULTS.successful
         slopes = slopes.at[own].set(jnp.exp(solution.value))
         network = network.with_static_slopes(slopes)
-        fit = least_squares(network, patterns, joint_weights=weights)
+        fit = dataclasses.replace(solver, joint_weights=weights).fit(network, patterns)
     regressor = jnp.asarray(regressor_of(network, patterns))
     covariance, told = _covariance(
         regressor, qd, torque, weight, fit.k, slopes, columns, joints, blocks

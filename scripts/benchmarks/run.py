@@ -90,15 +90,19 @@ def direct_solve(network: jc.CSLC, k: jax.Array) -> Iterator[Metric]:
             )
 
     start = time.perf_counter()
-    fit = jc.least_squares_stream(network, chunks(65_536))
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit_stream(
+        network, chunks(65_536)
+    )
     first = time.perf_counter() - start
     start = time.perf_counter()
-    jc.least_squares_stream(network, chunks(65_536))
+    jc.LeastSquares(joint_weights="equal", errors="independent").fit_stream(network, chunks(65_536))
     yield Metric("stream.compile", first - (time.perf_counter() - start), "s", "lower", 0.5)
 
     def run() -> jax.Array:
         nonlocal fit
-        fit = jc.least_squares_stream(network, chunks(_PATTERNS))
+        fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit_stream(
+            network, chunks(_PATTERNS)
+        )
         return fit.k
 
     rate = _PATTERNS / best_of(run, 3)
@@ -205,7 +209,7 @@ def stream_file(path: Path) -> None:
         )
 
     chunks = (patterns(chunk) for chunk in iterate_recording(path, chunk_rows=65_536))
-    fit = jc.least_squares_stream(network, chunks)
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit_stream(network, chunks)
     error = float(jnp.max(jnp.abs(fit.k - true_coefficients(network))))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(peak, error)

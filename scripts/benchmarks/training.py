@@ -76,9 +76,9 @@ def training(trainings: int = 256, epochs: int = 100, block: int | None = None) 
     patterns = jc.prepare(recording, spacing=9)
     chosen = examples(network, patterns, patterns.torque, patterns.mask)
     samples = chosen.targets.shape[-1]
-    start = jnp.asarray(jc.least_squares(cslc, patterns).k) * (
-        1.0 + 0.3 * np.random.default_rng(0).normal(size=network.size)
-    )
+    start = jnp.asarray(
+        jc.LeastSquares(joint_weights="equal", errors="independent").fit(cslc, patterns).k
+    ) * (1.0 + 0.3 * np.random.default_rng(0).normal(size=network.size))
 
     def rate(seconds: float, passed: int, number: int = 1) -> float:
         return samples * passed * number / seconds / 1e6

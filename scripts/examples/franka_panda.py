@@ -149,7 +149,9 @@ def usual_way(network: jc.CSLC, target: Target) -> Way:
     torque = jax.jit(network.torque)
     return Way(
         patterns,
-        lambda patterns: jc.least_squares(network, patterns).k,
+        lambda patterns: (
+            jc.LeastSquares(joint_weights="equal", errors="independent").fit(network, patterns).k
+        ),
         lambda k: np.asarray(torque(k, q, qd, qdd)),
     )
 
@@ -201,10 +203,14 @@ def weighted_fit(
     """
     if cutoff is None:  # every fifth sample, as the usual way: neighbours say the same
         patterns = jax.tree.map(lambda x: x[::5], patterns)
-    fit = jc.least_squares(network, patterns, cutoff=cutoff)
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent", cutoff=cutoff).fit(
+        network, patterns
+    )
     for _ in range(3 if power else 0):
         weights = fit.torque_error**-power
-        fit = jc.least_squares(network, patterns, cutoff=cutoff, joint_weights=weights)
+        fit = jc.LeastSquares(joint_weights=weights, errors="independent", cutoff=cutoff).fit(
+            network, patterns
+        )
     return fit.k
 
 

@@ -126,8 +126,10 @@ def prepared(recording: Recording, cutoff: float, rest: float, step: int) -> Pat
 def fitted(network: jc.CSLC, patterns: Patterns) -> tuple[jc.CSLC, jc.Identification]:
     """Coefficients, and slopes where there are any, joints weighted by their residuals."""
     if network.static_slopes is None:
-        return network, jc.least_squares(network, patterns, joint_weights="residual")
-    found = jc.fit_slopes(network, patterns, joint_weights="residual")
+        return network, jc.LeastSquares(joint_weights="residual", errors="independent").fit(
+            network, patterns
+        )
+    found = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(errors="independent"))
     return found.network, found.fit
 
 
@@ -155,7 +157,7 @@ def held_out(network: jc.CSLC, patterns: Patterns) -> Float[np.ndarray, " joints
     for number in range(PARTS):
         others = np.broadcast_to((part != number)[:, None], patterns.q.shape)
         rest = dataclasses.replace(patterns, friction_mask=others)
-        fit = jc.least_squares(network, rest, joint_weights=weights)
+        fit = jc.LeastSquares(joint_weights=weights, errors="independent").fit(network, rest)
         squares += np.sum(part == number) * errors(network, fit.k, patterns, part == number) ** 2
     return np.sqrt(squares / patterns.samples)
 

@@ -24,7 +24,7 @@ def fit_of(puma: jc.CSLC, k: jax.Array, motion: np.ndarray, noise: np.ndarray) -
     q, qd, qdd = motion
     torque = np.asarray(puma.torque(k, q, qd, qdd)) + noise
     patterns = jc.Patterns(np.arange(600.0), q, qd, qdd, torque, everything, everything)
-    return jc.least_squares(puma, patterns)
+    return jc.LeastSquares(joint_weights="equal", errors="independent").fit(puma, patterns)
 
 
 @pytest.fixture

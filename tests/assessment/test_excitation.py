@@ -35,7 +35,7 @@ def test_against_the_dense_regressor(puma: jc.CSLC, patterns: jc.Patterns) -> No
 
 
 def test_is_what_a_fit_of_the_same_patterns_reports(puma: jc.CSLC, patterns: jc.Patterns) -> None:
-    fit = jc.least_squares(puma, patterns)
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(puma, patterns)
     assert_allclose(degree_of_excitation(puma, patterns).condition, fit.condition, rtol=1e-9)
 
 

@@ -32,7 +32,7 @@ def patterns_of(
 
 
 def words(network: jc.CSLC, patterns: jc.Patterns) -> list[str]:
-    fit = jc.least_squares(network, patterns)
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(network, patterns)
     excitation = degree_of_excitation(network, patterns)
     return [verdict.word for verdict in verdicts(network, fit, excitation)]
 
@@ -56,7 +56,10 @@ def test_reasons_name_what_stands_in(arm: jc.CSLC, rng: np.random.Generator) -> 
     patterns = patterns_of(
         arm, [5.0, 1.0, 1.0], qd, rng.normal(size=400), rng.normal(size=(400, 1))
     )
-    fit, excitation = jc.least_squares(arm, patterns), degree_of_excitation(arm, patterns)
+    fit, excitation = (
+        jc.LeastSquares(joint_weights="equal", errors="independent").fit(arm, patterns),
+        degree_of_excitation(arm, patterns),
+    )
     found = verdicts(arm, fit, excitation)
     assert "entangled with others" in found[1].reason and "entangled" not in found[0].reason
     assert excitation.worst_combination in ("kd1 - 2*kv1", "kv1 - 0.5*kd1") or all(
@@ -92,7 +95,7 @@ def test_inflation_of_what_is_untold(arm: jc.CSLC, rng: np.random.Generator) -> 
 def test_columns_of_the_table(arm: jc.CSLC, rng: np.random.Generator) -> None:
     qd, qdd = rng.normal(size=(2, 400))
     patterns = patterns_of(arm, [5.0, 0.4, 0.0], qd, qdd, rng.normal(size=(400, 1)))
-    fit = jc.least_squares(arm, patterns)
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(arm, patterns)
     rows = coefficient_rows(arm, fit, excitation=degree_of_excitation(arm, patterns), level=0.9)
     ends = [[float(row["low"]), float(row["high"])] for row in rows]
     assert_allclose(ends, fit.confidence_interval(0.9))
@@ -106,6 +109,8 @@ def test_a_fit_of_another_network(
 ) -> None:
     del puma_k
     qd, qdd = rng.normal(size=(2, 400))
-    fit = jc.least_squares(arm, patterns_of(arm, [1.0, 1.0, 1.0], qd, qdd, 0.0))
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(
+        arm, patterns_of(arm, [1.0, 1.0, 1.0], qd, qdd, 0.0)
+    )
     with pytest.raises(ValueError, match="the fit has 3 coefficients from 'kB1', the network has"):
         verdicts(puma, fit)

@@ -47,7 +47,9 @@ def identification(network: jc.CSLC, path: Path, **changes: Any) -> Path:
     k = k + 0.3 * (k == 0)
     torque = np.asarray(network.torque(k, q, qd, qdd)) + 0.01 * rng.normal(size=q.shape)
     every = np.ones(q.shape, bool)
-    fit = jc.least_squares(network, jc.Patterns(np.arange(60.0), q, qd, qdd, torque, every, every))
+    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(
+        network, jc.Patterns(np.arange(60.0), q, qd, qdd, torque, every, every)
+    )
     fit.save(path)
     document = json.loads(path.read_text()) | {
         "robot": robot.name,

@@ -16,6 +16,9 @@ def exciting_motion() -> Motion:
     return q, qd, qdd
 
 
+ORDINARY = jc.LeastSquares(joint_weights="equal", errors="independent")
+
+
 def patterns_of(
     network: jc.CSLC, k: jax.Array, motion: Motion, noise: np.ndarray | float = 0.0
 ) -> jc.Patterns:

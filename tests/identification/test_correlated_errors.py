@@ -16,7 +16,7 @@ from jaxcslc.identification.solver._correlated import WAVES, effective_counts
 from jaxcslc.identification.solver._equations import Equations
 from jaxcslc.identification.solver._rows import KeptRows, PatternRows
 
-from .conftest import Motion, patterns_of
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 512
@@ -69,10 +69,12 @@ def coverage(
 
     def fit(torque: jax.Array) -> jc.Identification:
         patterns = eqx.tree_at(lambda p: p.torque, first, torque)
-        return jc.least_squares(network, patterns, errors=errors, throw=False)  # type: ignore[arg-type]
+        return jc.LeastSquares(joint_weights="equal", errors=errors).fit(
+            network, patterns, throw=False
+        )  # type: ignore[arg-type]
 
     fits = eqx.filter_jit(eqx.filter_vmap(fit))(torque)
-    quantile = student.ppf(0.975, np.asarray(fits.freedom))[:, None]
+    quantile = student.ppf(0.975, np.asarray(fits.degrees_of_freedom))[:, None]
     held = np.abs(np.asarray(fits.k) - k) <= quantile * np.asarray(fits.standard_error)
     ratio = np.sqrt(np.mean(np.asarray(fits.standard_error) ** 2, axis=0)) / np.std(
         np.asarray(fits.k), axis=0
@@ -115,7 +117,7 @@ def test_equals_its_formula(arm: jc.CSLC, motion: Motion, rng: np.random.Generat
     patterns = patterns_of(arm, jnp.asarray(TRUE[:p]), motion, noise)
     patterns = eqx.tree_at(lambda x: x.backlash_mask, patterns, rng.random(noise.shape) < 0.7)
     weights = np.array([2.0, 0.5])
-    fit = jc.least_squares(arm, patterns, errors="correlated", joint_weights=weights)
+    fit = jc.LeastSquares(joint_weights=weights, errors="correlated").fit(arm, patterns)
 
     counts = np.asarray(patterns.backlash_mask)
     rows = np.asarray(arm.regressor(*motion))
@@ -124,7 +126,7 @@ def test_equals_its_formula(arm: jc.CSLC, motion: Motion, rng: np.random.Generat
     weighted = (rows * weights[:, None] * counts[..., None]).reshape(-1, p)
     effective = np.asarray(fit.effective_equations)
     waves = int(np.clip(np.round(0.4 * effective.min() ** (2 / 3)), 8, WAVES))
-    assert float(fit.freedom) == waves
+    assert float(fit.degrees_of_freedom) == waves
     bread = np.linalg.inv(weighted.T @ weighted)
     hat = weighted @ bread @ weighted.T
     left = np.zeros(p)
@@ -200,12 +202,12 @@ def test_kept_rows_are_the_patterns_rows(
 def test_same_under_jit(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) -> None:
     """Eager fits keep their rows, traced ones compute them again."""
     patterns = patterns_of(arm, jnp.asarray(TRUE[: arm.size]), motion, red(rng, motion[0].shape))
-    fit = lambda p: jc.least_squares(
-        arm, p, errors="correlated", joint_weights="residual", throw=False
+    fit = lambda p: jc.LeastSquares(joint_weights="residual", errors="correlated").fit(
+        arm, p, throw=False
     )
     eager, traced = fit(patterns), eqx.filter_jit(fit)(jax.tree.map(jnp.asarray, patterns))
     assert_allclose(traced.standard_error, eager.standard_error, rtol=1e-6)
-    assert float(traced.freedom) == float(eager.freedom)
+    assert float(traced.degrees_of_freedom) == float(eager.degrees_of_freedom)
 
 
 def test_filtered_alike(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) -> None:
@@ -216,7 +218,9 @@ def test_filtered_alike(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) 
     for _ in range(60):
         patterns = patterns_of(arm, k, motion, red(rng, motion[0].shape))
         patterns = eqx.tree_at(lambda p: p.backlash_mask, patterns, counts)
-        fit = jc.least_squares(arm, patterns, cutoff=8.0, errors="correlated")
+        fit = jc.LeastSquares(joint_weights="equal", errors="correlated", cutoff=8.0).fit(
+            arm, patterns
+        )
         low, high = fit.confidence_interval().T
         held.append((low < k) & (k < high))
     # Some 120 independent trials, each of no more than some 40 independent errors a joint.
@@ -226,7 +230,9 @@ def test_filtered_alike(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) 
 def test_without_noise_nothing_is_uncertain(
     puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
 ) -> None:
-    fit = jc.least_squares(puma, patterns_of(puma, puma_k, exciting_motion), errors="correlated")
+    fit = jc.LeastSquares(joint_weights="equal", errors="correlated").fit(
+        puma, patterns_of(puma, puma_k, exciting_motion)
+    )
     assert np.all(np.asarray(fit.standard_error) < 1e-10)
 
 
@@ -235,8 +241,8 @@ def test_undetermined_coefficients_stay_open(
 ) -> None:
     q, qd, qdd = rng.normal(size=(3, 400, 6)) * np.array([1.0, 1, 1, 0, 0, 0])
     patterns = patterns_of(puma, puma_k, (q, qd, qdd), rng.normal(size=(400, 6)))
-    fit = jc.least_squares(puma, patterns, errors="correlated")
-    plain = jc.least_squares(puma, patterns)
+    fit = jc.LeastSquares(joint_weights="equal", errors="correlated").fit(puma, patterns)
+    plain = ORDINARY.fit(puma, patterns)
     assert_allclose(fit.k, plain.k)
     assert np.array_equal(np.isinf(fit.standard_error), np.isinf(plain.standard_error))
     assert np.all(np.isinf(fit.confidence_interval()[~np.asarray(fit.determined)]))

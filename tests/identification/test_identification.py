@@ -15,7 +15,7 @@ from scipy.stats import t as student
 import jaxcslc as jc
 from jaxcslc.identification import HeldOut, cross_validated_error, held_out_error
 
-from .conftest import Motion, patterns_of
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +39,12 @@ def locked(puma: jc.CSLC, puma_k: jax.Array) -> jc.Identification:
     rng = np.random.default_rng(3)
     q, qd, qdd = rng.normal(size=(3, 300, 6)) * np.array([1.0, 1, 1, 0, 0, 0])
     noise = rng.normal(size=(300, 6))
-    return jc.least_squares(puma, patterns_of(puma, puma_k, (q, qd, qdd), noise))
+    return ORDINARY.fit(puma, patterns_of(puma, puma_k, (q, qd, qdd), noise))
 
 
 def test_intervals_are_students(arm: jc.CSLC, rng: np.random.Generator) -> None:
-    fit = jc.least_squares(arm, recorded(arm, rng))
-    assert float(fit.freedom) == 400 - 3
+    fit = ORDINARY.fit(arm, recorded(arm, rng))
+    assert float(fit.degrees_of_freedom) == 400 - 3
     low, high = fit.confidence_interval(0.9).T
     half = student.ppf(0.95, 397) * np.asarray(fit.standard_error)
     assert_allclose(high - low, 2 * half)
@@ -55,7 +55,7 @@ def test_intervals_are_students(arm: jc.CSLC, rng: np.random.Generator) -> None:
 
 
 def test_correlation_is_the_scaled_covariance(arm: jc.CSLC, rng: np.random.Generator) -> None:
-    fit = jc.least_squares(arm, recorded(arm, rng))
+    fit = ORDINARY.fit(arm, recorded(arm, rng))
     deviation = np.sqrt(np.diag(fit.covariance))
     assert_allclose(fit.correlation, fit.covariance / np.outer(deviation, deviation), atol=1e-12)
     assert_allclose(np.diag(fit.correlation), 1.0)
@@ -65,7 +65,7 @@ def test_correlation_where_nothing_is_uncertain(arm: jc.CSLC) -> None:
     """No division by a deviation of zero."""
     still = np.zeros((20, 1))
     motion = (still, still, np.linspace(-1, 1, 20)[:, None])
-    fit = jc.least_squares(arm, patterns_of(arm, jnp.zeros(3), motion))
+    fit = ORDINARY.fit(arm, patterns_of(arm, jnp.zeros(3), motion))
     assert np.all(np.isfinite(fit.correlation))
     assert_allclose(np.diag(fit.correlation), 1.0)
 
@@ -130,7 +130,7 @@ class TestHeldOut:
         own = recorded(arm, rng)
         for _ in range(3):
             other = recorded(arm, rng)
-            held = held_out_error(arm, jc.least_squares(arm, own), own, other)
+            held = held_out_error(arm, ORDINARY.fit(arm, own), own, other)
             assert held.beyond_chance == () and held.warnings == ()
             assert 1.0 < held.limit[0] < 1.3
         settings = jc.Settings(errors="independent")
@@ -153,7 +153,7 @@ class TestHeldOut:
         """Nine patterns for three coefficients, of noise that swamps them."""
         own, other = recorded(arm, rng, noise=5.0), recorded(arm, rng, noise=5.0)
         few = jax.tree.map(lambda x: x[:4], own)
-        held = held_out_error(arm, jc.least_squares(arm, few), few, other)
+        held = held_out_error(arm, ORDINARY.fit(arm, few), few, other)
         assert held.ratio[0] > 1.3
 
     def test_motion_that_shows_more_is_seen(self, arm: jc.CSLC, rng: np.random.Generator) -> None:
@@ -168,7 +168,7 @@ class TestHeldOut:
             other.backlash_mask,
             other.friction_mask,
         )
-        held = held_out_error(arm, jc.least_squares(arm, own), own, more)
+        held = held_out_error(arm, ORDINARY.fit(arm, own), own, more)
         assert held.beyond_chance == (1,)
         assert "joint 1: torque error" in held.warnings[0]
         assert held.to_pandas().loc[1, "ratio"] == held.ratio[0]
@@ -183,7 +183,7 @@ class TestHeldOut:
             own = np.arange(400) * 4 // 400 == fold
             kept = jax.tree.map(lambda x, own=own: x[~own], patterns)
             left = jax.tree.map(lambda x, own=own: x[own], patterns)
-            k = jc.least_squares(arm, kept, joint_weights="residual").k
+            k = jc.LeastSquares(joint_weights="residual", errors="independent").fit(arm, kept).k
             squares += np.sum((left.torque - arm.torque(k, left.q, left.qd, left.qdd)) ** 2)
         found = cross_validated_error(arm, patterns, folds=4)
         assert_allclose(found.held_out, np.sqrt(squares / 400), rtol=1e-6)
@@ -197,6 +197,6 @@ class TestHeldOut:
         patterns = recorded(arm, rng)
         with pytest.raises(ValueError, match="expected from 2 to 400"):
             cross_validated_error(arm, patterns, folds=1)
-        fit = jc.least_squares(arm, patterns)
+        fit = ORDINARY.fit(arm, patterns)
         with pytest.raises(ValueError, match="patterns have 1 joints"):
             held_out_error(puma, fit, patterns, patterns)

@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification import factorise
+from jaxcslc.identification.solver import factorise
 
-from .conftest import Motion, patterns_of
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 # Rounding of a factorisation of some 10^4 rows, times a condition number of order 10.
@@ -25,7 +25,7 @@ def masked(patterns: jc.Patterns, driven: np.ndarray) -> jc.Patterns:
 def test_recovers_the_coefficients_of_noise_free_patterns(
     puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
 ) -> None:
-    fit = jc.least_squares(puma, patterns_of(puma, puma_k, exciting_motion))
+    fit = ORDINARY.fit(puma, patterns_of(puma, puma_k, exciting_motion))
     assert_allclose(fit.k, puma_k, atol=_ROUNDING)
     assert int(fit.rank) == 43
     assert fit.unidentifiable == ()
@@ -40,7 +40,7 @@ def test_equals_numpy_on_the_stacked_regressor(
     patterns = masked(
         patterns_of(puma, puma_k, exciting_motion, noise), rng.random(noise.shape) < 0.7
     )
-    fit = jc.least_squares(puma, patterns)
+    fit = ORDINARY.fit(puma, patterns)
 
     rows = np.asarray(puma.regressor(*exciting_motion))[np.asarray(patterns.backlash_mask)]
     target = np.asarray(patterns.torque)[np.asarray(patterns.backlash_mask)]
@@ -67,7 +67,7 @@ def test_standard_errors_cover_the_truth(
     inside = []
     for _ in range(40):
         noise = 0.5 * rng.normal(size=exciting_motion[0].shape)
-        fit = jc.least_squares(puma, patterns_of(puma, puma_k, exciting_motion, noise))
+        fit = ORDINARY.fit(puma, patterns_of(puma, puma_k, exciting_motion, noise))
         inside.append(np.abs(fit.k - puma_k) < 2 * fit.standard_error)
     # 1,720 trials of probability 0.954: four standard deviations are 0.02.
     assert abs(np.mean(inside) - 0.954) < 0.02
@@ -79,14 +79,14 @@ def test_joint_weights_equal_weighted_rows(
     deviations = np.array([3.0, 1.0, 0.3, 0.1, 2.0, 0.05])
     noise = deviations * rng.normal(size=exciting_motion[0].shape)
     patterns = patterns_of(puma, puma_k, exciting_motion, noise)
-    given = jc.least_squares(puma, patterns, joint_weights=1 / deviations)
+    given = jc.LeastSquares(joint_weights=1 / deviations, errors="independent").fit(puma, patterns)
     rows = np.asarray(puma.regressor(*exciting_motion)) / deviations[:, None]
     target = np.asarray(patterns.torque) / deviations
     expected = np.linalg.lstsq(rows.reshape(-1, 43), target.ravel(), rcond=None)[0]
     assert_allclose(given.k, expected, atol=1e-9)
-    own = jc.least_squares(puma, patterns, joint_weights="residual")
+    own = jc.LeastSquares(joint_weights="residual", errors="independent").fit(puma, patterns)
     assert_allclose(own.torque_error, deviations, rtol=0.1)
-    equal = jc.least_squares(puma, patterns)
+    equal = ORDINARY.fit(puma, patterns)
     assert jnp.linalg.norm(own.k - puma_k) < jnp.linalg.norm(equal.k - puma_k)
 
 
@@ -101,7 +101,7 @@ def test_stream_equals_one_piece(
     pieces = [
         jax.tree.map(lambda x, a=a, b=b: x[a:b], patterns) for a, b in itertools.pairwise(edges)
     ]
-    whole, stream = jc.least_squares(puma, patterns), jc.least_squares_stream(puma, pieces)
+    whole, stream = ORDINARY.fit(puma, patterns), ORDINARY.fit_stream(puma, pieces)
     assert_allclose(stream.k, whole.k, atol=_ROUNDING)
     assert_allclose(stream.standard_error, whole.standard_error, rtol=1e-8)
     assert_allclose(stream.equations, whole.equations)
@@ -126,10 +126,10 @@ def test_jit_and_vmap_over_recordings(
         patterns_of(puma, puma_k, exciting_motion, rng.normal(size=(3000, 6))) for _ in range(3)
     ]
     batch = jax.tree.map(lambda *x: jnp.stack(x), *several)
-    solve = lambda patterns: jc.least_squares(puma, patterns, throw=False)
+    solve = lambda patterns: ORDINARY.fit(puma, patterns, throw=False)
     fits = eqx.filter_jit(eqx.filter_vmap(solve))(batch)
     for i, patterns in enumerate(several):
-        assert_allclose(fits.k[i], jc.least_squares(puma, patterns).k, atol=1e-9)
+        assert_allclose(fits.k[i], ORDINARY.fit(puma, patterns).k, atol=1e-9)
 
 
 class TestUndetermined:
@@ -143,7 +143,7 @@ class TestUndetermined:
         q[:, 1:] = [0.3, -0.5, 0.2, 0.7, 0.1]
         q[:, 0], qd[:, 0], qdd[:, 0] = rng.normal(size=(3, 400))
         patterns = patterns_of(puma, puma_k, (q, qd, qdd))
-        fit = jc.least_squares(puma, patterns)
+        fit = ORDINARY.fit(puma, patterns)
         assert fit.result == jc.RESULTS.rank_deficient
         text = " ".join(fit.unidentifiable)
         assert "kv2" in text and "nothing in the patterns depends on it" in text
@@ -160,7 +160,7 @@ class TestUndetermined:
         self, puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator
     ) -> None:
         q, qd, qdd = rng.normal(size=(3, 200, 6)) * np.array([1.0, 1, 1, 0, 0, 0])
-        fit = jc.least_squares(puma, patterns_of(puma, puma_k, (q, qd, qdd)))
+        fit = ORDINARY.fit(puma, patterns_of(puma, puma_k, (q, qd, qdd)))
         assert int(fit.rank) < 43
         null = np.asarray(fit.undetermined)
         assert np.count_nonzero(np.linalg.norm(null, axis=1)) == 43 - int(fit.rank)
@@ -182,7 +182,7 @@ class TestUndetermined:
         everything = np.ones(t.shape, bool)
         torque = np.asarray(still.torque(jnp.array([0.5, 0.2]), qd / 2, qd, 2 * qd))
         patterns = jc.Patterns(t[:, 0], qd / 2, qd, 2 * qd, torque, everything, everything)
-        fit = jc.least_squares(still, patterns)
+        fit = ORDINARY.fit(still, patterns)
         assert fit.unidentifiable == ("kB1, kv1: only the combination kB1 + 0.5*kv1 is determined",)
         assert_allclose(fit.k[0] + 0.5 * fit.k[1], 0.6, atol=1e-9)
 
@@ -192,7 +192,7 @@ class TestUndetermined:
         """A torque scaled by a billion leaves rank and condition as they were."""
         patterns = patterns_of(puma, puma_k, exciting_motion)
         scaled = eqx.tree_at(lambda p: p.torque, patterns, 1e9 * np.asarray(patterns.torque))
-        fits = [jc.least_squares(puma, p) for p in (patterns, scaled)]
+        fits = [ORDINARY.fit(puma, p) for p in (patterns, scaled)]
         assert int(fits[0].rank) == int(fits[1].rank) == 43
         assert_allclose(fits[0].condition, fits[1].condition, rtol=1e-9)
 
@@ -206,15 +206,15 @@ class TestFailures:
         torque[5, 2] = np.nan
         broken = eqx.tree_at(lambda p: p.torque, patterns, torque)
         with pytest.raises(RuntimeError, match="NaN or infinite"):
-            jc.least_squares(puma, broken)
-        assert jc.least_squares(puma, broken, throw=False).result == jc.RESULTS.nonfinite
+            ORDINARY.fit(puma, broken)
+        assert ORDINARY.fit(puma, broken, throw=False).result == jc.RESULTS.nonfinite
 
     def test_too_few_equations(
         self, puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
     ) -> None:
         few = jax.tree.map(lambda x: x[:5], patterns_of(puma, puma_k, exciting_motion))
         with pytest.raises(RuntimeError, match="Fewer equations"):
-            jc.least_squares(puma, few)
+            ORDINARY.fit(puma, few)
 
     def test_wrong_joints(self, puma: jc.CSLC, exciting_motion: Motion) -> None:
         panda = jc.derive(jc.panda(), lengths="numeric")
@@ -223,13 +223,13 @@ class TestFailures:
             np.arange(3000.0), *exciting_motion, exciting_motion[0], everything, everything
         )
         with pytest.raises(ValueError, match="patterns have 6 joints"):
-            jc.least_squares(panda, patterns)
+            ORDINARY.fit(panda, patterns)
         with pytest.raises(ValueError, match="patterns have 6 joints"):
-            jc.least_squares_stream(panda, [patterns])
+            ORDINARY.fit_stream(panda, [patterns])
 
     def test_empty_stream(self, puma: jc.CSLC) -> None:
         with pytest.raises(ValueError, match="no patterns"):
-            jc.least_squares_stream(puma, [])
+            ORDINARY.fit_stream(puma, [])
 
     def test_single_precision_is_refused(
         self, puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
@@ -240,30 +240,30 @@ class TestFailures:
             jax.tree.map(np.asarray, patterns),
         )
         with pytest.raises(ValueError, match="float64"):
-            jc.least_squares(puma, single)
+            ORDINARY.fit(puma, single)
 
     def test_weights_of_the_wrong_size(
         self, puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
     ) -> None:
         patterns = patterns_of(puma, puma_k, exciting_motion)
         with pytest.raises(ValueError, match="joint_weights"):
-            jc.least_squares(puma, patterns, joint_weights=np.ones(5))
+            jc.LeastSquares(joint_weights=np.ones(5), errors="independent").fit(puma, patterns)
 
 
 def test_second_fit_compiles_nothing(
     puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, rng: np.random.Generator
 ) -> None:
     patterns = patterns_of(puma, puma_k, exciting_motion, rng.normal(size=(3000, 6)))
-    jc.least_squares(puma, patterns)
+    ORDINARY.fit(puma, patterns)
     with jax.log_compiles(), pytest.MonkeyPatch.context() as patch:
         compiled: list[str] = []
         patch.setattr("logging.Logger.warning", lambda self, m, *a, **k: compiled.append(str(m)))
-        jc.least_squares(puma, patterns_of(puma, puma_k, exciting_motion, 0.1))
+        ORDINARY.fit(puma, patterns_of(puma, puma_k, exciting_motion, 0.1))
     assert not [message for message in compiled if "Compiling" in message]
 
 
 def test_results_are_immutable(puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion) -> None:
-    fit = jc.least_squares(puma, patterns_of(puma, puma_k, exciting_motion))
+    fit = ORDINARY.fit(puma, patterns_of(puma, puma_k, exciting_motion))
     with pytest.raises(dataclasses.FrozenInstanceError):
         fit.k = fit.k  # type: ignore[misc]
     assert "rank 43" in repr(fit)

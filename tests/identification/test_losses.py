@@ -11,8 +11,16 @@ from jaxtyping import TypeCheckError
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.solver._least_squares import check_words
-from jaxcslc.identification.solver._losses import Loss, influence, robust_scale, slope, weight
+from jaxcslc.identification.solver._correlated import ERRORS
+from jaxcslc.identification.solver._least_squares import check_choice
+from jaxcslc.identification.solver._losses import (
+    LOSSES,
+    Loss,
+    influence,
+    robust_scale,
+    slope,
+    weight,
+)
 
 from .conftest import Motion, patterns_of
 
@@ -91,15 +99,34 @@ def test_equals_textbook_reweighting(arm: jc.CSLC, rng: np.random.Generator) -> 
     rows = np.asarray(arm.regressor(patterns.q, patterns.qd, patterns.qdd))[:, 0]
     target = np.asarray(patterns.torque)[:, 0]
     huber = reweighted(rows, target, "huber")
-    assert_allclose(jc.least_squares(arm, patterns, loss="huber").k, huber, atol=1e-7)
+    assert_allclose(
+        jc.LeastSquares(joint_weights="equal", loss="huber", errors="independent")
+        .fit(arm, patterns)
+        .k,
+        huber,
+        atol=1e-7,
+    )
     bisquare = reweighted(rows, target, "bisquare", huber)
-    assert_allclose(jc.least_squares(arm, patterns, loss="bisquare").k, bisquare, atol=1e-7)
+    assert_allclose(
+        jc.LeastSquares(joint_weights="equal", loss="bisquare", errors="independent")
+        .fit(arm, patterns)
+        .k,
+        bisquare,
+        atol=1e-7,
+    )
 
 
 def test_outliers_pull_less(arm: jc.CSLC, rng: np.random.Generator) -> None:
     patterns = recorded(arm, rng, 0.1)
     errors = {
-        loss: np.abs(np.asarray(jc.least_squares(arm, patterns, loss=loss).k) - TRUE).max()
+        loss: np.abs(
+            np.asarray(
+                jc.LeastSquares(joint_weights="equal", loss=loss, errors="independent")
+                .fit(arm, patterns)
+                .k
+            )
+            - TRUE
+        ).max()
         for loss in ("squared", *ROBUST)
     }
     assert errors["bisquare"] < errors["huber"] < errors["squared"]
@@ -114,7 +141,11 @@ def test_intervals_of_a_robust_fit_hold_the_truth(
     several = [recorded(arm, rng, 0.03) for _ in range(100)]
     batch = jax.tree.map(lambda *x: jnp.stack(x), *several)
     fits = eqx.filter_jit(
-        eqx.filter_vmap(lambda p: jc.least_squares(arm, p, loss=loss, throw=False))
+        eqx.filter_vmap(
+            lambda p: jc.LeastSquares(joint_weights="equal", loss=loss, errors="independent").fit(
+                arm, p, throw=False
+            )
+        )
     )(batch)
     held = np.abs(np.asarray(fits.k) - TRUE) < 1.964 * np.asarray(fits.standard_error)
     assert abs(held.mean() - 0.95) < 0.05
@@ -124,25 +155,31 @@ def test_noise_free_patterns_are_met_exactly(
     puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
 ) -> None:
     patterns = patterns_of(puma, puma_k, exciting_motion)
-    fit = jc.least_squares(puma, patterns, loss="bisquare", joint_weights="residual")
+    fit = jc.LeastSquares(joint_weights="residual", loss="bisquare", errors="independent").fit(
+        puma, patterns
+    )
     assert_allclose(fit.k, puma_k, atol=1e-9)
 
 
 def test_with_a_cutoff(arm: jc.CSLC, rng: np.random.Generator) -> None:
     """The filtered equations are reweighted: a fit without outliers hardly moves."""
     patterns = recorded(arm, rng, 0.0)
-    plain = jc.least_squares(arm, patterns, cutoff=10.0)
-    robust = jc.least_squares(arm, patterns, cutoff=10.0, loss="bisquare")
+    plain = jc.LeastSquares(joint_weights="equal", errors="independent", cutoff=10.0).fit(
+        arm, patterns
+    )
+    robust = jc.LeastSquares(
+        joint_weights="equal", loss="bisquare", errors="independent", cutoff=10.0
+    ).fit(arm, patterns)
     assert np.all(np.abs(plain.k - robust.k) < 2 * plain.standard_error)
     assert_allclose(plain.equations, robust.equations)
 
 
 def test_unknown_words() -> None:
     word: Any = "cauchy"
-    with pytest.raises(ValueError, match="loss is 'cauchy'; expected 'squared', 'huber'"):
-        check_words("cauchy", "independent")
+    with pytest.raises(ValueError, match="loss is 'cauchy'; expected 'squared' or 'huber'"):
+        check_choice("loss", word, LOSSES)
     with pytest.raises(ValueError, match="errors is 'cauchy'; expected 'independent' or"):
-        check_words("squared", "cauchy")
+        check_choice("errors", word, ERRORS)
     for name in ("loss", "errors"):  # the tests' type checker is there before the message
         with pytest.raises((ValueError, TypeCheckError), match="cauchy"):
-            jc.Settings(**{name: word})
+            jc.LeastSquares(**{name: word})

@@ -13,6 +13,8 @@ import sim
 from jaxcslc.inertia import body_of, link_of, nearest_body, pseudo_inertia
 from jaxcslc.manipulator import fixed_together
 
+from .conftest import ORDINARY
+
 
 _ROUNDING = 1e-9
 BODY = jc.LinkParameters(
@@ -53,9 +55,9 @@ class TestKnownArm:
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """Oracle: dense least squares of ten columns, errors of the other 43 spread into them."""
-        arm = jc.least_squares(puma, _drawn(puma, loaded_k[:43], rng, 200, 0.5))
+        arm = ORDINARY.fit(puma, _drawn(puma, loaded_k[:43], rng, 200, 0.5))
         patterns = _drawn(loaded, loaded_k, rng, 150, 0.3)
-        found = jc.fit_payload(puma, patterns, known=arm)
+        found = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
         rows, torque = _rows(loaded, patterns)
         target = torque - rows[:, :43] @ np.asarray(arm.k)
         own = rows[:, 43:]
@@ -71,10 +73,10 @@ class TestKnownArm:
     def test_is_relearning_the_payload(
         self, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
-        options: dict[str, Any] = {"cutoff": 10.0, "joint_weights": "residual"}
+        solver = jc.LeastSquares(cutoff=10.0, errors="independent")
         patterns = _drawn(loaded, loaded_k, rng, 300, 0.3)
-        found = jc.fit_payload(loaded, patterns, known=loaded_k, **options)
-        fit = jc.relearn(loaded, patterns, loaded_k, groups=("payload",), **options)
+        found = jc.fit_payload(loaded, patterns, previous=loaded_k, solver=solver)
+        fit = jc.reidentify(loaded, patterns, loaded_k, groups=("payload",), solver=solver)
         assert_allclose(found.fit.k, fit.k)
         assert_allclose(found.standard_error, fit.standard_error[-10:])
 
@@ -92,9 +94,8 @@ class TestTwoRecordings:
         """Oracle: all rows of both, zeros for the payload of the unloaded arm."""
         empty = _drawn(puma, loaded_k[:43], rng, 200, 0.5)
         patterns = _drawn(loaded, loaded_k, rng, 150, 0.5)
-        found = jc.fit_payload(
-            puma, patterns, empty, loss="huber" if robust else "squared", errors="correlated"
-        )
+        solver = jc.LeastSquares(joint_weights="equal", loss="huber" if robust else "squared")
+        found = jc.fit_payload(puma, patterns, empty, solver=solver)
         own, torque = _rows(loaded, patterns)
         other, more = _rows(puma, empty)
         rows = np.concatenate([own, np.pad(other, ((0, 0), (0, 10)))])
@@ -105,7 +106,7 @@ class TestTwoRecordings:
             assert np.max(np.abs(np.asarray(found.fit.k) - k) / error) < 1.0
         else:
             assert_allclose(found.fit.k, k, atol=_ROUNDING)
-            usual = jc.fit_payload(puma, patterns, empty)
+            usual = jc.fit_payload(puma, patterns, empty, solver=ORDINARY)
             squares = np.sum((target - rows @ k) ** 2) / (len(target) - 53)
             assert_allclose(
                 usual.fit.covariance, squares * np.linalg.inv(rows.T @ rows), rtol=1e-6, atol=1e-12
@@ -120,9 +121,9 @@ class TestTwoRecordings:
         """The loaded arm's motion is motion of the arm too."""
         empty = _drawn(puma, loaded_k[:43], rng, 60, 0.5)
         patterns = _drawn(loaded, loaded_k, rng, 600, 0.5)
-        both = jc.fit_payload(puma, patterns, empty)
-        arm = jc.least_squares(puma, empty)
-        one_by_one = jc.fit_payload(puma, patterns, known=arm)
+        both = jc.fit_payload(puma, patterns, empty, solver=ORDINARY)
+        arm = ORDINARY.fit(puma, empty)
+        one_by_one = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
         assert np.all(both.standard_error < one_by_one.standard_error)
 
     def test_with_a_filter(
@@ -131,7 +132,9 @@ class TestTwoRecordings:
         """Filtering both sides alike loses nothing of what has no noise."""
         empty = _drawn(puma, loaded_k[:43], rng, 600, 0.0)
         patterns = _drawn(loaded, loaded_k, rng, 600, 0.0)
-        found = jc.fit_payload(puma, patterns, empty, cutoff=20.0)
+        found = jc.fit_payload(
+            puma, patterns, empty, solver=dataclasses.replace(ORDINARY, cutoff=20.0)
+        )
         assert_allclose(found.fit.k, loaded_k, atol=1e-8)
 
 
@@ -158,7 +161,7 @@ def test_of_a_simulated_arm(
     other: dict[str, Any] = (
         {"unloaded": empty} if together else {"known": settings.fit(puma, empty)}
     )
-    found = jc.fit_payload(puma, full, **other, **settings.options)
+    found = jc.fit_payload(puma, full, **other, solver=settings.solver)
     assert abs(float(found.mass) - 1.5) < 0.02 * 1.5
     assert np.max(np.abs(np.asarray(found.centre_of_gravity) - BODY.centre_of_gravity)) < 2e-3
     low, high = found.physical_interval(0.999)[:4].T
@@ -173,7 +176,9 @@ class TestPhysical:
     def _found(
         self, puma: jc.CSLC, loaded: jc.CSLC, k: np.ndarray, rng: np.random.Generator, noise: float
     ) -> jc.PayloadFit:
-        return jc.fit_payload(puma, _drawn(loaded, k, rng, 150, noise), known=k[:43])
+        return jc.fit_payload(
+            puma, _drawn(loaded, k, rng, 150, noise), previous=k[:43], solver=ORDINARY
+        )
 
     def test_is_the_body(
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
@@ -220,7 +225,9 @@ class TestPhysical:
         arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
         network = jc.derive(arm, lengths="numeric").with_payload()
         k = np.concatenate([np.full(network.size - 10, 0.1), body_of(BODY)])
-        found = jc.fit_payload(network, _drawn(network, k, rng, 50, 0.0), known=k[:-10])
+        found = jc.fit_payload(
+            network, _drawn(network, k, rng, 50, 0.0), previous=k[:-10], solver=ORDINARY
+        )
         assert np.flatnonzero(np.asarray(found.determined)).tolist() == [2]
         assert len(found.unidentifiable) == 9
         assert "pm: nothing in the patterns depends on it" in found.unidentifiable
@@ -240,7 +247,7 @@ class TestPhysical:
         still = dataclasses.replace(still, q=0 * still.q, qdd=0 * still.qdd)
         torque = network.torque(k[:5], still.q, still.qd, still.qdd)
         empty = dataclasses.replace(still, torque=np.asarray(torque))
-        found = jc.fit_payload(network, _drawn(loaded, k, rng, 50, 0.0), empty)
+        found = jc.fit_payload(network, _drawn(loaded, k, rng, 50, 0.0), empty, solver=ORDINARY)
         told = " ".join(found.unidentifiable)
         assert "pIzz" in told and "phy" in told and not found.determined[2]
         assert found.determined[6]
@@ -277,7 +284,9 @@ class TestPossible:
 def test_on_another_link(puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator) -> None:
     network = puma.with_payload(3)
     k = np.concatenate([np.asarray(puma_k), body_of(BODY)])
-    found = jc.fit_payload(network, _drawn(network, k, rng, 50, 0.0), known=puma_k)
+    found = jc.fit_payload(
+        network, _drawn(network, k, rng, 50, 0.0), previous=puma_k, solver=ORDINARY
+    )
     assert_allclose(found.parameters, body_of(BODY), atol=_ROUNDING)
 
 
@@ -285,17 +294,17 @@ def test_failures(
     puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
 ) -> None:
     patterns = _drawn(loaded, loaded_k, rng, 20, 0.0)
-    both: dict[str, Any] = {"unloaded": patterns, "known": loaded_k}
+    both: dict[str, Any] = {"unloaded": patterns, "previous": loaded_k}
     with pytest.raises(ValueError, match="cannot tell payload and last link apart"):
         jc.fit_payload(puma, patterns)
-    with pytest.raises(ValueError, match="got both unloaded and known; expected one of them"):
+    with pytest.raises(ValueError, match="got both unloaded and previous; expected one of them"):
         jc.fit_payload(puma, patterns, **both)
     with pytest.raises(ValueError, match="expected 53 coefficients, got 12"):
-        jc.fit_payload(puma, patterns, known=np.zeros(12))
+        jc.fit_payload(puma, patterns, previous=np.zeros(12))
     arm = jc.derive(jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]), lengths="numeric")
     with pytest.raises(ValueError, match="patterns have 6 joints"):
         jc.fit_payload(arm, patterns, patterns)
     wrong = dataclasses.replace(patterns, torque=np.full((20, 6), np.nan))
     with pytest.raises(RuntimeError, match="NaN"):
-        jc.fit_payload(puma, wrong, known=loaded_k)
-    assert jc.fit_payload(puma, wrong, known=loaded_k, throw=False).possible is None
+        jc.fit_payload(puma, wrong, previous=loaded_k)
+    assert jc.fit_payload(puma, wrong, previous=loaded_k, throw=False).possible is None

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification.solver._compiled import regressor_of
 from jaxcslc.identification.solver._equations import Equations
-from jaxcslc.identification.solver._folds import fit_without_each, held_out_errors
 from jaxcslc.identification.solver._triangle import triangle_of
 
 
@@ -72,33 +70,31 @@ def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
     network = jc.derive(jc.puma560())
     robot = jc.puma560()
     assert robot.links is not None
-    k = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
+    true = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
     samples, folds = 1200, 3
     q, qd, qdd = rng.normal(size=(3, samples, 6))
     noise = np.array([3.0, 2.0, 1.0, 0.3, 0.2, 0.1])
-    torque = np.asarray(network.torque(k, q, qd, qdd)) + noise * rng.normal(size=q.shape)
+    torque = np.asarray(network.torque(true, q, qd, qdd)) + noise * rng.normal(size=q.shape)
     counts = rng.uniform(size=q.shape) < 0.8
     time = np.arange(samples) * INTERVAL
     patterns = jc.Patterns(time, q, qd, qdd, torque, np.ones_like(counts), counts)
     fold = np.arange(samples) // (samples // folds)
-    regressor = np.asarray(regressor_of(network, patterns))
-    equations = Equations.of(network, regressor, torque, counts, time=time, cutoff=cutoff)
-    found = fit_without_each(
-        network, equations.factors_of_folds(fold, folds), residual_weights=weights == "residual"
-    )
+    solver = jc.LeastSquares(joint_weights=weights, errors="independent", cutoff=cutoff)
+    equations = solver.equations(network, patterns)
+    k = solver.fit_folds(network, patterns, fold)
     for number in range(folds):
         rows = [fold[sample] != number for sample in equations.sample]
         others = Equations(
             tuple(x[own] for x, own in zip(equations.rows, rows, strict=True)),
             tuple(x[own] for x, own in zip(equations.sample, rows, strict=True)),
         )
-        oracle = jc.identification.fit_factors(network, others.factors(), joint_weights=weights)
-        np.testing.assert_allclose(found[number], oracle.k, rtol=1e-8, atol=1e-8)
+        oracle = solver.fit_factors(network, others.factors())
+        np.testing.assert_allclose(k[number], oracle.k, rtol=1e-8, atol=1e-8)
 
-    errors = held_out_errors(regressor, torque, found, fold)
+    errors = solver.held_out_errors(network, patterns, fold)
     for number in range(folds):
         own = fold == number
-        predicted = network.torque(jnp.asarray(found[number]), q[own], qd[own], qdd[own])
+        predicted = network.torque(jnp.asarray(k[number]), q[own], qd[own], qdd[own])
         np.testing.assert_allclose(errors[own], torque[own] - predicted, atol=1e-9)
 
 

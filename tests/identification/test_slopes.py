@@ -8,6 +8,8 @@ from scipy.optimize import least_squares as scipy_least_squares
 
 import jaxcslc as jc
 
+from .conftest import ORDINARY
+
 
 ROWS = [(0.0, 0.0, 0.0, 0.0), ("pi/2", 0.3, 0.0, 0.0)]
 SLOPES = np.array([12.0, 4.0])
@@ -33,7 +35,7 @@ def recorded(
 
 def test_recovers_slopes_and_coefficients(network: jc.CSLC, rng: np.random.Generator) -> None:
     k, patterns = recorded(network, 0.0, rng)
-    found = jc.fit_slopes(network.with_static_slopes([1.0, 100.0]), patterns)
+    found = jc.fit_slopes(network.with_static_slopes([1.0, 100.0]), patterns, solver=ORDINARY)
     assert_allclose(found.slopes, SLOPES, rtol=1e-6)
     assert_allclose(found.fit.k, k, rtol=1e-6)
     assert bool(found.settled)
@@ -44,7 +46,7 @@ def test_recovers_slopes_and_coefficients(network: jc.CSLC, rng: np.random.Gener
 def test_is_the_minimum_that_scipy_finds(network: jc.CSLC, rng: np.random.Generator) -> None:
     """All parameters at once, from the truth; and its Jacobian's covariance."""
     k, patterns = recorded(network, 0.1, rng)
-    found = jc.fit_slopes(network, patterns, start=np.array([6.0, 6.0]))
+    found = jc.fit_slopes(network, patterns, start=np.array([6.0, 6.0]), solver=ORDINARY)
     rigid = np.asarray(network.regressor(patterns.q, patterns.qd, patterns.qdd))
     places = [network.names.index(name) for name in ("ks1", "ks2")]
     speed, sign = np.abs(patterns.qd), np.sign(patterns.qd)
@@ -57,8 +59,10 @@ def test_is_the_minimum_that_scipy_finds(network: jc.CSLC, rng: np.random.Genera
     oracle = scipy_least_squares(residual, np.concatenate([k, SLOPES]), x_scale="jac", xtol=1e-14)
     assert_allclose(found.fit.k, oracle.x[:-2], rtol=1e-4)
     assert_allclose(found.slopes, oracle.x[-2:], rtol=1e-4)
-    freedom = oracle.fun.size - oracle.x.size
-    covariance = np.linalg.inv(oracle.jac.T @ oracle.jac) * np.sum(oracle.fun**2) / freedom
+    degrees_of_freedom = oracle.fun.size - oracle.x.size
+    covariance = (
+        np.linalg.inv(oracle.jac.T @ oracle.jac) * np.sum(oracle.fun**2) / degrees_of_freedom
+    )
     errors = np.sqrt(np.diag(covariance))
     assert_allclose(found.fit.standard_error, errors[:-2], rtol=1e-3)
     assert_allclose(found.slope_error, errors[-2:], rtol=1e-3)
@@ -69,7 +73,7 @@ def test_errors_cover_the_truth(network: jc.CSLC, rng: np.random.Generator) -> N
     within = 0
     for _ in range(20):
         _, patterns = recorded(network, 0.1, rng)
-        found = jc.fit_slopes(network, patterns, start=SLOPES)
+        found = jc.fit_slopes(network, patterns, start=SLOPES, solver=ORDINARY)
         within += int(np.sum(np.abs(np.asarray(found.slopes) - SLOPES) < 1.96 * found.slope_error))
     assert within > 33
 
@@ -79,9 +83,9 @@ def test_blocks_see_noise_that_hangs_together(network: jc.CSLC, rng: np.random.G
     _, once = recorded(network, 0.1, rng)
     once = jax.tree.map(lambda x: x[:400], once)
     often = jax.tree.map(lambda x: np.repeat(x, 10, axis=0), once)
-    single = jc.fit_slopes(network, once, start=SLOPES)
-    taken_for_new = jc.fit_slopes(network, often, start=SLOPES)
-    in_blocks = jc.fit_slopes(network, often, start=SLOPES, blocks=40)
+    single = jc.fit_slopes(network, once, start=SLOPES, solver=ORDINARY)
+    taken_for_new = jc.fit_slopes(network, often, start=SLOPES, solver=ORDINARY)
+    in_blocks = jc.fit_slopes(network, often, start=SLOPES, blocks=40, solver=ORDINARY)
     assert_allclose(taken_for_new.slopes, single.slopes, rtol=1e-5)
     assert np.all(np.asarray(taken_for_new.slope_error) < 0.4 * np.asarray(single.slope_error))
     ratio = np.asarray(in_blocks.slope_error) / np.asarray(single.slope_error)
@@ -104,7 +108,7 @@ def test_weights_by_residual_and_pairs_left_out(network: jc.CSLC, rng: np.random
         patterns.backlash_mask,
         friction_mask,
     )
-    found = jc.fit_slopes(network, patterns, joint_weights="residual")
+    found = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(errors="independent"))
     assert_allclose(found.slopes[0], SLOPES[0], rtol=0.01)
     assert_allclose(found.fit.k[network.names.index("ks1")], k[network.names.index("ks1")], 0.01)
 
@@ -113,7 +117,7 @@ def test_static_friction_of_one_joint_only(rng: np.random.Generator) -> None:
     robot = jc.Manipulator.from_modified_dh(ROWS).with_friction("dry", "static", joint=2)
     network = jc.derive(robot, lengths="numeric").with_static_slopes(SLOPES)
     _, patterns = recorded(network, 0.0, rng)
-    found = jc.fit_slopes(network, patterns, start=np.array([3.0, 9.0]))
+    found = jc.fit_slopes(network, patterns, start=np.array([3.0, 9.0]), solver=ORDINARY)
     assert_allclose(found.slopes, [3.0, 4.0], rtol=1e-6)  # joint 1's is not used
     assert float(found.slope_error[0]) == 0.0
 
@@ -128,7 +132,7 @@ def test_nothing_slow_tells_no_slope(network: jc.CSLC, rng: np.random.Generator)
         patterns.time, patterns.q, patterns.qd, patterns.qdd, torque, patterns.backlash_mask,
         patterns.friction_mask,
     )  # fmt: skip
-    found = jc.fit_slopes(network, patterns)
+    found = jc.fit_slopes(network, patterns, solver=ORDINARY)
     assert np.all(np.isfinite(found.fit.k))
     assert np.all(np.asarray(found.slope_error) > 0.2 * np.asarray(found.slopes))
 
@@ -137,8 +141,8 @@ def test_refused(network: jc.CSLC, rng: np.random.Generator) -> None:
     _, patterns = recorded(network, 0.0, rng)
     bare = jc.derive(network.robot.with_friction("dry"), lengths="numeric")
     with pytest.raises(ValueError, match="'robot' has no static friction, whose slopes could be"):
-        jc.fit_slopes(bare, patterns)
+        jc.fit_slopes(bare, patterns, solver=ORDINARY)
     with pytest.raises(ValueError, match="1 blocks; expected 2 or more"):
-        jc.fit_slopes(network, patterns, blocks=1)
+        jc.fit_slopes(network, patterns, blocks=1, solver=ORDINARY)
     with pytest.raises(ValueError, match="static slopes: expected numbers above 0"):
-        jc.fit_slopes(network, patterns, start=np.array([1.0, -1.0]))
+        jc.fit_slopes(network, patterns, start=np.array([1.0, -1.0]), solver=ORDINARY)

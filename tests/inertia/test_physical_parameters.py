@@ -191,7 +191,7 @@ class TestIdentity:
         patterns = jc.Patterns(
             np.arange(300.0), q, qd, qdd, torque + rng.normal(size=q.shape), every, every
         )
-        fit = jc.least_squares(elbow, patterns)
+        fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(elbow, patterns)
         found = jc.physical_parameters(elbow, fit, patterns=patterns)
         change = np.asarray(elbow.torque(found.k - np.asarray(fit.k), q, qd, qdd))
         np.testing.assert_allclose(found.torque_distance, np.sqrt(np.mean(change**2, 0)))

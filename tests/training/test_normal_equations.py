@@ -134,7 +134,7 @@ def test_the_minimum_is_the_direct_solve_s(puma: CSLC, rng: np.random.Generator)
     made = normal_equations(network, chosen)
     everything = np.ones(counts.shape, bool)
     recording = jc.Patterns(np.arange(60.0), q, qd, qdd, torque, counts, everything)
-    solved = jc.least_squares(puma, recording, joint_weights="equal").k
+    solved = jc.LeastSquares(joint_weights="equal", errors="independent").fit(puma, recording).k
     minimum = jnp.linalg.solve(made.gram, jnp.sum(made.moment, axis=0))
     # The Gram matrix squares the condition number.
     assert_allclose(minimum, solved, rtol=1e-6, atol=1e-8)

@@ -79,7 +79,7 @@ def verdicts(
     >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 0.001]), q, qd, qdd)) + 0.1 * noise
     >>> everything = np.ones(t.shape, bool)
     >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
-    >>> for verdict in verdicts(network, jc.least_squares(network, patterns)):
+    >>> for verdict in verdicts(network, jc.LeastSquares().fit(network, patterns)):
     ...     print(verdict.name, verdict.word)
     kB1 well determined
     kv1 well determined

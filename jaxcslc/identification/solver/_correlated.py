@@ -71,7 +71,7 @@ def waves_for(effective: Float[Array, " joints"]) -> Float[Array, " waves"]:
 
 def correlated_covariance(
     waves: Waves,
-    bread: Float[Array, "coefficients coefficients"],
+    inverse_gram: Float[Array, "coefficients coefficients"],
     used: Float[Array, " waves"],
 ) -> Float[Array, "coefficients coefficients"]:
     """The covariance of a fit whose errors are correlated in time and across joints.
@@ -98,17 +98,17 @@ def correlated_covariance(
     **Arguments**
 
     - `waves`: of the equations, pulled at by their weighted residuals.
-    - `bread`: (p, p), the inverse of the weighted regressor's Gram matrix.
+    - `inverse_gram`: (p, p), the inverse of the weighted regressor's Gram matrix.
     - `used`: of `waves_for`.
     """
     number = jnp.sum(used)
-    off = waves.sums @ bread
+    off = waves.sums @ inverse_gram
     covariance = off.T @ off / number
     # Of unit white noise: what the components have before the fit, and what it takes off them.
-    before = jnp.sum((bread @ waves.power) * bread.T, axis=1)
-    bent = jnp.matmul(waves.grams, bread[None]) @ waves.grams
-    taken = jnp.sum((bread @ jnp.sum(bent, axis=0)) * bread.T, axis=1)
-    whole = number * jnp.diag(bread)
+    before = jnp.sum((inverse_gram @ waves.power) * inverse_gram.T, axis=1)
+    bent = jnp.matmul(waves.grams, inverse_gram[None]) @ waves.grams
+    taken = jnp.sum((inverse_gram @ jnp.sum(bent, axis=0)) * inverse_gram.T, axis=1)
+    whole = number * jnp.diag(inverse_gram)
     left = jnp.where(whole > 0.0, (before - taken) / jnp.where(whole > 0.0, whole, 1.0), 1.0)
     # Where next to nothing is left, nothing can be said; a floor keeps it finite.
     root = jnp.sqrt(jnp.maximum(left, _LEAST_LEFT))

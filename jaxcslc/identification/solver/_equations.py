@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...motion import parallel_filter, uniform_interval
+from ...motion import Patterns, parallel_filter, uniform_interval
 from ...network import CSLC
+from ._compiled import regressor_of
 from ._factors import JointFactors
 from ._triangle import triangle_of
 
@@ -88,6 +89,23 @@ class Equations(eqx.Module):
             triangles.append(jnp.asarray(_triangles(parts)))
             counts.append(np.array([float(len(part)) for part in parts]))
         return JointFactors(tuple(triangles), jnp.asarray(np.stack(counts, axis=-1)))
+
+
+def equations_of(
+    network: CSLC,
+    patterns: Patterns,
+    cutoff: float | None,
+    regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+) -> Equations:
+    """One a pair that counts, or those that a parallel filter makes of them; on the host."""
+    return Equations.of(
+        network,
+        np.asarray(regressor_of(network, patterns)) if regressor is None else regressor,
+        np.asarray(patterns.torque),
+        np.asarray(patterns.mask),
+        time=np.asarray(patterns.time),
+        cutoff=cutoff,
+    )
 
 
 def _triangles(parts: list[Float[np.ndarray, "_ columns"]]) -> Float[np.ndarray, "parts s s"]:

@@ -1,5 +1,5 @@
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ...network import CSLC
 from ._factors import JointFactors
@@ -18,7 +18,8 @@ def fit_without_each(
     """The coefficients fitted to all folds but one, for each one left out.
 
     Triangles of folds stack like the patterns that they stand for, so no pattern is seen again.
-    The same minimum as that of `fit_factors`, without what only a final fit needs to tell (rank,
+    The same minimum as that of `LeastSquares.fit`, without what only a final fit needs to
+    tell (rank,
     standard errors), and not compiled: in a search this is called some thirty times on a few
     hundred rows, and takes about 5 ms.
 
@@ -79,17 +80,3 @@ def _residuals(
         for support, triangle in zip(network.support, triangles, strict=True)
     ]
     return np.stack(norms, axis=-1)
-
-
-def held_out_errors(
-    regressor: Float[np.ndarray, "samples joints coefficients"],
-    torque: Float[np.ndarray, "samples joints"],
-    k: Float[np.ndarray, "folds coefficients"],
-    fold: Int[np.ndarray, " samples"],
-) -> Float[np.ndarray, "samples joints"]:
-    """Torque error of each sample under the coefficients that were fitted without its fold."""
-    error = np.empty_like(torque)
-    for number, coefficients in enumerate(k):
-        own = fold == number
-        error[own] = torque[own] - regressor[own] @ coefficients
-    return error

@@ -23,8 +23,8 @@ class Identification(eqx.Module):
     - `standard_error`: (p,) standard deviation of each; infinite where the patterns do not
       determine it.
     - `covariance`: (p, p); entries of undetermined coefficients are those of the chosen solution.
-      For correlated errors its rank is at most `freedom`: variances and correlations can be read
-      off it, it cannot be inverted.
+      For correlated errors its rank is at most `degrees_of_freedom`: read variances and
+      correlations off it, do not invert it.
     - `independent_covariance`: (p, p), what `covariance` would be for independent errors. Its
       inverse measures changes of the coefficients by the squared torque that they cause.
     - `torque_error`: (n,) root mean square residual of each joint over the pairs that counted
@@ -32,7 +32,7 @@ class Identification(eqx.Module):
     - `equations`: (n,) how many equations each joint took part with.
     - `effective_equations`: (n,) how many independent ones they are worth; the same number unless
       correlation was allowed for.
-    - `freedom`: degrees of freedom of Student's t that belong to the standard errors.
+    - `degrees_of_freedom`: of Student's t, for the standard errors.
     - `rank`: of the regressor.
     - `condition`: ratio of the largest to the smallest singular value that counts, columns
       scaled to unit length.
@@ -41,7 +41,7 @@ class Identification(eqx.Module):
     - `determined`: (p,) whether the patterns determine the coefficient by itself.
     - `result`: a member of `RESULTS`.
     - `names`: of the coefficients.
-    - `errors`: `"independent"` or `"correlated"`, what was allowed for; see `least_squares`.
+    - `errors`: `"independent"` or `"correlated"`, what was allowed for; see `LeastSquares`.
 
     >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
     >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
@@ -53,7 +53,7 @@ class Identification(eqx.Module):
     >>> noise = np.random.default_rng(0).normal(size=t.shape)
     >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.2, 0.05]), q, qd, qdd)) + 0.1 * noise
     >>> everything = np.ones(t.shape, bool)
-    >>> fit = jc.least_squares(
+    >>> fit = jc.LeastSquares(errors="independent").fit(
     ...     network, jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
     ... )
     >>> low, high = fit.confidence_interval(0.95)[0]
@@ -70,7 +70,7 @@ class Identification(eqx.Module):
     torque_error: Float[Array, " joints"]
     equations: Float[Array, " joints"]
     effective_equations: Float[Array, " joints"]
-    freedom: Float[Array, ""]
+    degrees_of_freedom: Float[Array, ""]
     rank: Int[Array, ""]
     condition: Float[Array, ""]
     undetermined: Float[Array, "coefficients coefficients"]
@@ -113,7 +113,7 @@ class Identification(eqx.Module):
         """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level is {level}; expected more than 0 and less than 1")
-        quantile = float(stdtrit(float(self.freedom), 0.5 + 0.5 * level))
+        quantile = float(stdtrit(float(self.degrees_of_freedom), 0.5 + 0.5 * level))
         half = quantile * np.asarray(self.standard_error)
         k = np.asarray(self.k)
         return np.stack([k - half, k + half], axis=-1)

@@ -21,7 +21,7 @@ _ARRAYS = {
     "torque_error": "n",
     "equations": "n",
     "effective_equations": "n",
-    "freedom": "",
+    "degrees_of_freedom": "",
     "rank": "",
     "condition": "",
     "undetermined": "pp",
@@ -72,6 +72,8 @@ def arrays_from(document: Mapping[str, Any], where: str) -> dict[str, Any]:
 
     **Raises** `ValueError` naming the entry that is missing or wrong.
     """
+    if "freedom" in document:  # its name in files of earlier versions
+        document = {**document, "degrees_of_freedom": document["freedom"]}
     for name in ("version", "names", "errors", "result", *_ARRAYS):
         if name not in document:
             raise ValueError(f"{where}: no entry {name!r}; expected a saved identification")

@@ -1,81 +1,69 @@
+import dataclasses
+from collections.abc import Iterable
 from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ...motion import Patterns
 from ...network import CSLC
 from ._compiled import filled_up, regressor_of, require_float64
 from ._correlated import ERRORS, Errors
-from ._equations import Equations
+from ._equations import Equations, equations_of
 from ._factors import JointFactors, factorise
-from ._held import Held
+from ._fixed import Fixed
+from ._folds import fit_without_each
 from ._identification import Identification
 from ._losses import LOSSES, Loss
 from ._robust import ordinary_residuals, robust_residuals, with_errors
 from ._rows import AbstractRows, KeptRows, PatternRows
 from ._solution import RESULTS
 from ._solve import Solution, solve
+from ._streaming import factors_of_stream
 
 
-JointWeights = Literal["equal", "residual"] | Float[Array | np.ndarray, " joints"]
+JointWeights = (
+    Literal["equal", "residual"] | tuple[float, ...] | Float[Array | np.ndarray, " joints"]
+)
 # Weights settle to a percent in two rounds: residuals hardly depend on them.
 _ROUNDS = 3
 # A regressor of no more entries is kept for the second pass, half a gigabyte of them.
 _KEPT = 1 << 26
 
 
-def least_squares(
-    network: CSLC,
-    patterns: Patterns,
-    *,
-    cutoff: float | None = None,
-    joint_weights: JointWeights = "equal",
-    loss: Loss = "squared",
-    errors: Errors = "independent",
-    rcond: float | None = None,
-    throw: bool = True,
-) -> Identification:
-    """The coefficients that minimise the squared torque error over the patterns that count.
+@dataclasses.dataclass(frozen=True)
+class LeastSquares:
+    """The least-squares fit of torque equations: all options, checked once (thesis 8.2.3).
 
-    The direct solve that the thesis hoped for (Eqn. 4.1-4, section 8.2.3): torque is linear in
-    the coefficients, so one orthogonal factorisation replaces training.
+    Torque is linear in the coefficients (Eqn. 4.1-4), so one orthogonal factorisation replaces
+    training. Every fit of the library goes through this class.
 
-    **Arguments**
+    **Attributes**
 
-    - `network`: n joints, p coefficients.
-    - `patterns`: motion and torque (samples, n); pairs outside `patterns.mask` are left out.
+    - `joint_weights`: `"residual"` divides the equations of each joint by their root mean square
+      residual, as for joints of different noise; `"equal"`; or n positive numbers.
+    - `loss`: `"squared"`, ordinary least squares; or a robust one, minimised by iteratively
+      reweighted least squares: `"huber"` bounds the influence of an equation beyond 1.345
+      standard deviations, `"bisquare"` ignores equations beyond 4.685. The standard deviation of
+      each joint is then estimated by the median absolute error, and `"residual"` divides by that.
+      With `cutoff` the filtered equations are reweighted: an outlier should not be longer than
+      the filter's memory.
+    - `errors`: what standard errors allow for. `"correlated"`: correlation in time, as every
+      smoothing makes it, correlation between joints, and strength that varies with the motion; a
+      second pass over the patterns. `"independent"`: independent errors of one variance once
+      joints are weighted. See `docs/uncertainty.md`.
     - `cutoff`: filter regressor and torque alike by a zero-phase low pass of this frequency [Hz]
-      and decimate ('parallel filter', see `jaxcslc.motion.parallel_filter`). Needs a uniform
-      sampling interval, and runs on the host: not under `jit`.
-    - `joint_weights`: `"equal"`; `"residual"` divides each joint's equations by its own root mean
-      square residual, as for joints of different noise; or (n,) weights.
-    - `loss`: `"squared"`, ordinary least squares; or one that outliers pull less at,
-      `"huber"` (no harder than errors of 1.345 standard deviations) or `"bisquare"` (not at all
-      beyond 4.685), minimised by iteratively reweighted least squares. Each joint's standard
-      deviation is then estimated by the median modulus of its errors, and `"residual"` divides by
-      that. With `cutoff` it is the filtered equations that are reweighted: an outlier should not
-      be longer than a filter's memory.
-    - `errors`: what standard errors allow for. `"independent"`: errors that have nothing to do
-      with each other, of one variance once joints are weighted. `"correlated"`: correlation in
-      time, as every smoothing makes it, and between joints, and strength that varies with the
-      motion; a second pass over the patterns. See `docs/uncertainty.md`.
+      and decimate ('parallel filter', see `jaxcslc.motion.parallel_filter`), or None. Needs a
+      uniform sampling interval, and runs on the host: not under `jit`.
     - `rcond`: singular values below this part of the largest count as zero; by default what
       rounding alone explains.
-    - `throw`: raise on NaN and on too few equations instead of returning the result code. A
-      rank-deficient fit never raises: it returns the rest and names what is missing.
-
-    **Returns** an `Identification`. Without `cutoff` and with `throw=False` the function can be
-    jitted and vmapped over recordings.
 
     **Raises**
 
-    - `ValueError`: if patterns and network differ in joints, or are not in float64; or for an
-      unknown word.
-    - `RuntimeError`: with `throw`, if patterns are not finite or too few.
+    - `ValueError`: an option that is none of these.
 
     >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -83,42 +71,179 @@ def least_squares(
     >>> t = np.linspace(0, 5, 500)[:, None]
     >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
     >>> k = jnp.array([0.5, 0.3, -0.1, 0.2, 0.05])
-    >>> everything = np.ones(q.shape, bool)
-    >>> torque = network.torque(k, q, qd, qdd)
-    >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
-    >>> bool(jnp.allclose(jc.least_squares(network, patterns).k, k))
+    >>> mask = np.ones(q.shape, bool)
+    >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, network.torque(k, q, qd, qdd), mask, mask)
+    >>> bool(jnp.allclose(jc.LeastSquares().fit(network, patterns).k, k))
     True
     """
-    return checked(
-        fit_patterns(
-            network,
-            patterns,
-            cutoff=cutoff,
-            joint_weights=joint_weights,
-            loss=loss,
-            errors=errors,
-            rcond=rcond,
-        ),
-        throw,
-    )
+
+    joint_weights: JointWeights = "residual"
+    loss: Loss = "squared"
+    errors: Errors = "correlated"
+    cutoff: float | None = None
+    rcond: float | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.joint_weights, str):
+            check_choice("joint_weights", self.joint_weights, ("equal", "residual"))
+        else:
+            # As a tuple, so that solvers can be compared and are constants of compiled functions.
+            weights = np.asarray(self.joint_weights, float)
+            if weights.ndim != 1 or not np.all((weights > 0.0) & (weights < np.inf)):
+                raise ValueError(
+                    f"joint_weights: expected positive numbers, one a joint, got {weights.tolist()}"
+                )
+            object.__setattr__(self, "joint_weights", tuple(weights.tolist()))
+        check_choice("loss", self.loss, LOSSES)
+        check_choice("errors", self.errors, ERRORS)
+        if self.cutoff is not None and not 0.0 < self.cutoff < np.inf:
+            raise ValueError(f"cutoff: expected more than 0 Hz, or None, got {self.cutoff}")
+        if self.rcond is not None and not 0.0 <= self.rcond < 1.0:
+            raise ValueError(f"rcond: expected at least 0 and below 1, or None, got {self.rcond}")
+
+    def fit(
+        self,
+        network: CSLC,
+        patterns: Patterns,
+        fixed: Fixed | None = None,
+        throw: bool = True,
+    ) -> Identification:
+        """The coefficients that minimise the loss of the torque error over the masked patterns.
+
+        **Arguments**
+
+        - `network`: n joints, p coefficients.
+        - `patterns`: motion and torque (samples, n); pairs outside of the mask are left out.
+        - `fixed`: coefficients that keep their values; all are fitted if None.
+        - `throw`: raise on NaN and on too few equations instead of returning the result code. A
+          rank-deficient fit never raises: it returns the solution of least norm and names what is
+          missing.
+
+        **Returns** an `Identification`. Without `cutoff` and with `throw=False` the function can
+        be jitted and vmapped over recordings.
+
+        **Raises**
+
+        - `ValueError`: if patterns and network differ in joints, or are not in float64.
+        - `RuntimeError`: with `throw`, if patterns are not finite or too few.
+        """
+        return checked(_fit_patterns(self, network, patterns, fixed), throw)
+
+    def fit_stream(
+        self,
+        network: CSLC,
+        chunks: Iterable[Patterns],
+        fixed: Fixed | None = None,
+        throw: bool = True,
+        *,
+        workers: int | None = None,
+    ) -> Identification:
+        """The same fit of patterns that arrive in pieces, in memory that does not grow.
+
+        Every piece is factorised and joined to the triangles of those before (an orthogonal
+        factorisation, never the normal equations). A stream passes once, so neither robust losses
+        nor correlated errors nor a cut-off are possible.
+
+        **Arguments**
+
+        - `chunks`: patterns in pieces of any size, for instance from
+          `jaxcslc.motion.iterate_recording`.
+        - `workers`: how many pieces to factorise at a time; one a core by default. The result does
+          not depend on which worker took which piece beyond rounding.
+        - the others: as of `fit`.
+
+        **Raises** as `fit`; and `ValueError` if there are no patterns, or for options that need
+        a second pass.
+
+        >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+        >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+        >>> network = jc.derive(arm, lengths="numeric")
+        >>> t = np.linspace(0, 5, 500)[:, None]
+        >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+        >>> k = jnp.array([0.5, 0.2, 0.05])
+        >>> mask = np.ones(t.shape, bool)
+        >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, network.torque(k, q, qd, qdd), mask, mask)
+        >>> pieces = (patterns.between(start, start + 1.0) for start in np.arange(0.0, 6.0))
+        >>> fit = jc.LeastSquares(errors="independent").fit_stream(network, pieces)
+        >>> bool(jnp.allclose(fit.k, k))
+        True
+        """
+        if self.loss != "squared" or self.errors != "independent" or self.cutoff is not None:
+            raise ValueError(
+                "a stream passes once: expected loss 'squared', errors 'independent' and no"
+                f" cutoff, got {self}"
+            )
+        return self.fit_factors(network, factors_of_stream(network, chunks, workers), fixed, throw)
+
+    def fit_factors(
+        self,
+        network: CSLC,
+        factors: JointFactors,
+        fixed: Fixed | None = None,
+        throw: bool = True,
+    ) -> Identification:
+        """The ordinary fit of factorised patterns, its errors for independent noise."""
+        return checked(_fit(network, factors, self.joint_weights, self.rcond, fixed)[0], throw)
+
+    def fit_equations(
+        self,
+        network: CSLC,
+        equations: Equations,
+        samples: int,
+        fixed: Fixed | None = None,
+        throw: bool = True,
+    ) -> Identification:
+        """The fit of equations of recordings of so many samples, as `fit`; on the host."""
+        rows = KeptRows.of(equations, samples) if self._passes_twice else None
+        return checked(_fit_rows(self, network, equations.factors(), rows, fixed), throw)
+
+    def equations(self, network: CSLC, patterns: Patterns) -> Equations:
+        """The equations that `fit` solves, one for each pair that counts, or those that the
+        parallel filter makes of them; on the host."""
+        return equations_of(network, patterns, self.cutoff)
+
+    def fit_folds(
+        self, network: CSLC, patterns: Patterns, fold: Int[np.ndarray, " samples"]
+    ) -> Float[np.ndarray, "folds coefficients"]:
+        """The coefficients fitted to all folds but one, for each one left out; on the host.
+
+        - `fold`: the fold of each sample, from 0.
+        """
+        return self._fit_folds(network, patterns, _host_regressor(network, patterns), fold)
+
+    def held_out_errors(
+        self, network: CSLC, patterns: Patterns, fold: Int[np.ndarray, " samples"]
+    ) -> Float[np.ndarray, "samples joints"]:
+        """Torque error of each sample under the coefficients fitted without its fold.
+
+        - `fold`: the fold of each sample, from 0.
+        """
+        regressor = _host_regressor(network, patterns)
+        k = self._fit_folds(network, patterns, regressor, fold)
+        return np.asarray(patterns.torque) - np.einsum("tjp,tp->tj", regressor, k[fold])
+
+    def _fit_folds(
+        self,
+        network: CSLC,
+        patterns: Patterns,
+        regressor: Float[np.ndarray, "samples joints coefficients"],
+        fold: Int[np.ndarray, " samples"],
+    ) -> Float[np.ndarray, "folds coefficients"]:
+        equations = equations_of(network, patterns, self.cutoff, regressor)
+        factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
+        return fit_without_each(network, factors, residual_weights=self.joint_weights == "residual")
+
+    @property
+    def _passes_twice(self) -> bool:
+        """The ordinary fit needs no more of its equations than their factors."""
+        return self.loss != "squared" or self.errors != "independent"
 
 
-def fit_patterns(
-    network: CSLC,
-    patterns: Patterns,
-    *,
-    cutoff: float | None,
-    joint_weights: JointWeights,
-    loss: Loss,
-    errors: Errors,
-    rcond: float | None,
-    held: Held | None = None,
+def _fit_patterns(
+    solver: LeastSquares, network: CSLC, patterns: Patterns, fixed: Fixed | None
 ) -> Identification:
-    """The fit of patterns, of all coefficients or of those that are not held."""
     check_patterns(network, patterns)
-    check_words(loss, errors)
-    # The ordinary fit needs no more of its equations than their factors.
-    again = loss != "squared" or errors != "independent"
+    again, cutoff = solver._passes_twice, solver.cutoff
     rows: AbstractRows | None = None
     samples = patterns.q.shape[0]
     if cutoff is None:
@@ -135,64 +260,35 @@ def fit_patterns(
         equations = equations_of(network, patterns, cutoff)
         factors = equations.factors()
         rows = KeptRows.of(equations, samples) if again else None
-    return fit_rows(
-        network,
-        factors,
-        rows,
-        joint_weights=joint_weights,
-        loss=loss,
-        errors=errors,
-        rcond=rcond,
-        held=held,
-    )
+    return _fit_rows(solver, network, factors, rows, fixed)
 
 
-def fit_rows(
+def _fit_rows(
+    solver: LeastSquares,
     network: CSLC,
     factors: JointFactors,
     rows: AbstractRows | None,
-    *,
-    joint_weights: JointWeights,
-    loss: Loss,
-    errors: Errors,
-    rcond: float | None,
-    held: Held | None = None,
+    fixed: Fixed | None,
 ) -> Identification:
-    """The fit of equations, which are gone over again if there are `rows` of them."""
-    fit, solution, weights = _fit(network, factors, joint_weights, rcond, held)
+    """The fit of equations, with a second pass if there are `rows`."""
+    fit, solution, weights = _fit(network, factors, solver.joint_weights, solver.rcond, fixed)
     if rows is None:
         return fit
-    if loss == "squared":
+    if solver.loss == "squared":
         found = _ordinary(network, rows, solution, weights)
     else:
-        residual = isinstance(joint_weights, str) and joint_weights == "residual"
         found = _robust(
             network,
             rows,
             factors,
             solution,
             weights,
-            residual_weights=residual,
-            loss=loss,
-            rcond=rcond,
-            held=held,
+            residual_weights=solver.joint_weights == "residual",
+            loss=solver.loss,
+            rcond=solver.rcond,
+            fixed=fixed,
         )
-    return _with_errors(network, rows, factors, found, errors, held)
-
-
-def fit_factors(
-    network: CSLC,
-    factors: JointFactors,
-    *,
-    joint_weights: JointWeights = "equal",
-    rcond: float | None = None,
-    throw: bool = True,
-) -> Identification:
-    """The ordinary fit of factorised patterns, for errors that are independent.
-
-    Arguments, result and errors as of `least_squares`.
-    """
-    return checked(_fit(network, factors, joint_weights, rcond)[0], throw)
+    return _with_errors(network, rows, factors, found, solver.errors, fixed)
 
 
 def _fit(
@@ -200,26 +296,21 @@ def _fit(
     factors: JointFactors,
     joint_weights: JointWeights,
     rcond: float | None,
-    held: Held | None = None,
+    fixed: Fixed | None = None,
 ) -> tuple[Identification, Solution, Float[Array, " joints"]]:
     """The ordinary fit, and the weights of joints that it ended with."""
     n = network.joint_count
     if isinstance(joint_weights, str):
-        if joint_weights not in ("equal", "residual"):
-            raise ValueError(
-                f"joint_weights must be 'equal', 'residual' or ({n},) numbers,"
-                f" got {joint_weights!r}"
-            )
         weights = jnp.ones(n)
     else:
         weights = jnp.asarray(joint_weights, float)
         if weights.shape != (n,):
-            raise ValueError(f"joint_weights: expected shape ({n},), got {weights.shape}")
-    solution, fit = _solve(network, factors, weights, rcond, held)
+            raise ValueError(f"joint_weights: expected {n} numbers, got {len(weights)}")
+    solution, fit = _solve(network, factors, weights, rcond, fixed)
     if isinstance(joint_weights, str) and joint_weights == "residual":
         for _ in range(_ROUNDS):
             weights = _residual_weights(fit)
-            solution, fit = _solve(network, factors, weights, rcond, held)
+            solution, fit = _solve(network, factors, weights, rcond, fixed)
     return fit, solution, weights
 
 
@@ -240,16 +331,9 @@ def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
     return jnp.where(fit.equations > 0, 1.0 / jnp.maximum(error, floor), 1.0)
 
 
-def equations_of(network: CSLC, patterns: Patterns, cutoff: float | None) -> Equations:
-    """One a pair that counts, or those that a parallel filter makes of them; on the host."""
-    return Equations.of(
-        network,
-        np.asarray(regressor_of(network, patterns)),
-        np.asarray(patterns.torque),
-        np.asarray(patterns.mask),
-        time=np.asarray(patterns.time),
-        cutoff=cutoff,
-    )
+def _host_regressor(network: CSLC, patterns: Patterns) -> np.ndarray:
+    check_patterns(network, patterns)
+    return np.asarray(regressor_of(network, patterns))
 
 
 def _traced(*arrays: Array | np.ndarray) -> bool:
@@ -263,11 +347,10 @@ _robust = eqx.filter_jit(robust_residuals)
 _with_errors = eqx.filter_jit(with_errors)
 
 
-def check_words(loss: str, errors: str) -> None:
-    if loss not in LOSSES:
-        raise ValueError(f"loss is {loss!r}; expected {', '.join(map(repr, LOSSES))}")
-    if errors not in ERRORS:
-        raise ValueError(f"errors is {errors!r}; expected {' or '.join(map(repr, ERRORS))}")
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """**Raises** `ValueError` for a value that is none of the choices."""
+    if value not in choices:
+        raise ValueError(f"{name} is {value!r}; expected {' or '.join(map(repr, choices))}")
 
 
 def check_patterns(network: CSLC, patterns: Patterns) -> None:

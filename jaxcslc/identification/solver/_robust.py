@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from ...network import CSLC
 from ._correlated import Errors, correlated_covariance, effective_counts, waves_for
 from ._factors import JointFactors
-from ._held import Held
+from ._fixed import Fixed
 from ._identification import Identification
 from ._losses import Loss, influence, robust_scale, slope, weight
 from ._rows import AbstractRows
@@ -48,7 +48,7 @@ def robust_residuals(
     residual_weights: bool,
     loss: Loss,
     rcond: float | None,
-    held: Held | None = None,
+    fixed: Fixed | None = None,
 ) -> Residuals:
     """A fit by iteratively reweighted least squares (Holland and Welsch 1977).
 
@@ -65,11 +65,11 @@ def robust_residuals(
     """
     k = solution.k
     for stage in ("huber",) if loss == "huber" else ("huber", "bisquare"):
-        k = _reweighted(network, rows, k, weights, residual_weights, stage, rcond, held)
+        k = _reweighted(network, rows, k, weights, residual_weights, stage, rcond, fixed)
     error, scale = _errors(network, rows, k)
     weights = 1.0 / scale if residual_weights else weights
     residual = _pseudo_residuals(rows, error, scale, loss)
-    whole = minimum(network, factors, weights, rcond, held)
+    whole = minimum(network, factors, weights, rcond, fixed)
     squares = jnp.sum((weights[None, :] * residual) ** 2)
     return Residuals(
         dataclasses.replace(
@@ -89,29 +89,29 @@ def with_errors(
     factors: JointFactors,
     found: Residuals,
     errors: Errors,
-    held: Held | None = None,
+    fixed: Fixed | None = None,
 ) -> Identification:
     """The fit with standard errors that allow for independent or for correlated errors."""
     solution, weights, residual = found
     if errors == "independent":
-        covariance = solution.variance * solution.bread
-        freedom = jnp.maximum(jnp.sum(rows.counts) - solution.rank, 1.0)
+        covariance = solution.variance * solution.inverse_gram
+        degrees_of_freedom = jnp.maximum(jnp.sum(rows.counts) - solution.rank, 1.0)
         effective = factors.counts
     else:
         effective = effective_counts(residual, rows.counts)
         used = waves_for(effective)
         waves = rows.waves(network, weights[None, :] ** 2 * residual, weights, used)
-        covariance = correlated_covariance(waves, solution.bread, used)
-        freedom = jnp.sum(used)
+        covariance = correlated_covariance(waves, solution.inverse_gram, used)
+        degrees_of_freedom = jnp.sum(used)
     return identification(
         network,
         factors,
         solution,
         covariance,
-        freedom=freedom,
+        degrees_of_freedom=degrees_of_freedom,
         effective=effective,
         errors=errors,
-        held=held,
+        fixed=fixed,
     )
 
 
@@ -134,14 +134,14 @@ def _reweighted(
     residual_weights: bool,
     loss: Loss,
     rcond: float | None,
-    held: Held | None,
+    fixed: Fixed | None,
 ) -> Float[Array, " coefficients"]:
     def improve(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         k, _, rounds = state
         error, scale = _errors(network, rows, k)
         root = jnp.sqrt(weight(loss, error / scale[None, :]))
         own = 1.0 / scale if residual_weights else weights
-        better = minimum(network, rows.factors(network, root), own, rcond, held).k
+        better = minimum(network, rows.factors(network, root), own, rcond, fixed).k
         return better, jnp.max(jnp.abs(better - k)) / jnp.max(jnp.abs(better)), rounds + 1
 
     def unsettled(state: tuple[Array, Array, Array]) -> Array:

@@ -5,7 +5,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...network import CSLC
 from ._factors import JointFactors
-from ._held import Held
+from ._fixed import Fixed
 from ._identification import Identification
 from ._solution import RESULTS
 
@@ -13,14 +13,14 @@ from ._solution import RESULTS
 class Solution(eqx.Module):
     """The minimum of factorised equations, before anything is said of errors.
 
-    `bread` (p, p) is the pseudo-inverse of the weighted regressor's Gram matrix, `variance` the
-    mean square of the weighted residual for the degrees of freedom that are left; `inherited`
-    (p, p) is what errors of coefficients that were held do to all, None if none were; the others
-    are as in `Identification`.
+    `inverse_gram` (p, p) is the pseudo-inverse of the weighted regressor's Gram matrix, `variance`
+    the sum of squared weighted residuals over the remaining degrees of freedom; `inherited` (p, p)
+    is what errors of fixed coefficients do to all, None without any; the others are as in
+    `Identification`.
     """
 
     k: Float[Array, " coefficients"]
-    bread: Float[Array, "coefficients coefficients"]
+    inverse_gram: Float[Array, "coefficients coefficients"]
     variance: Float[Array, ""]
     rank: Int[Array, ""]
     condition: Float[Array, ""]
@@ -35,23 +35,23 @@ def minimum(
     factors: JointFactors,
     weights: Float[Array, " joints"],
     rcond: float | None,
-    held: Held | None = None,
+    fixed: Fixed | None = None,
 ) -> Solution:
     """The least-squares solution of factorised equations, joints weighted.
 
     A singular value decomposition of the one triangle that is left, its columns scaled to unit
-    length so that neither rank nor condition depends on units. What held coefficients explain is
+    length so that neither rank nor condition depends on units. What fixed coefficients explain is
     taken off the target; their columns come behind those that are fitted, whose triangle then
-    tells how the fitted ones would follow the held.
+    tells how the fitted ones would follow the fixed.
     """
     size = network.size
-    free = np.arange(size) if held is None else np.array(held.free)
+    free = np.arange(size) if fixed is None else np.array(fixed.free)
     p, columns = len(free), factors.stacked(network, weights)
-    if held is not None:
-        order = np.concatenate([free, held.rest])
+    if fixed is not None:
+        order = np.concatenate([free, fixed.remaining])
         columns = columns[:, np.append(order, size)]
         # Fitted ones too: what they change by is then looked for, and nothing where they are free.
-        columns = columns.at[:, size].add(-columns[:, :size] @ held.k[order])
+        columns = columns.at[:, size].add(-columns[:, :size] @ fixed.k[order])
     triangle = jnp.linalg.qr(columns, mode="r")
     matrix, target, rest = triangle[:p, :p], triangle[:p, size], triangle[p:, size]
     scale = jnp.linalg.norm(matrix, axis=0)
@@ -72,8 +72,8 @@ def minimum(
 
     # Residual of the weighted equations: what the triangle leaves out, and what rank left out.
     lost = jnp.where(counts, 0.0, left.T @ target)
-    freedom = jnp.maximum(equations - rank, 1.0)
-    variance = (jnp.sum(rest**2) + jnp.sum(lost**2)) / freedom
+    degrees_of_freedom = jnp.maximum(equations - rank, 1.0)
+    variance = (jnp.sum(rest**2) + jnp.sum(lost**2)) / degrees_of_freedom
     half = (right.T * inverse[None, :]) / scale[:, None]
 
     # Null space of the scaled matrix, brought back to the coefficients' units.
@@ -84,7 +84,7 @@ def minimum(
     result = RESULTS.where(equations < p, RESULTS.no_equations, result)
     solution = Solution(
         k=k,
-        bread=half @ half.T,
+        inverse_gram=half @ half.T,
         variance=variance,
         rank=rank,
         condition=singular[0] / jnp.min(jnp.where(counts, singular, singular[0])),
@@ -93,28 +93,30 @@ def minimum(
         result=RESULTS.where(finite, result, RESULTS.nonfinite),
     )
     return (
-        solution if held is None else _among(solution, held, -half @ left.T @ triangle[:p, p:size])
+        solution
+        if fixed is None
+        else _among(solution, fixed, -half @ left.T @ triangle[:p, p:size])
     )
 
 
-def _among(part: Solution, held: Held, follow: Float[Array, "fitted held"]) -> Solution:
+def _among(part: Solution, fixed: Fixed, follow: Float[Array, "fitted fixed"]) -> Solution:
     """The solution for some coefficients as one for all.
 
-    - `follow`: how the fitted coefficients change with those that are held.
+    - `follow`: how the fitted coefficients change with those that are fixed.
     """
-    free, rest = np.array(held.free), held.rest
-    p = len(held.k)
+    free, rest = np.array(fixed.free), fixed.remaining
+    p = len(fixed.k)
     square = jnp.zeros((p, p))
     inherited = square.at[np.ix_(free, rest)].set(follow).at[rest, rest].set(1.0)
-    finite = jnp.all(jnp.isfinite(held.k))
+    finite = jnp.all(jnp.isfinite(fixed.k))
     return Solution(
-        k=held.k.at[free].add(part.k),
-        bread=square.at[np.ix_(free, free)].set(part.bread),
+        k=fixed.k.at[free].add(part.k),
+        inverse_gram=square.at[np.ix_(free, free)].set(part.inverse_gram),
         variance=part.variance,
         rank=part.rank,
         condition=part.condition,
         undetermined=square.at[: len(free), free].set(part.undetermined),
-        determined=held.determined.at[free].set(part.determined),
+        determined=fixed.determined.at[free].set(part.determined),
         result=RESULTS.where(finite, part.result, RESULTS.nonfinite),
         inherited=inherited,
     )
@@ -125,20 +127,20 @@ def solve(
     factors: JointFactors,
     weights: Float[Array, " joints"],
     rcond: float | None,
-    held: Held | None = None,
+    fixed: Fixed | None = None,
 ) -> tuple[Solution, Identification]:
     """The least-squares fit of factorised equations, for errors that are independent."""
-    solution = minimum(network, factors, weights, rcond, held)
+    solution = minimum(network, factors, weights, rcond, fixed)
     total = jnp.sum(factors.counts)
     return solution, identification(
         network,
         factors,
         solution,
-        solution.variance * solution.bread,
-        freedom=jnp.maximum(total - solution.rank, 1.0),
+        solution.variance * solution.inverse_gram,
+        degrees_of_freedom=jnp.maximum(total - solution.rank, 1.0),
         effective=factors.counts,
         errors="independent",
-        held=held,
+        fixed=fixed,
     )
 
 
@@ -148,22 +150,22 @@ def identification(
     solution: Solution,
     covariance: Float[Array, "coefficients coefficients"],
     *,
-    freedom: Float[Array, ""],
+    degrees_of_freedom: Float[Array, ""],
     effective: Float[Array, " joints"],
     errors: str,
-    held: Held | None = None,
+    fixed: Fixed | None = None,
 ) -> Identification:
     """What users are handed; `factors` are those of all equations that count, unweighted.
 
-    Errors of coefficients that were held have nothing to do with this recording's: covariances
+    Errors of coefficients that were fixed have nothing to do with this recording's: covariances
     add up.
     """
-    independent = solution.variance * solution.bread
-    if held is not None and solution.inherited is not None:
+    independent = solution.variance * solution.inverse_gram
+    if fixed is not None and solution.inherited is not None:
         inherited = solution.inherited
-        covariance = covariance + inherited @ held.covariance @ inherited.T
-        independent = independent + inherited @ held.independent_covariance @ inherited.T
-        freedom = jnp.minimum(freedom, held.freedom)
+        covariance = covariance + inherited @ fixed.covariance @ inherited.T
+        independent = independent + inherited @ fixed.independent_covariance @ inherited.T
+        degrees_of_freedom = jnp.minimum(degrees_of_freedom, fixed.degrees_of_freedom)
     norms = factors.residual_norms(network, solution.k)
     return Identification(
         k=solution.k,
@@ -173,7 +175,7 @@ def identification(
         torque_error=norms / jnp.sqrt(jnp.maximum(factors.counts, 1.0)),
         equations=factors.counts,
         effective_equations=effective,
-        freedom=freedom,
+        degrees_of_freedom=degrees_of_freedom,
         rank=solution.rank,
         condition=solution.condition,
         undetermined=solution.undetermined,

@@ -218,7 +218,9 @@ def learn(
         network = network_of(terms(measures))
         patterns = reference if name == ON else prepared(recording, machine, spacing, measures)
         cutoff = CUTOFF if measures.low_pass else None
-        fit = jc.least_squares(network, patterns, cutoff=cutoff, joint_weights="residual")
+        fit = jc.LeastSquares(joint_weights="residual", errors="independent", cutoff=cutoff).fit(
+            network, patterns
+        )
         k[name] = np.asarray(fit.k)
         # Of the best motion there is: differences of counts would make coefficients look heavy.
         sensitivity = np.asarray(output_sensitivity(network, reference))

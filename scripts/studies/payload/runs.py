@@ -217,7 +217,7 @@ class Study:
         record = run.recording
         cut = jc.Recording(record.time[inside], record.position[inside], record.torque[inside])
         fit = jc.fit_payload(
-            self.whole, arm.settings.patterns(cut), known=arm.fit, **arm.settings.options
+            self.whole, arm.settings.patterns(cut), previous=arm.fit, solver=arm.settings.solver
         )
         interval = fit.physical_interval()
         half = 0.5 * (interval[:, 1] - interval[:, 0])

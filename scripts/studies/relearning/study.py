@@ -6,7 +6,7 @@ own draw, and the arm performs the training trajectory again, with torques so mu
 it stays within its range. Of this second recording only the first seconds are learnt from:
 
 - **as before**: nothing is learnt, the old coefficients stay.
-- **friction alone**: viscous and dry friction, the rest held (`jaxcslc.relearn`).
+- **friction alone**: viscous and dry friction, the rest held (`jaxcslc.reidentify`).
 - **everything**: all 43 coefficients from the short recording alone.
 
 All are judged by ε on the comparison trajectory of the cleaned arm, on the links' true motion
@@ -108,9 +108,9 @@ class Study:
         rows: list[dict[str, Any]] = []
         for length in self.lengths:
             short = settings.patterns(first(again, length))
-            learnt = settings.relearn(network, short, known, ("viscous", "dry"))
+            learnt = settings.reidentify(network, short, known, ("viscous", "dry"))
             found = {BEFORE: known.k, FRICTION: learnt.k}
-            whole = jc.least_squares(network, short, throw=False, **settings.options)
+            whole = settings.solver.fit(network, short, throw=False)
             if whole.result != jc.RESULTS.no_equations:
                 found[EVERYTHING] = whole.k
             vectors = found | {"floor": true}

@@ -98,8 +98,8 @@ class Study:
                 recording, smoothing=splines, torque_alignment="mean", trim=trim, **given
             )
 
-        usual = jc.least_squares(
-            self.masked, prepared(threshold_fraction=0.01), cutoff=CUTOFF, joint_weights="residual"
+        usual = jc.LeastSquares(joint_weights="residual", errors="independent", cutoff=CUTOFF).fit(
+            self.masked, prepared(threshold_fraction=0.01)
         )
         selections: dict[str, dict[str, Any]] = {
             "all pairs": {"thresholds": 0.0},
@@ -114,7 +114,12 @@ class Study:
                 found[name] = self._windows(recording, splines, trim, np.asarray(usual.k))
             else:
                 patterns = prepared(**selections[name])
-                fit = jc.fit_slopes(self.network, patterns, joint_weights="residual", blocks=BLOCKS)
+                fit = jc.fit_slopes(
+                    self.network,
+                    patterns,
+                    solver=jc.LeastSquares(errors="independent"),
+                    blocks=BLOCKS,
+                )
                 own = slice(self.masked.size, None)
                 k, error = np.asarray(fit.fit.k), np.asarray(fit.fit.standard_error)
                 slopes = np.asarray(fit.slopes), np.asarray(fit.slope_error)

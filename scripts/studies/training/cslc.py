@@ -75,7 +75,7 @@ def rows_of(
     book = jc.puma560()
     assert book.links is not None
     published = cslc.coefficients_from(book.links, viscous=book.viscous, dry=book.dry)
-    direct = jc.least_squares(cslc, patterns).k
+    direct = jc.LeastSquares(joint_weights="equal", errors="independent").fit(cslc, patterns).k
     floor = error(network, compared, direct)
     hand_over = error(network, learnt, published)
 

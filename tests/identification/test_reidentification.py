@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.network import carrier
 
-from .conftest import Motion, patterns_of
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 # Rounding of a factorisation of some 10^4 rows, times a condition number of order 10.
@@ -52,26 +52,26 @@ def test_recovers_friction_that_has_changed(
     cleaned = puma_k.at[_FRICTION].multiply(0.6)
     q, qd, qdd = exciting_motion
     short = patterns_of(puma, cleaned, (q[:6], qd[:6], qdd[:6]))
-    fit = jc.relearn(puma, short, puma_k)
+    fit = jc.reidentify(puma, short, puma_k, solver=ORDINARY)
     assert_allclose(fit.k, cleaned, atol=_ROUNDING)
     assert np.array_equal(fit.k[:31], puma_k[:31])
     assert int(fit.rank) == 12 and fit.unidentifiable == ()
     assert fit.result == jc.RESULTS.successful
     with pytest.raises(RuntimeError, match="Fewer equations"):
-        jc.least_squares(puma, short)
+        ORDINARY.fit(puma, short)
 
 
 def test_equals_numpy_on_the_columns_that_are_fitted(
     puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, rng: np.random.Generator
 ) -> None:
-    """Oracle: dense least squares, and the law by which errors of the held columns spread."""
-    before = jc.least_squares(puma, _drawn(puma, puma_k, rng, 300, 0.5))
+    """Oracle: dense least squares, and the law by which errors of the fixed columns spread."""
+    before = ORDINARY.fit(puma, _drawn(puma, puma_k, rng, 300, 0.5))
     q, qd, qdd = exciting_motion
     motion = (q[:200], qd[:200], qdd[:200])
     patterns = patterns_of(puma, puma_k, motion, rng.normal(size=motion[0].shape))
     counts = rng.random(motion[0].shape) < 0.7
     patterns = dataclasses.replace(patterns, backlash_mask=counts)
-    fit = jc.relearn(puma, patterns, before, groups=("dry", "gravity", "kv3"))
+    fit = jc.reidentify(puma, patterns, before, groups=("dry", "gravity", "kv3"), solver=ORDINARY)
 
     free = np.array([*range(26, 31), 33, *range(37, 43)])
     rest = np.setdiff1d(np.arange(43), free)
@@ -100,11 +100,17 @@ def test_all_groups_are_least_squares(
     options: dict[str, Any], arm: jc.CSLC, rng: np.random.Generator
 ) -> None:
     patterns = _drawn(arm, rng.normal(size=arm.size), rng, 400, 0.3)
-    whole = jc.least_squares(arm, patterns, **options)
-    fit = jc.relearn(arm, patterns, np.zeros(arm.size), groups=arm.names, **options)
+    whole = dataclasses.replace(ORDINARY, **options).fit(arm, patterns)
+    fit = jc.reidentify(
+        arm,
+        patterns,
+        np.zeros(arm.size),
+        groups=arm.names,
+        solver=dataclasses.replace(ORDINARY, **options),
+    )
     assert_allclose(fit.k, whole.k, rtol=1e-9)
     assert_allclose(fit.covariance, whole.covariance, rtol=1e-6, atol=1e-14)
-    assert_allclose(fit.freedom, whole.freedom)
+    assert_allclose(fit.degrees_of_freedom, whole.degrees_of_freedom)
 
 
 @pytest.mark.parametrize("options", _OPTIONS, ids=str)
@@ -118,11 +124,13 @@ def test_a_part_equals_a_network_of_that_part(
     names = [f"p{c.expression.replace('m2*r', 'h').rstrip('2')}" for c in alone.coefficients]
     k = rng.normal(size=loaded.size)
     patterns = _drawn(loaded, k, rng, 400, 0.3)
-    held = np.where([name in names for name in loaded.names], 0.0, k)
-    rest = np.asarray(loaded.torque(held, patterns.q, patterns.qd, patterns.qdd))
+    fixed = np.where([name in names for name in loaded.names], 0.0, k)
+    rest = np.asarray(loaded.torque(fixed, patterns.q, patterns.qd, patterns.qdd))
     own = dataclasses.replace(patterns, torque=np.asarray(patterns.torque) - rest)
-    fit = jc.relearn(loaded, patterns, k, groups=names, **options)
-    whole = jc.least_squares(alone, own, **options)
+    fit = jc.reidentify(
+        loaded, patterns, k, groups=names, solver=dataclasses.replace(ORDINARY, **options)
+    )
+    whole = dataclasses.replace(ORDINARY, **options).fit(alone, own)
     places = [loaded.names.index(name) for name in names]
     assert_allclose(np.asarray(fit.k)[places], whole.k, rtol=1e-8)
     assert_allclose(
@@ -136,8 +144,8 @@ def test_what_was_found_in_the_same_patterns_is_found_again(
     """A minimum over all coefficients is one over each part of them."""
     noise = rng.normal(size=exciting_motion[0].shape)
     patterns = patterns_of(puma, puma_k, exciting_motion, noise)
-    whole = jc.least_squares(puma, patterns)
-    fit = jc.relearn(puma, patterns, whole, groups=("viscous", "mass"))
+    whole = ORDINARY.fit(puma, patterns)
+    fit = jc.reidentify(puma, patterns, whole, groups=("viscous", "mass"), solver=ORDINARY)
     assert_allclose(fit.k, whole.k, atol=_ROUNDING)
 
 
@@ -156,8 +164,11 @@ def test_standard_errors_cover_the_truth(arm: jc.CSLC, rng: np.random.Generator)
         then.append(patterns_of(arm, jnp.asarray(k), motion, 0.3 * rng.normal(size=(60, 2))))
 
     def learn(first: jc.Patterns, then: jc.Patterns) -> tuple[jax.Array, jax.Array]:
-        before = jc.least_squares(arm, first, throw=False)
-        fits = [jc.relearn(arm, then, known, throw=False) for known in (before, before.k)]
+        before = ORDINARY.fit(arm, first, throw=False)
+        fits = [
+            jc.reidentify(arm, then, known, throw=False, solver=ORDINARY)
+            for known in (before, before.k)
+        ]
         both, alone = (jnp.abs(fit.k - k) < 2 * fit.standard_error for fit in fits)
         return both[-4:], alone[-4:]
 
@@ -169,7 +180,7 @@ def test_standard_errors_cover_the_truth(arm: jc.CSLC, rng: np.random.Generator)
 
 def test_a_vector_is_exact(arm: jc.CSLC, rng: np.random.Generator) -> None:
     k = rng.normal(size=arm.size)
-    fit = jc.relearn(arm, _drawn(arm, k, rng, 60, 0.3), k, groups="dry")
+    fit = jc.reidentify(arm, _drawn(arm, k, rng, 60, 0.3), k, groups="dry", solver=ORDINARY)
     assert np.all(fit.standard_error[:-2] == 0.0) and np.all(fit.standard_error[-2:] > 0.0)
     assert np.all(fit.determined)
 
@@ -181,7 +192,7 @@ def test_what_a_short_recording_leaves_open_is_named(
     q, qd, qdd = rng.uniform(-2, 2, (3, 50, 2))
     qd[:, 1] = 0.0
     k = rng.normal(size=arm.size)
-    fit = jc.relearn(arm, patterns_of(arm, jnp.asarray(k), (q, qd, qdd)), k)
+    fit = jc.reidentify(arm, patterns_of(arm, jnp.asarray(k), (q, qd, qdd)), k, solver=ORDINARY)
     assert fit.result == jc.RESULTS.rank_deficient and int(fit.rank) == 2
     assert fit.unidentifiable == (
         "kv2: nothing in the patterns depends on it",
@@ -195,7 +206,7 @@ def test_last_coefficients_may_be_missing_if_they_are_fitted(
     arm: jc.CSLC, rng: np.random.Generator
 ) -> None:
     k = rng.normal(size=arm.size)
-    fit = jc.relearn(arm, _drawn(arm, k, rng, 60, 0.0), k[:-2], groups=("dry",))
+    fit = jc.reidentify(arm, _drawn(arm, k, rng, 60, 0.0), k[:-2], groups=("dry",), solver=ORDINARY)
     assert_allclose(fit.k, k, atol=_ROUNDING)
 
 
@@ -203,11 +214,18 @@ def test_jit_and_vmap(arm: jc.CSLC, rng: np.random.Generator) -> None:
     """Over recordings and over what is known of the rest."""
     k = rng.normal(size=arm.size)
     patterns = [_drawn(arm, k, rng, 60, 0.1) for _ in range(3)]
-    known = [jc.least_squares(arm, _drawn(arm, k, rng, 60, 0.1)) for _ in range(3)]
-    learn = lambda p, f: jc.relearn(arm, p, f, errors="correlated", throw=False)
+    known = [ORDINARY.fit(arm, _drawn(arm, k, rng, 60, 0.1)) for _ in range(3)]
+    learn = lambda p, f: jc.reidentify(
+        arm, p, f, throw=False, solver=jc.LeastSquares(joint_weights="equal", errors="correlated")
+    )
     fits = jax.jit(jax.vmap(learn))(_stacked(patterns), _stacked(known))
     for i in range(3):
-        fit = jc.relearn(arm, patterns[i], known[i], errors="correlated")
+        fit = jc.reidentify(
+            arm,
+            patterns[i],
+            known[i],
+            solver=jc.LeastSquares(joint_weights="equal", errors="correlated"),
+        )
         assert_allclose(fits.k[i], fit.k, atol=_ROUNDING)
         assert_allclose(fits.standard_error[i], fit.standard_error, rtol=1e-6)
 
@@ -215,21 +233,24 @@ def test_jit_and_vmap(arm: jc.CSLC, rng: np.random.Generator) -> None:
 def test_failures(arm: jc.CSLC, puma: jc.CSLC, rng: np.random.Generator) -> None:
     k = rng.normal(size=arm.size)
     patterns = _drawn(arm, k, rng, 60, 0.1)
-    fit = jc.least_squares(arm, patterns)
+    fit = ORDINARY.fit(arm, patterns)
     with pytest.raises(ValueError, match="'wet' is none; expected some of base, viscous, dry, and"):
-        jc.relearn(arm, patterns, k, groups=("viscous", "wet"))
+        jc.reidentify(arm, patterns, k, groups=("viscous", "wet"), solver=ORDINARY)
     with pytest.raises(ValueError, match="none is given"):
-        jc.relearn(arm, patterns, k, groups=())
+        jc.reidentify(arm, patterns, k, groups=(), solver=ORDINARY)
     with pytest.raises(ValueError, match=f"expected {arm.size} coefficients, got 3"):
-        jc.relearn(arm, patterns, k[:3])
+        jc.reidentify(arm, patterns, k[:3], solver=ORDINARY)
     with pytest.raises(ValueError, match="expected 43 coefficients"):
-        jc.relearn(puma, patterns, fit)
+        jc.reidentify(puma, patterns, fit, solver=ORDINARY)
     other = dataclasses.replace(fit, names=tuple(f"{name}x" for name in fit.names))
     with pytest.raises(ValueError, match="its coefficients are kB1x to kd2x"):
-        jc.relearn(arm, patterns, other)
+        jc.reidentify(arm, patterns, other, solver=ORDINARY)
     with pytest.raises(RuntimeError, match="NaN"):
-        jc.relearn(arm, patterns, np.where(np.arange(arm.size) == 0, np.nan, k))
+        jc.reidentify(arm, patterns, np.where(np.arange(arm.size) == 0, np.nan, k), solver=ORDINARY)
     nothing = dataclasses.replace(patterns, backlash_mask=np.zeros((60, 2), bool))
     with pytest.raises(RuntimeError, match="Fewer equations"):
-        jc.relearn(arm, nothing, k)
-    assert jc.relearn(arm, nothing, k, throw=False).result == jc.RESULTS.no_equations
+        jc.reidentify(arm, nothing, k, solver=ORDINARY)
+    assert (
+        jc.reidentify(arm, nothing, k, throw=False, solver=ORDINARY).result
+        == jc.RESULTS.no_equations
+    )

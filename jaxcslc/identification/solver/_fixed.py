@@ -1,0 +1,88 @@
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...network import CSLC
+from ._identification import Identification
+
+
+Previous = Identification | Float[Array | np.ndarray, " coefficients"]
+
+
+class Fixed(eqx.Module):
+    """Coefficients that keep their values in a fit, and how well these are known.
+
+    **Attributes**
+
+    - `free`: indices of those that are fitted.
+    - `k`: (p,) what the others are fixed at, and what the fitted ones are near where a fit has a
+      choice.
+    - `covariance`, `independent_covariance`: (p, p), `determined`: (p,), as in `Identification`;
+      what they say of fitted coefficients is not used.
+    - `degrees_of_freedom`: that belongs to the covariance.
+    """
+
+    free: tuple[int, ...] = eqx.field(static=True)
+    k: Float[Array, " coefficients"]
+    covariance: Float[Array, "coefficients coefficients"]
+    independent_covariance: Float[Array, "coefficients coefficients"]
+    determined: Bool[Array, " coefficients"]
+    degrees_of_freedom: Float[Array, ""]
+
+    @classmethod
+    def except_for(cls, network: CSLC, previous: Previous, groups: Sequence[str]) -> "Fixed":
+        """All but `groups` keep their values of `previous`, which may end before the last ones if
+        those are all fitted.
+
+        **Raises** `ValueError` for names that are none, and for another network's `previous`.
+        """
+        free = _indices(network, groups)
+        values = jnp.asarray(previous.k if isinstance(previous, Identification) else previous)
+        size, missing = len(values), network.size - len(values)
+        if missing < 0 or not {*range(size, network.size)} <= set(free):
+            raise ValueError(f"previous: expected {network.size} coefficients, got {size}")
+        if isinstance(previous, Identification):
+            if previous.names != network.names[:size]:
+                raise ValueError(
+                    f"previous: its coefficients are {previous.names[0]} to {previous.names[-1]}"
+                    f" ({size});"
+                    f" {network.robot.name!r} has {network.names[0]} to {network.names[-1]}"
+                    f" ({network.size})"
+                )
+            covariances = previous.covariance, previous.independent_covariance
+            determined, degrees_of_freedom = previous.determined, previous.degrees_of_freedom
+        else:
+            covariances = (jnp.zeros((size, size)),) * 2
+            determined, degrees_of_freedom = jnp.ones(size, bool), jnp.asarray(jnp.inf)
+        return cls(
+            free,
+            jnp.pad(values.astype(float), (0, missing)),
+            *(jnp.pad(jnp.asarray(c, float), (0, missing)) for c in covariances),
+            determined=jnp.pad(jnp.asarray(determined), (0, missing), constant_values=True),
+            degrees_of_freedom=jnp.asarray(degrees_of_freedom, float),
+        )
+
+    @property
+    def remaining(self) -> Int[np.ndarray, " fixed"]:
+        """Indices of those that are not fitted."""
+        return np.setdiff1d(np.arange(len(self.k)), self.free)
+
+
+def _indices(network: CSLC, groups: Sequence[str]) -> tuple[int, ...]:
+    """Indices of the coefficients of groups or of names, ascending."""
+    names = (groups,) if isinstance(groups, str) else tuple(groups)
+    there = dict.fromkeys(coefficient.group for coefficient in network.coefficients)
+    listed = f"{', '.join(there)}, and names, {network.names[0]} to {network.names[-1]}"
+    if not names:
+        raise ValueError(f"groups: none is given; expected some of {listed}")
+    for name in names:
+        if name not in there and name not in network.names:
+            raise ValueError(f"groups: {name!r} is none; expected some of {listed}")
+    return tuple(
+        index
+        for index, coefficient in enumerate(network.coefficients)
+        if coefficient.group in names or coefficient.name in names
+    )
