@@ -1,5 +1,6 @@
 """Robust losses: the functions themselves, and iteratively reweighted least squares."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -22,7 +23,7 @@ from jaxcslc.identification.solver._losses import (
     weight,
 )
 
-from .conftest import Motion, patterns_of
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 ROBUST: tuple[Loss, ...] = ("huber", "bisquare")
@@ -125,6 +126,7 @@ def test_outliers_have_less_influence(arm: jc.CSLC, rng: np.random.Generator) ->
         fits = [np.asarray(solver.fit(arm, patterns).k) for patterns in recordings]
         errors[loss] = float(np.mean([np.abs(k - TRUE).max() for k in fits]))
     assert errors["bisquare"] < errors["huber"] < errors["squared"]
+    assert errors["bisquare"] < 0.03
 
 
 @pytest.mark.parametrize("loss", ROBUST)
