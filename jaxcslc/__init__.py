@@ -44,6 +44,7 @@ from .motion import (
     AveragedSplines as AveragedSplines,
     Butterworth as Butterworth,
     Patterns as Patterns,
+    Preparation as Preparation,
     Recording as Recording,
     RecordingError as RecordingError,
     SavitzkyGolay as SavitzkyGolay,

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..motion import AbstractSmoothing, Recording, without_rounding, zero_phase
+from ..motion import Derivatives, Patterns, Preparation, Recording, zero_phase
 from ..network import CSLC
 from ._candidates import Candidates
 from ._settings import Settings
@@ -159,12 +159,11 @@ def choose_settings(
     require_float64(recording.position, recording.torque)
     among = Candidates.suited_to(recording) if candidates is None else candidates
     kinds = [getattr(among, field.name) for field in dataclasses.fields(among)]
-    smoothed: dict[int, _Smoothed] = {}
+    smoothed: dict[int, Derivatives] = {}
 
-    def motion(number: int) -> _Smoothed:
+    def motion(number: int) -> Derivatives:
         if number not in smoothed:
-            derivatives = among.smoothings[number].smooth(recording.time, recording.position)
-            smoothed[number] = _Smoothed(*without_rounding(recording.position, derivatives))
+            smoothed[number] = Preparation(among.smoothings[number]).derivatives(recording)
         return smoothed[number]
 
     # The same ends are cut off for all, so that all are fitted and judged on the same samples.
@@ -175,12 +174,13 @@ def choose_settings(
     )
     start = (min(3, len(kinds[0]) // 2), 0, *(len(kind) // 2 for kind in kinds[2:4]), 0, 0)
     strictest = Settings(
-        smoothing=motion(start[0]),
+        smoothing=among.smoothings[start[0]],
         threshold_fraction=max(among.threshold_fractions),
         backlash=backlash,
         trim=trim,
     )
-    course = _course(network, recording, strictest, among, folds=folds, gap=gap)
+    strict = strictest.preparation.patterns(recording, motion(start[0]))
+    course = _course(network, recording, strict, among, folds=folds, gap=gap)
     trials: dict[_Place, Trial] = {}
 
     def score(place: _Place) -> float:
@@ -197,36 +197,14 @@ def choose_settings(
                 cutoff=cutoff,
                 joint_weights=weights,
             )
-            quick = dataclasses.replace(settings, smoothing=motion(place[0]), trim=trim)
-            errors = _held_out(network, recording, course, quick)
+            same = dataclasses.replace(settings.preparation, trim=trim)
+            patterns = same.patterns(recording, motion(place[0]))
+            errors = _held_out(network, patterns, course, settings)
             trials[place] = Trial(settings, *_summary(errors, course))
         return trials[place].score
 
     best = _search([len(kind) for kind in kinds], start, score)
     return Selection(trials[best].settings, tuple(trials.values()))
-
-
-class _Smoothed(AbstractSmoothing):
-    """Derivatives that are known already, so that no trial smooths again."""
-
-    q: Float[np.ndarray, "samples joints"]
-    qd: Float[np.ndarray, "samples joints"]
-    qdd: Float[np.ndarray, "samples joints"]
-
-    def smooth(
-        self, time: Float[np.ndarray, " samples"], position: Float[np.ndarray, "samples joints"]
-    ) -> tuple[
-        Float[np.ndarray, "samples joints"],
-        Float[np.ndarray, "samples joints"],
-        Float[np.ndarray, "samples joints"],
-    ]:
-        del time, position
-        return self.q, self.qd, self.qdd
-
-    def low_pass(
-        self, time: Float[np.ndarray, " samples"], signal: Float[np.ndarray, "samples joints"]
-    ) -> Float[np.ndarray, "samples joints"]:
-        raise NotImplementedError("trials see torques as they were recorded")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -244,13 +222,13 @@ class _Course:
 def _course(
     network: CSLC,
     recording: Recording,
-    strictest: Settings,
+    strictest: Patterns,
     among: Candidates,
     *,
     folds: int,
     gap: float | None,
 ) -> _Course:
-    mask = np.asarray(strictest.patterns(recording).mask)
+    mask = np.asarray(strictest.mask)
     samples = len(mask)
     most = samples // (2 * _FEWEST)
     if not 2 <= folds <= most:
@@ -299,10 +277,9 @@ def _by_fold(
 
 
 def _held_out(
-    network: CSLC, recording: Recording, course: _Course, settings: Settings
+    network: CSLC, patterns: Patterns, course: _Course, settings: Settings
 ) -> Float[np.ndarray, "samples joints"]:
     """Torque error of every sample under coefficients fitted without its stretch."""
-    patterns = settings.patterns(recording)
     error = settings.solver.held_out_errors(network, patterns, course.fold)
     if settings.torque_alignment == "mean":
         return error

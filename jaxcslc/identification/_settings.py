@@ -7,12 +7,10 @@ import numpy as np
 from ..motion import (
     AbstractSmoothing,
     AveragedSplines,
-    Butterworth,
     Patterns,
+    Preparation,
     Recording,
-    SavitzkyGolay,
     TorqueAlignment,
-    prepare,
 )
 from ..network import CSLC
 from ._reidentification import reidentify
@@ -50,8 +48,8 @@ class Settings:
 
     >>> import numpy as np, jaxcslc as jc
     >>> print(jc.Settings(cutoff=15.0))
-    averaged splines of 9 samples, torque of 'sample', thresholds 3 % of top speed, filtered \
-alike at 15 Hz, joints weighted by residual
+    averaged splines of 9 samples, velocities from positions, torque of 'sample', thresholds 3 % \
+of top speed, filtered alike at 15 Hz, joints weighted by residual
     >>> time = np.arange(400) * 0.01
     >>> recording = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
     >>> jc.Settings(trim=10).patterns(recording).samples
@@ -71,11 +69,7 @@ alike at 15 Hz, joints weighted by residual
     errors: Errors = "correlated"
 
     def __post_init__(self) -> None:
-        if self.torque_alignment not in ("sample", "previous", "mean"):
-            raise ValueError(
-                f"torque alignment is {self.torque_alignment!r}; expected 'sample', 'previous' or"
-                " 'mean'"
-            )
+        _ = self.preparation  # which checks its options
         if self.joint_weights not in ("equal", "residual"):
             raise ValueError(
                 f"joint weights are {self.joint_weights!r}; expected 'equal' or 'residual'"
@@ -86,18 +80,6 @@ alike at 15 Hz, joints weighted by residual
             raise ValueError(
                 f"errors are {self.errors!r}; expected {' or '.join(map(repr, ERRORS))}"
             )
-        if not np.isfinite(self.torque_lag):
-            raise ValueError(f"torque lag is {self.torque_lag} s; expected a finite number")
-        if not 0.0 <= self.threshold_fraction < 1.0:
-            raise ValueError(
-                f"threshold fraction is {self.threshold_fraction}; expected at least 0 and below 1"
-            )
-        if self.thresholds is not None:
-            object.__setattr__(self, "thresholds", tuple(float(v) for v in self.thresholds))
-            if not all(0.0 <= threshold < np.inf for threshold in self.thresholds):
-                raise ValueError(
-                    f"thresholds are {list(self.thresholds)}; expected finite numbers, none below 0"
-                )
         if self.cutoff is not None and not 0.0 < self.cutoff < np.inf:
             raise ValueError(f"cut-off is {self.cutoff} Hz; expected more than 0, or None")
 
@@ -106,19 +88,7 @@ alike at 15 Hz, joints weighted by residual
 
         **Raises** as `jaxcslc.motion.prepare`.
         """
-        torque = recording.torque
-        if self.torque_lag:
-            at = recording.time + self.torque_lag
-            torque = np.stack([np.interp(at, recording.time, x) for x in torque.T], axis=1)
-        return prepare(
-            Recording(recording.time, recording.position, torque),
-            smoothing=self.smoothing,
-            torque_alignment=self.torque_alignment,
-            thresholds=self.thresholds,
-            threshold_fraction=self.threshold_fraction,
-            backlash=self.backlash,
-            trim=self.trimmed(recording),
-        )
+        return self.preparation.patterns(recording)
 
     def fit(self, network: CSLC, patterns: Patterns) -> Identification:
         """The direct solve under these settings.
@@ -145,42 +115,17 @@ alike at 15 Hz, joints weighted by residual
 
     def trimmed(self, recording: Recording) -> int:
         """How many samples `patterns` drops at both ends of a recording."""
-        if self.trim is not None:
-            return self.trim
-        interval = float(np.median(np.diff(recording.time)))
-        match self.smoothing:
-            case AveragedSplines():
-                seen = max(self.smoothing.spacings(recording.joints))
-            case Butterworth(cutoff=cutoff):
-                seen = int(np.ceil(0.5 / (cutoff * interval)))
-            case SavitzkyGolay(window=window):
-                seen = window // 2
-            case _:
-                seen = 0
-        # Beyond the ends there is no torque to read.
-        return max(seen, int(np.ceil(abs(self.torque_lag) / interval)))
+        return self.preparation.trimmed(recording)
+
+    @property
+    def preparation(self) -> Preparation:
+        """The part of the settings that makes patterns of a recording."""
+        names = (field.name for field in dataclasses.fields(Preparation))
+        return Preparation(**{name: getattr(self, name) for name in names if hasattr(self, name)})
 
     def __str__(self) -> str:
-        match self.smoothing:
-            case AveragedSplines(spacing=spacing):
-                smoothing = f"averaged splines of {spacing} samples"
-            case Butterworth(cutoff=cutoff):
-                smoothing = f"Butterworth at {cutoff:g} Hz"
-            case SavitzkyGolay(window=window, order=order):
-                smoothing = f"Savitzky-Golay of {window} samples and order {order}"
-            case _:
-                smoothing = repr(self.smoothing)
-        if self.thresholds is None:
-            thresholds = f"thresholds {100 * self.threshold_fraction:g} % of top speed"
-        else:
-            listed = ", ".join(f"{threshold:.3g}" for threshold in self.thresholds)
-            thresholds = f"thresholds {listed}"
         parts = [
-            smoothing,
-            f"torque of {self.torque_alignment!r}",
-            f"torque lag {1e3 * self.torque_lag:g} ms" if self.torque_lag else "",
-            thresholds,
-            "backlash left out" if self.backlash else "",
+            self.preparation.description,
             "" if self.cutoff is None else f"filtered alike at {self.cutoff:g} Hz",
             f"joints weighted {'equally' if self.joint_weights == 'equal' else 'by residual'}",
             "" if self.loss == "squared" else f"loss of {self.loss!r}",

@@ -2,15 +2,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from ..motion import AbstractSmoothing, AveragedSplines, Butterworth, SavitzkyGolay
+from ..motion import smoothing_document, smoothing_from
 from ._settings import Settings
-
-
-_SMOOTHINGS: dict[str, type[AbstractSmoothing]] = {
-    "averaged_splines": AveragedSplines,
-    "butterworth": Butterworth,
-    "savitzky_golay": SavitzkyGolay,
-}
 
 
 def settings_document(settings: Settings) -> dict[str, Any]:
@@ -25,18 +18,8 @@ def settings_document(settings: Settings) -> dict[str, Any]:
     >>> settings_from(settings_document(settings)) == settings
     True
     """
-    names = {kind: name for name, kind in _SMOOTHINGS.items()}
-    if type(settings.smoothing) not in names:
-        raise ValueError(f"{settings.smoothing!r} cannot be written; it has no name in a file")
     document = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
-    document["smoothing"] = {
-        "method": names[type(settings.smoothing)],
-        **{
-            field.name: getattr(settings.smoothing, field.name)
-            for field in dataclasses.fields(settings.smoothing)
-        },
-    }
-    return document
+    return {**document, "smoothing": smoothing_document(settings.smoothing)}
 
 
 def settings_from(document: Mapping[str, Any]) -> Settings:
@@ -53,27 +36,10 @@ def settings_from(document: Mapping[str, Any]) -> Settings:
         )
     entries = dict(document)
     if "smoothing" in entries:
-        entries["smoothing"] = _smoothing(entries["smoothing"])
+        entries["smoothing"] = smoothing_from(entries["smoothing"])
     if isinstance(entries.get("thresholds"), list):
         entries["thresholds"] = tuple(entries["thresholds"])
     try:
         return Settings(**entries)
     except TypeError as error:
         raise ValueError(f"settings: {error}") from None
-
-
-def _smoothing(document: Any) -> AbstractSmoothing:
-    if not isinstance(document, Mapping) or document.get("method") not in _SMOOTHINGS:
-        raise ValueError(
-            f"settings, smoothing: expected a method out of {', '.join(_SMOOTHINGS)},"
-            f" got {document!r}"
-        )
-    entries: dict[str, Any] = {
-        str(name): tuple(value) if isinstance(value, list) else value
-        for name, value in document.items()
-        if name != "method"
-    }
-    try:
-        return _SMOOTHINGS[document["method"]](**entries)
-    except TypeError as error:
-        raise ValueError(f"settings, smoothing: {error}") from None

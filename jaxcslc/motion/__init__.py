@@ -1,10 +1,15 @@
 from ._alignment import TorqueAlignment as TorqueAlignment, align_torque as align_torque
-from ._butterworth import (
+from ._clock import (
+    resample as resample,
+    restore_clock as restore_clock,
+    uniform_interval as uniform_interval,
+)
+from ._filters import (
     Butterworth as Butterworth,
     CentralDifferences as CentralDifferences,
+    SavitzkyGolay as SavitzkyGolay,
     zero_phase as zero_phase,
 )
-from ._clock import restore_clock as restore_clock
 from ._masks import (
     away_from_reversals as away_from_reversals,
     friction_mask as friction_mask,
@@ -16,10 +21,12 @@ from ._parallel_filter import (
     decimation_for as decimation_for,
     parallel_filter as parallel_filter,
 )
-from ._patterns import (
-    Patterns as Patterns,
+from ._patterns import Patterns as Patterns, joints_left_out as joints_left_out
+from ._preparation import (
+    DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,
+    Preparation as Preparation,
+    VelocitySource as VelocitySource,
     as_recorded as as_recorded,
-    joints_left_out as joints_left_out,
     prepare as prepare,
 )
 from ._recording import (
@@ -33,12 +40,20 @@ from ._recording import (
     stale_rows as stale_rows,
     without_stale_rows as without_stale_rows,
 )
-from ._resampling import resample as resample, uniform_interval as uniform_interval
-from ._resolution import encoder_resolution as encoder_resolution, noise_level as noise_level
-from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay
+from ._sampling import (
+    Sampling as Sampling,
+    encoder_resolution as encoder_resolution,
+    noise_level as noise_level,
+)
 from ._sections import Reversal as Reversal, find_reversals as find_reversals
-from ._selection import choose_spacing as choose_spacing, left_out_error as left_out_error
-from ._smoothing import AbstractSmoothing as AbstractSmoothing, without_rounding as without_rounding
+from ._smoothing import (
+    AbstractSmoothing as AbstractSmoothing,
+    Derivatives as Derivatives,
+    register_smoothing as register_smoothing,
+    smoothing_document as smoothing_document,
+    smoothing_from as smoothing_from,
+)
+from ._spacing import choose_spacing as choose_spacing, left_out_error as left_out_error
 from ._splines import AveragedSplines as AveragedSplines
 from ._thresholds import (
     StaticFriction as StaticFriction,

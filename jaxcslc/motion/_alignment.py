@@ -13,31 +13,28 @@ def align_torque(
 ) -> Float[np.ndarray, "samples joints"]:
     """Gives every sample of a motion the torque that acted on it (thesis, Section 7.4).
 
-    A drive that holds its demand applies `torque[n]` from sample n to sample n + 1, so the
-    acceleration jumps at the samples, and what a smoothed record of positions gives there lies
+    A drive that holds its demand applies `torque[n]` from sample n to sample n + 1. The
+    acceleration jumps at the samples, and what a smoothed record of positions shows there lies
     between the accelerations on either side.
 
-    **Arguments:**
+    **Arguments**
 
     - `torque`: demanded or measured torques, shape `(samples, joints)` [N m or N].
-    - `alignment`:
-        - `"sample"`: as it is. Right for torques measured at the instant of the sample.
-        - `"previous"`: the demand one sample earlier, which drove the arm into the sampled
-            configuration. The thesis's choice.
-        - `"mean"`: the mean of the two intervals that meet at the sample. Right for a held
-            demand and derivatives that are smoothed symmetrically: of the three, the only one
-            without a delay of half an interval between torque and motion.
+    - `alignment`: `"sample"` takes it as it is: right for torques measured at the instant of the
+      sample. `"previous"` takes the demand one sample earlier, which drove the arm into the
+      sampled configuration: the thesis's choice. `"mean"` takes the mean of the two intervals
+      that meet at the sample: right for a held demand and derivatives that are smoothed
+      symmetrically, the only one of the three without a delay of half an interval.
 
-    **Returns:**
+    **Returns**
 
     The aligned torques, shape `(samples, joints)`. Nothing is known of the demand before the
     first sample, which keeps its own.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: an alignment that is none of the three.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import align_torque
     >>> torque = np.array([[1.0], [3.0], [7.0]])
@@ -45,8 +42,6 @@ def align_torque(
     [1.0, 1.0, 3.0]
     >>> align_torque(torque, "mean")[:, 0].tolist()
     [1.0, 2.0, 5.0]
-
-    ```
     """
     previous = np.concatenate([torque[:1], torque[:-1]])
     if alignment == "sample":

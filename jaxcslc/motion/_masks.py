@@ -27,19 +27,18 @@ def possible_backlash(
 
     Backlash is decoupled, so a pair says nothing of the other joints of its sample.
 
-    **Arguments:**
+    **Arguments**
 
     - `qd`, `qdd`: velocities and accelerations, shape `(..., joints)`.
     - `torque`: torques, shape `(..., joints)`.
 
-    **Returns:**
+    **Returns**
 
     True where backlash is possible, shape `(..., joints)`. Where velocity, acceleration or
     torque is exactly zero, a sign is *missing* rather than shared by the other two: the
     magnitude is below what the recording resolves and the true sign may be either. A missing
     sign counts as agreeing with the others, so that the mask still includes every occurrence.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import possible_backlash
     >>> torque = np.array([1.0, 1.0, -1.0, 1.0])
@@ -47,8 +46,6 @@ def possible_backlash(
     >>> qdd = np.array([2.0, 2.0, -2.0, -2.0])
     >>> possible_backlash(qd, qdd, torque).tolist()
     [True, False, True, False]
-
-    ```
     """
     with_velocity = np.sign(torque) * np.sign(qd) >= 0
     with_acceleration = np.sign(torque) * np.sign(qdd) >= 0
@@ -58,33 +55,40 @@ def possible_backlash(
 
 
 def friction_thresholds(
-    qd: Float[np.ndarray, "samples joints"], fraction: float = 0.01
+    qd: Float[np.ndarray, "samples joints"], fraction: float | tuple[float, ...]
 ) -> Float[np.ndarray, " joints"]:
     """Velocities below which static friction is taken to matter, joint by joint.
 
     The thesis starts from one hundredth of each joint's greatest velocity in the training
     recording (Section 7.5) and sharpens it once the friction can be seen (Appendix B.6).
 
-    **Arguments:**
+    **Arguments**
 
     - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
-    - `fraction`: of each joint's greatest speed.
+    - `fraction`: of each joint's greatest speed; one for all joints or one for each.
 
-    **Returns:**
+    **Returns**
 
     The thresholds, shape `(joints,)` [rad/s or m/s].
 
-    ```python
+    **Raises**
+
+    - `ValueError`: a fraction below 0 or not below 1, or a wrong number of them.
+
     >>> import numpy as np
     >>> from jaxcslc.motion import friction_thresholds
-    >>> friction_thresholds(np.array([[0.5, -1.0], [-2.0, 0.25]])).tolist()
+    >>> friction_thresholds(np.array([[0.5, -1.0], [-2.0, 0.25]]), 0.01).tolist()
     [0.02, 0.01]
-
-    ```
     """
-    if not 0.0 <= fraction < 1.0:
+    fractions, joints = np.asarray(fraction, dtype=np.float64), qd.shape[1]
+    if fractions.shape not in ((), (joints,)):
+        raise ValueError(
+            f"{fractions.size} threshold fractions for {joints} joints; expected one, or one for"
+            " each joint"
+        )
+    if not np.all((fractions >= 0.0) & (fractions < 1.0)):
         raise ValueError(f"threshold fraction is {fraction}; expected at least 0 and below 1")
-    return fraction * np.max(np.abs(qd), axis=0)
+    return fractions * np.max(np.abs(qd), axis=0)
 
 
 def friction_mask(
@@ -92,27 +96,24 @@ def friction_mask(
 ) -> Bool[np.ndarray, "samples joints"]:
     """Marks the joint-and-sample pairs that move too fast for static friction (Section 7.2.2).
 
-    **Arguments:**
+    **Arguments**
 
     - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
     - `thresholds`: one for each joint, shape `(joints,)`, or one for all [rad/s or m/s].
 
-    **Returns:**
+    **Returns**
 
     True where `|qd| > threshold`, shape `(samples, joints)`. A joint that does not move never
     slides, whatever its threshold.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: a threshold that is negative or no number, or a wrong number of them.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import friction_mask
     >>> friction_mask(np.array([[0.5, -0.01], [0.0, 0.3]]), [0.1, 0.1]).tolist()
     [[True, False], [False, True]]
-
-    ```
     """
     limits = np.asarray(thresholds, dtype=np.float64)
     joints = qd.shape[1]
@@ -134,29 +135,26 @@ def away_from_reversals(
     Smoothing spreads the jump that friction puts into an acceleration over about its own
     width, further than a velocity threshold reaches where a joint turns quickly.
 
-    **Arguments:**
+    **Arguments**
 
     - `qd`: velocities, shape `(samples, joints)`.
     - `margin`: how many samples on either side of a reversal are left out; 0 leaves none out.
 
-    **Returns:**
+    **Returns**
 
     False for the samples around each change of sign, shape `(samples, joints)`. Zero
     velocities between two signs belong to the reversal; standing still between two motions the
     same way is none.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: a negative margin.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import away_from_reversals
     >>> qd = np.array([3.0, 2.0, 1.0, 0.0, -1.0, -2.0, -3.0])[:, None]
     >>> away_from_reversals(qd, 2)[:, 0].tolist()
     [True, False, False, False, False, False, True]
-
-    ```
     """
     if margin < 0:
         raise ValueError(f"reversal margin is {margin} samples; expected 0 or more")

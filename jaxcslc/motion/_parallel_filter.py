@@ -2,13 +2,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._butterworth import zero_phase
+from ._filters import zero_phase
 
 
 class FilteredEquations(eqx.Module):
     """Equations `regressor @ k = torque`, filtered alike on both sides and decimated.
 
-    **Attributes:**
+    **Attributes**
 
     - `regressor`: shape `(equations, coefficients)`.
     - `torque`: shape `(equations,)` [N m or N].
@@ -17,7 +17,6 @@ class FilteredEquations(eqx.Module):
     - `weight`: how much of its filter lay on pairs that count, shape `(equations,)`; near 1
         where all did.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import parallel_filter
     >>> regressor = np.ones((200, 1, 1))
@@ -26,8 +25,6 @@ class FilteredEquations(eqx.Module):
     ... )
     >>> equations.torque.shape, equations.torque[0].round(9)
     ((20,), np.float64(3.0))
-
-    ```
     """
 
     regressor: Float[np.ndarray, "equations coefficients"]
@@ -45,21 +42,18 @@ def decimation_for(cutoff: float, interval: float) -> int:
     and make standard errors look smaller than they are. Aliasing does no harm: both sides of an
     equation alias alike, and it stays true.
 
-    **Arguments:**
+    **Arguments**
 
     - `cutoff`: of the filter [Hz].
     - `interval`: between samples [s].
 
-    **Returns:**
+    **Returns**
 
     The whole number of samples nearest below `1 / (2 cutoff)`, and at least 1.
 
-    ```python
     >>> from jaxcslc.motion import decimation_for
     >>> decimation_for(cutoff=15.0, interval=0.002)
     16
-
-    ```
     """
     return max(1, int(np.floor(0.5 / (cutoff * interval) + 1e-9)))
 
@@ -85,7 +79,7 @@ def parallel_filter(
     Pairs of joint and sample that do not count are set to zero on both sides before: 0 = 0 is as
     true an equation, and what is left of the neighbours stays theirs.
 
-    **Arguments:**
+    **Arguments**
 
     - `regressor`: shape `(samples, joints, coefficients)`.
     - `torque`: shape `(samples, joints)` [N m or N].
@@ -98,15 +92,14 @@ def parallel_filter(
     - `least_weight`: drop an equation of which less than this part of the filter lay on pairs
         that count. The choice looks at the mask alone, never at the data.
 
-    **Returns:**
+    **Returns**
 
     The equations that are left, joint by joint. There are none where nothing counts.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: a decimation below 1, or a cut-off that the sampling rate does not allow.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import parallel_filter
     >>> time = np.arange(500) * 0.01
@@ -116,8 +109,6 @@ def parallel_filter(
     >>> equations = parallel_filter(regressor, torque, mask, interval=0.01, cutoff=5.0)
     >>> np.linalg.lstsq(equations.regressor, equations.torque)[0].round(9).tolist()
     [2.0, -1.0]
-
-    ```
     """
     if decimation is None:
         decimation = decimation_for(cutoff, interval)

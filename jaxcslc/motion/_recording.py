@@ -16,12 +16,9 @@ class RecordingError(ValueError):
 
     The message is one line: what is wrong, where, and what was expected.
 
-    ```python
     >>> from jaxcslc.motion import RecordingError
     >>> issubclass(RecordingError, ValueError)
     True
-
-    ```
     """
 
 
@@ -46,12 +43,12 @@ def first_fault(
 
     Every way into a recording, from arrays, from a file and chunk by chunk, comes through here.
 
-    **Arguments:**
+    **Arguments**
 
     - `columns`: the columns by name, `time` among them.
     - `before`: the row before the first, where the table continues another one.
 
-    **Returns:**
+    **Returns**
 
     The fault, or `None`. A cell that is not finite is named before an order of times that such a
     cell would make meaningless.
@@ -114,7 +111,7 @@ class Recording(eqx.Module):
     The torque in row n is the one demanded (or measured) at `time[n]`; a drive that holds its
     demand applies it from `time[n]` to `time[n + 1]` (thesis, Section 7.4).
 
-    **Attributes:**
+    **Attributes**
 
     - `time`: instants of the samples, shape `(samples,)` [s], strictly increasing.
     - `position`: joint positions, shape `(samples, joints)` [rad or m].
@@ -124,15 +121,12 @@ class Recording(eqx.Module):
 
     All are float64 arrays.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import Recording
     >>> time = np.linspace(0.0, 1.0, 11)
     >>> recording = Recording(time, np.sin(time)[:, None], np.zeros((11, 1)))
     >>> recording.samples, recording.joints
     (11, 1)
-
-    ```
     """
 
     time: Float[np.ndarray, " samples"]
@@ -149,11 +143,11 @@ class Recording(eqx.Module):
         velocity: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
     ):
-        """**Arguments:**
+        """**Arguments**
 
         As the attributes; anything that NumPy can turn into float64 arrays of those shapes.
 
-        **Raises:**
+        **Raises**
 
         - `RecordingError`: shapes that disagree, fewer than five samples, values that are not
             finite, or time that does not strictly increase. Samples and joints count from 1 in
@@ -205,15 +199,15 @@ class Recording(eqx.Module):
     def rows(self, chosen: slice | Bool[np.ndarray, " samples"]) -> "Recording":
         """Some of the samples, as a recording of their own.
 
-        **Arguments:**
+        **Arguments**
 
         - `chosen`: a slice, or True for each sample to keep, shape `(samples,)`.
 
-        **Returns:**
+        **Returns**
 
         The recording of the chosen samples.
 
-        **Raises:**
+        **Raises**
 
         - `RecordingError`: fewer than five are left.
         """
@@ -233,28 +227,25 @@ def without_stale_rows(recording: Recording) -> Recording:
     old values. They are no measurements: left in, they look like a joint that stops and jumps.
     (Rows that repeat the *time* as well are an error when the recording is made.)
 
-    **Arguments:**
+    **Arguments**
 
     - `recording`: as recorded.
 
-    **Returns:**
+    **Returns**
 
     The recording without its stale rows; its time is then not uniform. See `resample` for
     methods that need uniform time.
 
-    **Raises:**
+    **Raises**
 
     - `RecordingError`: too few samples are left.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import Recording, without_stale_rows
     >>> position = np.array([0.0, 0.1, 0.1, 0.3, 0.4, 0.5])[:, None]
     >>> recording = Recording(np.arange(6) * 0.01, position, 2 * position)
     >>> without_stale_rows(recording).time
     array([0.  , 0.01, 0.03, 0.04, 0.05])
-
-    ```
     """
     return recording.rows(~stale_rows(recording))
 
@@ -262,22 +253,19 @@ def without_stale_rows(recording: Recording) -> Recording:
 def stale_rows(recording: Recording) -> Bool[np.ndarray, " samples"]:
     """Marks the samples whose values all repeat those of the sample before.
 
-    **Arguments:**
+    **Arguments**
 
     - `recording`: as recorded.
 
-    **Returns:**
+    **Returns**
 
     True for each stale sample, shape `(samples,)`; never for the first.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import Recording, stale_rows
     >>> position = np.array([0.0, 0.1, 0.1, 0.3, 0.4])[:, None]
     >>> stale_rows(Recording(np.arange(5) * 0.01, position, position)).tolist()
     [False, False, True, False, False]
-
-    ```
     """
     parts = (recording.position, recording.torque, recording.velocity, recording.acceleration)
     values = np.concatenate([part for part in parts if part is not None], axis=1)

@@ -7,18 +7,15 @@ from scipy.optimize import minimize_scalar
 class Reversal(eqx.Module):
     """Where a joint turns round.
 
-    **Attributes:**
+    **Attributes**
 
     - `time`: the instant of zero velocity, in general between two samples [s].
     - `position`: the joint's position there [rad or m].
     - `direction`: of the motion that follows, 1 or -1.
 
-    ```python
     >>> from jaxcslc.motion import Reversal
     >>> Reversal(time=0.25, position=1.0, direction=-1).direction
     -1
-
-    ```
     """
 
     time: float
@@ -46,7 +43,7 @@ def find_reversals(
     that count on one side than on the other. (On simulated PUMA 560 recordings, fitting the
     instant cut the acceleration error near reversals to between a half and a fifth.)
 
-    **Arguments:**
+    **Arguments**
 
     - `time`: instants of the samples, shape `(samples,)` [s].
     - `position`: of one joint, shape `(samples,)` [rad or m].
@@ -54,11 +51,10 @@ def find_reversals(
         of the encoder, or a few standard deviations of the noise.
     - `window`: how many samples on either side the cubics are fitted to, at the most.
 
-    **Returns:**
+    **Returns**
 
     The reversals in order of time, their directions alternating.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import find_reversals
     >>> time = np.arange(1000) * 0.002
@@ -66,8 +62,6 @@ def find_reversals(
     >>> turns = find_reversals(time, counts, tolerance=3e-4, window=25)
     >>> [(round(turn.time, 3), turn.direction) for turn in turns]
     [(0.5, -1), (1.5, 1)]
-
-    ```
     """
     turns = _turns(position, tolerance)
     reversals: list[Reversal] = []

@@ -1,5 +1,7 @@
 import abc
-from typing import TypeAlias
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -15,14 +17,33 @@ Derivatives: TypeAlias = tuple[
 
 
 class AbstractSmoothing(eqx.Module):
-    """A way from sampled positions to positions, velocities and accelerations.
+    """Smooths and differentiates sampled positions.
 
-    ```python
-    >>> from jaxcslc.motion import AbstractSmoothing, AveragedSplines, Butterworth
-    >>> all(issubclass(s, AbstractSmoothing) for s in (AveragedSplines, Butterworth))
-    True
+    A subclass states everything that the rest of the package needs to know of it: how it
+    smooths, how far it reaches and how it is described. `register_smoothing` gives it a name, so
+    that settings with it can be saved and loaded.
 
-    ```
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.motion import CentralDifferences, register_smoothing
+    >>> @register_smoothing("moving_average")
+    ... class MovingAverage(jc.motion.AbstractSmoothing):
+    ...     width: int = 5
+    ...
+    ...     def smooth(self, time, position):
+    ...         return CentralDifferences().smooth(time, self.low_pass(time, position))
+    ...
+    ...     def low_pass(self, time, signal):
+    ...         kernel = np.ones(self.width) / self.width
+    ...         return np.stack([np.convolve(x, kernel, "same") for x in signal.T], axis=1)
+    ...
+    ...     def reach(self, interval, joints):
+    ...         return self.width // 2 + 2
+    ...
+    ...     @property
+    ...     def description(self):
+    ...         return f"moving average of {self.width} samples"
+    >>> print(jc.Preparation(MovingAverage(7), thresholds=0.1))
+    moving average of 7 samples, velocities from positions, torque of 'sample', thresholds 0.1
     """
 
     @abc.abstractmethod
@@ -31,16 +52,16 @@ class AbstractSmoothing(eqx.Module):
     ) -> Derivatives:
         """Smooths and differentiates.
 
-        **Arguments:**
+        **Arguments**
 
         - `time`: instants of the samples, shape `(samples,)` [s].
         - `position`: joint positions, shape `(samples, joints)` [rad or m].
 
-        **Returns:**
+        **Returns**
 
         `q`, `qd`, `qdd`, each of shape `(samples, joints)`.
 
-        **Raises:**
+        **Raises**
 
         - `ValueError`: too few samples, or time that the method cannot use.
         """
@@ -51,23 +72,156 @@ class AbstractSmoothing(eqx.Module):
     ) -> Float[np.ndarray, "samples joints"]:
         """Smooths a signal that is no position, such as a torque, by the same filter.
 
-        **Arguments:**
+        **Arguments**
 
         - `time`: instants of the samples, shape `(samples,)` [s].
         - `signal`: shape `(samples, joints)`.
 
-        **Returns:**
+        **Returns**
 
         The smoothed signal, shape `(samples, joints)`.
         """
+
+    @abc.abstractmethod
+    def reach(self, interval: float, joints: int) -> int:
+        """The number of samples to either side that a smoothed sample depends on.
+
+        `Preparation` drops as many samples at both ends of a recording.
+
+        **Arguments**
+
+        - `interval`: between samples [s].
+        - `joints`: how many joints there are.
+
+        **Returns**
+
+        The number of samples, 0 or more.
+        """
+
+    @property
+    @abc.abstractmethod
+    def description(self) -> str:
+        """A phrase for people, as in "Butterworth at 20 Hz"."""
+
+
+_Smoothing = TypeVar("_Smoothing", bound=type[AbstractSmoothing])
+_REGISTERED: dict[str, type[AbstractSmoothing]] = {}
+
+
+def register_smoothing(name: str) -> Callable[[_Smoothing], _Smoothing]:
+    """Gives a class of smoothing the name that stands for it in files of settings.
+
+    The fields of the class are written beside the name: numbers, words, flags, None, or tuples of
+    them.
+
+    **Arguments**
+
+    - `name`: as in `"butterworth"`.
+
+    **Returns**
+
+    A decorator of the class.
+
+    **Raises**
+
+    - `ValueError`: a name that another class has.
+
+    >>> from jaxcslc.motion import Butterworth, register_smoothing
+    >>> register_smoothing("butterworth")(Butterworth) is Butterworth
+    True
+    """
+
+    def register(smoothing: _Smoothing) -> _Smoothing:
+        other = _REGISTERED.get(name)
+        # A class that is defined again, as in a notebook, replaces its earlier self.
+        if other is not None and other.__qualname__ != smoothing.__qualname__:
+            raise ValueError(f"the smoothing {name!r} is {other.__qualname__}; expected a new name")
+        _REGISTERED[name] = smoothing
+        return smoothing
+
+    return register
+
+
+def smoothing_document(smoothing: AbstractSmoothing) -> dict[str, Any]:
+    """A smoothing as plain data, to be written and read again.
+
+    **Arguments**
+
+    - `smoothing`: of a registered class.
+
+    **Returns**
+
+    Its registered name as `"method"`, and its fields.
+
+    **Raises**
+
+    - `ValueError`: a class that is not registered.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.motion import smoothing_document
+    >>> smoothing_document(jc.Butterworth(20.0))
+    {'method': 'butterworth', 'cutoff': 20.0, 'order': 4}
+    """
+    for name, registered in _REGISTERED.items():
+        if registered is type(smoothing):
+            fields = (field.name for field in dataclasses.fields(smoothing))
+            return {"method": name, **{field: getattr(smoothing, field) for field in fields}}
+    raise ValueError(
+        f"{type(smoothing).__name__} has no name in a file;"
+        " expected a class decorated by jaxcslc.motion.register_smoothing"
+    )
+
+
+def smoothing_from(document: Any) -> AbstractSmoothing:
+    """A smoothing from what `smoothing_document` made, read from JSON or TOML.
+
+    **Arguments**
+
+    - `document`: a mapping.
+
+    **Returns**
+
+    The smoothing.
+
+    **Raises**
+
+    - `ValueError`: an unknown method or wrong fields.
+
+    >>> from jaxcslc.motion import smoothing_from
+    >>> smoothing_from({"method": "averaged_splines", "spacing": [9, 17]}).spacing
+    (9, 17)
+    """
+    if not isinstance(document, Mapping) or document.get("method") not in _REGISTERED:
+        raise ValueError(
+            f"settings, smoothing: expected a method out of {', '.join(_REGISTERED)},"
+            f" got {document!r}"
+        )
+    fields: dict[str, Any] = {
+        str(name): tuple(value) if isinstance(value, list) else value
+        for name, value in document.items()
+        if name != "method"
+    }
+    try:
+        return _REGISTERED[document["method"]](**fields)
+    except TypeError as error:
+        raise ValueError(f"settings, smoothing: {error}") from None
 
 
 def without_rounding(
     position: Float[np.ndarray, "samples joints"], derivatives: Derivatives
 ) -> Derivatives:
-    """Velocity and acceleration of joints that stand still all the time set to exactly zero.
+    """Sets velocity and acceleration of joints that never move to exactly zero.
 
-    Smoothing leaves rounding of them, whose sign would be taken for the direction of a motion.
+    Smoothing leaves rounding of them, whose sign would be taken for a direction of motion.
+
+    **Arguments**
+
+    - `position`: before smoothing, shape `(samples, joints)`.
+    - `derivatives`: positions, velocities and accelerations.
+
+    **Returns**
+
+    The derivatives.
 
     >>> import numpy as np
     >>> still, noise = np.full((3, 1), 0.3), np.full((3, 1), 1e-17)

@@ -6,11 +6,12 @@ from jaxtyping import Float, Int
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import solve_banded
 
-from ._resolution import noise_level
+from ._sampling import noise_level
 from ._sections import find_reversals
-from ._smoothing import AbstractSmoothing, Derivatives
+from ._smoothing import AbstractSmoothing, Derivatives, register_smoothing
 
 
+@register_smoothing("averaged_splines")
 class AveragedSplines(AbstractSmoothing):
     r"""Spline smoothing as in Section 7.3 of the thesis.
 
@@ -32,7 +33,7 @@ class AveragedSplines(AbstractSmoothing):
 
     Times need not be uniform.
 
-    **Attributes:**
+    **Attributes**
 
     - `spacing`: j, of all joints or of each [samples].
     - `sections`: divide the record at velocity reversals.
@@ -40,7 +41,6 @@ class AveragedSplines(AbstractSmoothing):
         each [rad or m]. By default, estimated from the recording: three counts or six standard
         deviations of its noise, whichever is more.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import AveragedSplines
     >>> time = np.arange(1000) * 0.002
@@ -49,8 +49,6 @@ class AveragedSplines(AbstractSmoothing):
     >>> error = qdd[:, 0] + (2 * np.pi) ** 2 * np.sin(2 * np.pi * time)
     >>> bool(np.max(np.abs(error)) < 0.2)
     True
-
-    ```
     """
 
     spacing: int | tuple[int, ...] = 9
@@ -65,15 +63,15 @@ class AveragedSplines(AbstractSmoothing):
     def spacings(self, joints: int) -> tuple[int, ...]:
         """The spacing of every joint.
 
-        **Arguments:**
+        **Arguments**
 
         - `joints`: how many there are.
 
-        **Returns:**
+        **Returns**
 
         One spacing for each joint.
 
-        **Raises:**
+        **Raises**
 
         - `ValueError`: spacings given for another number of joints.
         """
@@ -101,6 +99,14 @@ class AveragedSplines(AbstractSmoothing):
         # In one piece: only a position turns round where its velocity changes sign.
         return eqx.tree_at(lambda s: s.sections, self, False).smooth(time, signal)[0]
 
+    def reach(self, interval: float, joints: int) -> int:
+        del interval
+        return max(self.spacings(joints))
+
+    @property
+    def description(self) -> str:
+        return f"averaged splines of {self.spacing} samples"
+
     def _tolerances(self, position: Float[np.ndarray, "samples joints"]) -> list[float]:
         joints = position.shape[1]
         if self.tolerance is None:
@@ -112,7 +118,7 @@ class AveragedSplines(AbstractSmoothing):
 class End(eqx.Module):
     """Where the splines of a section end, and how.
 
-    **Attributes:**
+    **Attributes**
 
     - `time`, `position`, `velocity`: of the end that all splines share.
     - `sample`: the same instant on the scale of sample numbers.

@@ -19,7 +19,7 @@ _LEAST, _MOST = 0.5, 0.125
 class StaticFriction(eqx.Module):
     """What residual torques say of static friction, joint by joint.
 
-    **Attributes:**
+    **Attributes**
 
     - `thresholds`: speeds above which it is insignificant, shape `(joints,)` [rad/s or m/s].
     - `found`: False where nothing is to be seen and the threshold stays at its minimum, shape
@@ -29,14 +29,11 @@ class StaticFriction(eqx.Module):
     - `slope_velocity`: its γ, shape `(joints,)` [rad/s or m/s]; 0 where there is none.
     - `significance`: the excess in units of its standard error, shape `(joints,)`.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import thresholds_from_residuals
     >>> qd = np.sin(np.arange(2000) * 0.02)[:, None]
     >>> thresholds_from_residuals(qd, 0.0 * qd).found.tolist()
     [False]
-
-    ```
     """
 
     thresholds: Float[np.ndarray, " joints"]
@@ -80,7 +77,7 @@ def thresholds_from_residuals(
     Where the acceleration carries a joint through the ramp in less time than the smoothing
     resolves, the ramp looks wider and lower than it is, or is not seen at all.
 
-    **Arguments:**
+    **Arguments**
 
     - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s], in order of time.
     - `error`: measured less predicted torque, of all samples, those below the thresholds of the
@@ -92,16 +89,15 @@ def thresholds_from_residuals(
     - `insignificant`: part of the excess at rest that does not matter.
     - `significance`: how many standard errors the excess must have.
 
-    **Returns:**
+    **Returns**
 
     The thresholds and what they are taken from.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: a minimum that is not of the joints' number or is negative, or an
         `insignificant` that is not between 0 and 1.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import thresholds_from_residuals
     >>> rng = np.random.default_rng(0)
@@ -113,13 +109,11 @@ def thresholds_from_residuals(
     True
     >>> bool(0.15 < static.thresholds[0] < 0.25)
     True
-
-    ```
     """
     if not 0.0 < insignificant < 1.0:
         raise ValueError(f"insignificant is {insignificant}; expected more than 0 and less than 1")
     joints = qd.shape[1]
-    lowest = friction_thresholds(qd) if minimum is None else minimum
+    lowest = friction_thresholds(qd, 0.01) if minimum is None else minimum
     if lowest.shape != (joints,) or not np.all(lowest >= 0.0):
         raise ValueError(
             f"minimum thresholds are {lowest.tolist()}; expected one for each of the {joints} "

@@ -73,7 +73,7 @@ def training(trainings: int = 256, epochs: int = 100, block: int | None = None) 
     cslc = jc.derive(jc.puma560())
     network = inverse_dynamics(cslc)
     recording = sim.simulate(sim.puma560(), sim.training(), seed=1).recording
-    patterns = jc.prepare(recording, spacing=9)
+    patterns = jc.prepare(recording, threshold_fraction=0.01)
     chosen = examples(network, patterns, patterns.torque, patterns.mask)
     samples = chosen.targets.shape[-1]
     start = jnp.asarray(

@@ -43,11 +43,15 @@ def index_of(network: jc.CSLC, group: str) -> int:
 
 
 def test_the_slope_that_was_put_in_is_found(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
-    recording = swing(pendulum, rng)
-    refined = refine_thresholds(pendulum, recording, SETTINGS)
-    assert refined.settled
-    assert refined.static_friction.slope_velocity[0] == pytest.approx(GAMMA, rel=0.35)
-    assert refined.static_friction.excess[0] == pytest.approx(EXCESS, rel=0.35)
+    # Of a single recording, the excess scatters by a quarter.
+    recordings = [swing(pendulum, rng) for _ in range(3)]
+    results = [refine_thresholds(pendulum, recording, SETTINGS) for recording in recordings]
+    assert all(refined.settled for refined in results)
+    slopes = [refined.static_friction.slope_velocity[0] for refined in results]
+    excesses = [refined.static_friction.excess[0] for refined in results]
+    assert np.mean(slopes) == pytest.approx(GAMMA, rel=0.35)
+    assert np.mean(excesses) == pytest.approx(EXCESS, rel=0.35)
+    recording, refined = recordings[0], results[0]
     thresholds = refined.settings.thresholds
     assert thresholds is not None
     assert 3.0 * GAMMA < thresholds[0] < 6.0 * GAMMA

@@ -95,7 +95,7 @@ def test_a_zero_may_have_had_either_sign() -> None:
 
 def test_thresholds_and_sliding() -> None:
     qd = np.array([[0.02, -1.0], [-2.0, 0.01], [0.5, 0.0]])
-    thresholds = friction_thresholds(qd)
+    thresholds = friction_thresholds(qd, 0.01)
     assert thresholds.tolist() == [0.02, 0.01]
     # Strictly above: a velocity at the threshold is not.
     assert friction_mask(qd, thresholds).tolist() == [[False, True], [True, False], [True, False]]
@@ -126,9 +126,9 @@ def test_patterns_are_what_their_parts_say() -> None:
     recording = swinging()
     patterns = prepare(
         recording,
-        spacing=(17, 11),
+        smoothing=AveragedSplines((17, 11)),
         torque_alignment="mean",
-        thresholds=[0.2, 0.4],
+        thresholds=(0.2, 0.4),
         backlash=True,
         reversal_margin=5,
         trim=20,
@@ -163,9 +163,11 @@ def test_defaults() -> None:
     assert np.array_equal(patterns.torque, recording.torque[9:-9])
     assert np.all(patterns.backlash_mask)
     assert np.array_equal(
-        patterns.friction_mask, np.abs(patterns.qd) > 0.01 * np.max(np.abs(patterns.qd), axis=0)
+        patterns.friction_mask, np.abs(patterns.qd) > 0.03 * np.max(np.abs(patterns.qd), axis=0)
     )
-    assert prepare(recording, smoothing=Butterworth(20.0)).samples == recording.samples
+    # Half a period of 20 Hz is 12.5 samples of 2 ms.
+    filtered = prepare(recording, smoothing=Butterworth(20.0))
+    assert filtered.samples == recording.samples - 2 * 13
 
 
 @pytest.mark.parametrize(
@@ -173,7 +175,7 @@ def test_defaults() -> None:
 )
 def test_torque_is_smoothed_by_the_same_filter(smoothing: AveragedSplines | Butterworth) -> None:
     recording = swinging()
-    patterns = prepare(recording, smoothing=smoothing, smooth_torque=True)
+    patterns = prepare(recording, smoothing=smoothing, smooth_torque=True, trim=0)
     expected = smoothing.low_pass(recording.time, recording.torque)
     assert np.array_equal(patterns.torque, expected)
 
@@ -224,7 +226,7 @@ def test_selections_that_leave_nothing() -> None:
 
 def test_a_joint_that_is_left_out_is_no_error() -> None:
     recording = swinging()
-    patterns = prepare(recording, thresholds=[0.1, 100.0])
+    patterns = prepare(recording, thresholds=(0.1, 100.0))
     assert joints_left_out(patterns) == (2,)
     assert joints_left_out(prepare(recording)) == ()
 

@@ -43,16 +43,16 @@ class Columns:
 def checked_columns(file: str, names: Sequence[str]) -> Columns:
     """Tells the joints and quantities of a file from its header.
 
-    **Arguments:**
+    **Arguments**
 
     - `file`: as it is named in messages.
     - `names`: the columns, in any order.
 
-    **Returns:**
+    **Returns**
 
     What they are.
 
-    **Raises:**
+    **Raises**
 
     - `RecordingError`: duplicate, unknown or missing columns; nothing is guessed.
     """

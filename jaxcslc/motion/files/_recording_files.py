@@ -22,19 +22,16 @@ ROW_GROUP = 1 << 16
 class RecordingChunk(eqx.Module):
     """Successive rows of a recording file that is too long to be held at once.
 
-    **Attributes:**
+    **Attributes**
 
     - `first`: the number of the chunk's first row in the file, counted from 0.
     - `time`, `position`, `torque`, `velocity`, `acceleration`: as of a `Recording`.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import RecordingChunk
     >>> one = np.zeros((1, 2))
     >>> RecordingChunk(0, np.zeros(1), one, one, None, None).samples
     1
-
-    ```
     """
 
     first: int
@@ -56,23 +53,22 @@ def load_recording(path: str | os.PathLike[str], joints: int | None = None) -> R
     One row a sample; columns `time`, `position_1` to `position_n`, `torque_1` to `torque_n` and,
     optionally, `velocity_i` and `acceleration_i`, in any order; SI units.
 
-    **Arguments:**
+    **Arguments**
 
     - `path`: ends in `.csv` or `.parquet`.
     - `joints`: of the robot, where the recording is to be of a certain one.
 
-    **Returns:**
+    **Returns**
 
     The recording.
 
-    **Raises:**
+    **Raises**
 
     - `RecordingError`: a file that is missing, unreadable or empty; missing, unknown or duplicate
         columns; cells that are no finite numbers; time that does not increase; repeated rows; too
         few samples; another number of joints. The message is one line and names the file,
         the column and the row (data rows from 1 and, in CSV files, the line).
 
-    ```python
     >>> import pathlib, tempfile
     >>> from jaxcslc.motion import load_recording
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -81,8 +77,6 @@ def load_recording(path: str | os.PathLike[str], joints: int | None = None) -> R
     ...     _ = path.write_text("time,position_1,torque_1\\n" + rows)
     ...     load_recording(path).torque[:, 0].tolist()
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-
-    ```
     """
     path = Path(path)
     columns, pieces = open_table(path)
@@ -108,23 +102,22 @@ def iterate_recording(
     Memory does not grow with the file, as long as a Parquet file's row groups are not as large as
     itself (this package writes small ones).
 
-    **Arguments:**
+    **Arguments**
 
     - `path`: as for `load_recording`.
     - `chunk_rows`: of every chunk but the last, which may be shorter.
     - `joints`: as for `load_recording`.
 
-    **Returns:**
+    **Returns**
 
     An iterator over the chunks, in order. The file's columns are checked before it returns.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: chunks of less than one row.
     - `RecordingError`: as `load_recording`, but for its least number of samples: any row will
         do. Faults of rows and cells are raised by the iterator when it comes to them.
 
-    ```python
     >>> import pathlib, tempfile
     >>> import numpy as np
     >>> from jaxcslc.motion import iterate_recording, Recording, save_recording
@@ -134,8 +127,6 @@ def iterate_recording(
     ...     save_recording(Recording(time, time[:, None], time[:, None]), path)
     ...     [(chunk.first, chunk.samples) for chunk in iterate_recording(path, 4)]
     [(0, 4), (4, 4), (8, 2)]
-
-    ```
     """
     if chunk_rows < 1:
         raise ValueError(f"chunks of {chunk_rows} rows; expected 1 or more")
@@ -181,17 +172,16 @@ def save_recording(
 
     The file appears when it is complete: until then, one of that name stays as it was.
 
-    **Arguments:**
+    **Arguments**
 
     - `recording`: one, or successive parts of one that is too long to be held at once.
     - `path`: ends in `.csv` or `.parquet`; its folder exists.
 
-    **Raises:**
+    **Raises**
 
     - `RecordingError`: another suffix, a folder that cannot be written to, parts that differ in
         their columns, or no parts.
 
-    ```python
     >>> import pathlib, tempfile
     >>> import numpy as np
     >>> from jaxcslc.motion import load_recording, Recording, save_recording
@@ -201,8 +191,6 @@ def save_recording(
     ...     save_recording(Recording(time, np.sin(time)[:, None], time[:, None]), path)
     ...     bool((load_recording(path).position[:, 0] == np.sin(time)).all())
     True
-
-    ```
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -19,16 +19,16 @@ READ_BYTES = 1 << 20
 def open_table(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
     """Opens a recording file, and reads it piece by piece.
 
-    **Arguments:**
+    **Arguments**
 
     - `path`: of a `.csv` or `.parquet` file.
 
-    **Returns:**
+    **Returns**
 
     Its columns, and an iterator over its rows: one table of float64 columns after another, of
     whatever size they come in. Every row has been checked on its own and against the one before.
 
-    **Raises:**
+    **Raises**
 
     - `RecordingError`: at once for a file that cannot be opened or has wrong columns; from the
         iterator for a wrong cell or row.

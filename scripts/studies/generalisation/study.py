@@ -378,7 +378,12 @@ def study(given: argparse.Namespace, kinds: Sequence[Kind]) -> list[dict[str, An
         settings = jc.choose_settings(network, recordings[0]).settings
     training = [settings.patterns(recording) for recording in recordings[::2]]
     comparison = [
-        jc.prepare(recording, spacing=17, torque_alignment="mean", thresholds=MOVING)
+        jc.prepare(
+            recording,
+            smoothing=jc.AveragedSplines(17),
+            torque_alignment="mean",
+            thresholds=MOVING,
+        )
         for recording in recordings[1::2]
     ]
     stop = [stop_set(patterns.samples, seed) for seed, patterns in enumerate(training)]

@@ -88,7 +88,10 @@ def study(
     # Judged as the thesis does, on what was measured: smoothed encoder readings. The torque is the
     # demand, unsmoothed.
     judged = jc.prepare(
-        comparison.recording, spacing=17, torque_alignment="mean", thresholds=_MOVING
+        comparison.recording,
+        smoothing=jc.AveragedSplines(17),
+        torque_alignment="mean",
+        thresholds=_MOVING,
     )
     vectors = {
         "Ar+LS": published,
@@ -207,7 +210,9 @@ def spline_figures(one: Study) -> dict[str, Any]:
 def reversal_figure(network: jc.CSLC, one: Study) -> Any:
     """Fig. 7.6-4: joint 1's torque where its velocity changes sign in the training trajectory."""
     recording, truth = one.training
-    everywhere = jc.prepare(recording, spacing=17, torque_alignment="mean", thresholds=0.0)
+    everywhere = jc.prepare(
+        recording, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=0.0
+    )
     q1d, time = np.asarray(everywhere.qd[:, 0]), np.asarray(everywhere.time)
     turn = clean_turn(q1d)
     near = slice(max(turn - 40, 0), turn + 40)

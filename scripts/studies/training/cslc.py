@@ -46,8 +46,10 @@ def prepared(
     network: AdaptiveNetwork, cslc: jc.CSLC, recording: jc.Recording, judged: jc.Recording
 ) -> tuple[jc.Patterns, Examples, Examples]:
     """Patterns to learn from, with thresholds of a hundredth (7.5), and those to judge by."""
-    patterns = jc.prepare(recording, spacing=9, torque_alignment="mean")
-    kept = jc.prepare(judged, spacing=17, torque_alignment="mean", thresholds=_MOVING)
+    patterns = jc.prepare(recording, torque_alignment="mean", threshold_fraction=0.01)
+    kept = jc.prepare(
+        judged, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=_MOVING
+    )
     learnt, compared = (
         examples(network, part, part.torque, part.mask) for part in (patterns, kept)
     )

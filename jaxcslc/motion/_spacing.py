@@ -3,7 +3,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ._resolution import noise_level
+from ._sampling import noise_level
 from ._splines import AveragedSplines
 
 
@@ -22,21 +22,20 @@ def left_out_error(
     (Near the ends of a section, where the shared end point knows all samples around it, this
     holds only nearly.)
 
-    **Arguments:**
+    **Arguments**
 
     - `time`: instants of the samples, shape `(samples,)` [s].
     - `position`: joint positions, shape `(samples, joints)` [rad or m].
     - `smoothing`: with a spacing of 2 or more.
 
-    **Returns:**
+    **Returns**
 
     The root mean square of the errors, shape `(joints,)` [rad or m].
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: a spacing of 1, of which no spline would be left.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import AveragedSplines, left_out_error
     >>> time = np.arange(1000) * 0.002
@@ -44,8 +43,6 @@ def left_out_error(
     >>> error = left_out_error(time, position, AveragedSplines(17))
     >>> bool(0.9 < error[0] / (1e-4 / 12**0.5) < 1.1)
     True
-
-    ```
     """
     spacings = np.array(smoothing.spacings(position.shape[1]), dtype=np.float64)
     if np.any(spacings < 2):
@@ -86,7 +83,7 @@ def choose_spacing(
     1.4 times the RMS error of the best spacing for each joint away from velocity reversals, 1.0 to
     1.5 times at them: `scripts/studies/smoothing/study.py`.)
 
-    **Arguments:**
+    **Arguments**
 
     - `time`: instants of the samples, shape `(samples,)` [s].
     - `position`: joint positions, shape `(samples, joints)` [rad or m].
@@ -98,15 +95,14 @@ def choose_spacing(
         is at least theirs. By default it is what `noise_level` sees in the readings, their
         counts included.
 
-    **Returns:**
+    **Returns**
 
     One spacing for each joint.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: no candidates, one below 2, or a negative resolution.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import choose_spacing
     >>> time = np.arange(1000) * 0.002
@@ -114,8 +110,6 @@ def choose_spacing(
     >>> slow, fast = choose_spacing(time, 1e-4 * np.round(motion / 1e-4))
     >>> slow > fast
     True
-
-    ```
     """
     if not candidates:
         raise ValueError("no candidate spacings; expected one or more")

@@ -1,8 +1,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from ._resampling import uniform_interval
-from ._smoothing import AbstractSmoothing, Derivatives
+from ._clock import uniform_interval
+from ._smoothing import AbstractSmoothing, Derivatives, register_smoothing
 
 
 MEMORY = 5.0
@@ -10,21 +10,19 @@ MEMORY = 5.0
 has seen: its slowest poles fade by exp(-0.38 · 2π) in each."""
 
 
+@register_smoothing("central_differences")
 class CentralDifferences(AbstractSmoothing):
     """Plain differences of neighbouring samples (thesis, Eqns 7.2-1 and 7.2-2).
 
     No smoothing at all: of positions in steps of d, the accelerations are in steps of
     d / (4 interval²). Here to be compared with, and for positions without noise.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import CentralDifferences
     >>> time = np.arange(7.0)
     >>> q, qd, qdd = CentralDifferences().smooth(time, (time**2)[:, None])
     >>> qd[3, 0], qdd[3, 0]
     (np.float64(6.0), np.float64(2.0))
-
-    ```
     """
 
     def smooth(
@@ -40,7 +38,16 @@ class CentralDifferences(AbstractSmoothing):
         del time
         return signal
 
+    def reach(self, interval: float, joints: int) -> int:
+        del interval, joints
+        return 2
 
+    @property
+    def description(self) -> str:
+        return "central differences"
+
+
+@register_smoothing("butterworth")
 class Butterworth(AbstractSmoothing):
     """The field's usual way: a zero-phase Butterworth filter, then central differences.
 
@@ -49,12 +56,11 @@ class Butterworth(AbstractSmoothing):
 
     Time must be uniform; see `resample`.
 
-    **Attributes:**
+    **Attributes**
 
     - `cutoff`: of the filter [Hz].
     - `order`: of one of its two passes.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import Butterworth
     >>> time = np.arange(1000) * 0.002
@@ -63,8 +69,6 @@ class Butterworth(AbstractSmoothing):
     >>> error = qdd[:, 0] + (2 * np.pi) ** 2 * np.sin(2 * np.pi * time)
     >>> bool(np.max(np.abs(error[100:-100])) < 0.5)
     True
-
-    ```
     """
 
     cutoff: float
@@ -86,6 +90,96 @@ class Butterworth(AbstractSmoothing):
     ) -> Float[np.ndarray, "samples joints"]:
         return zero_phase(signal, uniform_interval(time), cutoff=self.cutoff, order=self.order)
 
+    def reach(self, interval: float, joints: int) -> int:
+        del joints
+        return int(np.ceil(0.5 / (self.cutoff * interval)))
+
+    @property
+    def description(self) -> str:
+        order = "" if self.order == 4 else f" of order {self.order}"
+        return f"Butterworth{order} at {self.cutoff:g} Hz"
+
+
+@register_smoothing("savitzky_golay")
+class SavitzkyGolay(AbstractSmoothing):
+    """Derivatives of polynomials fitted to the samples around each (Savitzky and Golay, 1964).
+
+    A polynomial is fitted by least squares to a window that moves along the record; its value and
+    derivatives in the middle are those of the sample there. Within half a window of an end of the
+    record, they are those of the polynomial of the last whole window. As the window is symmetric,
+    nothing is delayed.
+
+    Its acceleration is that of the same polynomial: even orders and the odd ones above them give
+    the same position in the middle, odd orders and the even ones below them the same velocity.
+
+    Time must be uniform; see `resample`.
+
+    **Attributes**
+
+    - `window`: how many samples a polynomial is fitted to, an odd number.
+    - `order`: of the polynomials, 2 or more and less than `window`.
+
+    >>> import numpy as np
+    >>> from jaxcslc.motion import SavitzkyGolay
+    >>> time = np.arange(1000) * 0.002
+    >>> position = 1e-4 * np.round(np.sin(2 * np.pi * time) / 1e-4)[:, None]
+    >>> q, qd, qdd = SavitzkyGolay(window=41).smooth(time, position)
+    >>> error = qdd[:, 0] + (2 * np.pi) ** 2 * np.sin(2 * np.pi * time)
+    >>> bool(np.max(np.abs(error[20:-20])) < 0.5)
+    True
+    """
+
+    window: int
+    order: int = 3
+
+    def __check_init__(self):
+        if self.window < 3 or self.window % 2 == 0:
+            raise ValueError(f"window is {self.window} samples; expected an odd number from 3 on")
+        if not 2 <= self.order < self.window:
+            raise ValueError(
+                f"polynomial order is {self.order}; expected at least 2, for there to be an "
+                f"acceleration, and less than the window of {self.window} samples"
+            )
+
+    def smooth(
+        self, time: Float[np.ndarray, " samples"], position: Float[np.ndarray, "samples joints"]
+    ) -> Derivatives:
+        return (
+            self._filter(time, position, 0),
+            self._filter(time, position, 1),
+            self._filter(time, position, 2),
+        )
+
+    def low_pass(
+        self, time: Float[np.ndarray, " samples"], signal: Float[np.ndarray, "samples joints"]
+    ) -> Float[np.ndarray, "samples joints"]:
+        return self._filter(time, signal, 0)
+
+    def reach(self, interval: float, joints: int) -> int:
+        del interval, joints
+        return self.window // 2
+
+    @property
+    def description(self) -> str:
+        return f"Savitzky-Golay of {self.window} samples and order {self.order}"
+
+    def _filter(
+        self,
+        time: Float[np.ndarray, " samples"],
+        signal: Float[np.ndarray, "samples joints"],
+        derivative: int,
+    ) -> Float[np.ndarray, "samples joints"]:
+        interval = uniform_interval(time)
+        if time.size < self.window:
+            raise ValueError(
+                f"{time.size} samples; expected {self.window} or more for a window of as many"
+            )
+        from scipy.signal import savgol_filter  # takes a second to import
+
+        return savgol_filter(
+            signal, self.window, self.order, deriv=derivative, delta=interval, axis=0
+        )
+
 
 def zero_phase(
     signal: Float[np.ndarray, " samples *columns"],
@@ -96,29 +190,26 @@ def zero_phase(
 ) -> Float[np.ndarray, " samples *columns"]:
     """Runs a Butterworth low-pass filter over a signal forwards and backwards.
 
-    **Arguments:**
+    **Arguments**
 
     - `signal`: sampled along its first axis, shape `(samples, ...)`.
     - `interval`: between samples [s].
     - `cutoff`: where the two passes together leave half of the amplitude [Hz].
     - `order`: of one pass.
 
-    **Returns:**
+    **Returns**
 
     The filtered signal, of the same shape. A linear function of the signal.
 
-    **Raises:**
+    **Raises**
 
     - `ValueError`: a cut-off that is not between 0 and half the sampling rate, or fewer samples
         than the filter needs to start from.
 
-    ```python
     >>> import numpy as np
     >>> from jaxcslc.motion import zero_phase
     >>> bool(np.allclose(zero_phase(np.ones((100, 2)), 0.01, cutoff=5.0), 1.0))
     True
-
-    ```
     """
     if not 0.0 < cutoff < 0.5 / interval:
         raise ValueError(

@@ -1,0 +1,174 @@
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from ._recording import Recording
+
+
+# An encoder counts as coarser, readings as noisier, from these ratios on. What `noise_level` sees
+# of a motion itself makes the latter less certain.
+_COARSER, _NOISIER = 1.5, 3.0
+# Intervals that differ from their mean by less than this part of it count as regular.
+_REGULAR = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampling:
+    """How a recording was sampled: what settings that suit it depend on besides the motion.
+
+    **Attributes**
+
+    - `interval`: median interval between samples [s].
+    - `irregularity`: greatest difference of an interval from the median, as part of it.
+    - `resolution`: step of each joint's encoder [rad or m]; 0 where readings show no steps.
+    - `noise`: standard deviation of each joint's readings about a smooth motion [rad or m].
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> time = np.arange(1000) * 0.002
+    >>> position = 1e-4 * np.round(np.sin(time)[:, None] / 1e-4)
+    >>> fine = jc.motion.Sampling.of(jc.Recording(time, position, position))
+    >>> steps = 4e-4 * np.round(position / 4e-4)
+    >>> jc.motion.Sampling.of(jc.Recording(time, steps, position)).coarser_than(fine)
+    ('joint 1: encoder steps of 0.0004, 4 times the 0.0001 that the settings were chosen for',)
+    """
+
+    interval: float
+    irregularity: float
+    resolution: tuple[float, ...]
+    noise: tuple[float, ...]
+
+    @classmethod
+    def of(cls, recording: Recording) -> "Sampling":
+        """The sampling of a recording.
+
+        **Arguments**
+
+        - `recording`: with or without steps and even intervals.
+
+        **Returns**
+
+        Its sampling.
+        """
+        intervals = np.diff(recording.time)
+        interval = float(np.median(intervals))
+        return cls(
+            interval=interval,
+            irregularity=float(np.max(np.abs(intervals - interval)) / interval),
+            resolution=tuple(encoder_resolution(recording.position).tolist()),
+            noise=tuple(noise_level(recording.position).tolist()),
+        )
+
+    def coarser_than(self, other: "Sampling") -> tuple[str, ...]:
+        """What is coarser here than in another sampling, of the same joints.
+
+        **Arguments**
+
+        - `other`: that settings were chosen for.
+
+        **Returns**
+
+        A sentence for each joint whose encoder is coarser or whose readings are noisier, and one
+        for irregular time stamps; empty if there is nothing to say.
+        """
+        sentences: list[str] = []
+        # At another rate, differences of the motion itself would pass for noise.
+        alike = 0.9 < self.interval / other.interval < 1.1
+        joints = zip(self.resolution, other.resolution, self.noise, other.noise, strict=True)
+        for joint, (step, other_step, noise, other_noise) in enumerate(joints, 1):
+            if other_step > 0.0 and step > _COARSER * other_step:
+                kind, here, there = "encoder steps", step, other_step
+            elif alike and noise > _NOISIER * other_noise > 0.0:
+                kind, here, there = "position noise", noise, other_noise
+            else:
+                continue
+            sentences.append(
+                f"joint {joint}: {kind} of {here:.3g}, {here / there:.3g} times the {there:.3g}"
+                " that the settings were chosen for"
+            )
+        if self.irregularity > max(_REGULAR, 2.0 * other.irregularity):
+            sentences.append(
+                f"irregular time stamps: intervals differ from their median by up to"
+                f" {100 * self.irregularity:.3g} %, by {100 * other.irregularity:.3g} % where the"
+                " settings were chosen"
+            )
+        return tuple(sentences)
+
+
+def encoder_resolution(
+    position: Float[np.ndarray, "samples joints"],
+) -> Float[np.ndarray, " joints"]:
+    """Estimates the counts that recorded positions are made of, joint by joint.
+
+    An encoder's readings are integer multiples of one step (thesis, Section 7.2.5). The smallest
+    step between any two readings shows it, provided that the other small steps are multiples of
+    it; otherwise the readings lie on no grid.
+
+    **Arguments**
+
+    - `position`: joint positions, shape `(samples, joints)` [rad or m].
+
+    **Returns**
+
+    The width of a count, shape `(joints,)` [rad or m]; 0 for a joint that shows no grid: a
+    position that was not quantised, or that never changes.
+
+    >>> import numpy as np
+    >>> from jaxcslc.motion import encoder_resolution
+    >>> time = np.linspace(0.0, 3.0, 1000)
+    >>> smooth = np.stack([np.sin(time), np.cos(time)], axis=1)
+    >>> counts = np.array([1e-4, 2e-4])
+    >>> encoder_resolution(counts * np.round(smooth / counts)).round(9).tolist()
+    [0.0001, 0.0002]
+    >>> encoder_resolution(smooth).tolist()
+    [0.0, 0.0]
+    """
+    return np.array([_smallest_step(column) for column in position.T])
+
+
+def noise_level(position: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray, " joints"]:
+    r"""Estimates how far recorded positions scatter about a smooth motion, joint by joint.
+
+    Third differences of a motion that is smooth on the scale of a few samples are all noise,
+    $\sqrt{20}$ times that of the positions. Their median absolute value disregards the few that
+    straddle a jump. Quantisation adds a step's $1/\sqrt{12}$, the least there can be.
+
+    **Arguments**
+
+    - `position`: joint positions, shape `(samples, joints)` [rad or m], four samples or more,
+        at roughly even intervals.
+
+    **Returns**
+
+    The standard deviation of the noise, shape `(joints,)` [rad or m].
+
+    >>> import numpy as np
+    >>> from jaxcslc.motion import noise_level
+    >>> time = np.linspace(0.0, 3.0, 1000)[:, None]
+    >>> quantised = 1e-4 * np.round(np.sin(time) / 1e-4)
+    >>> bool(1e-4 < noise_level(quantised)[0] * 12**0.5 < 1.2e-4)
+    True
+    """
+    scatter = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
+    # 0.6745 is the median absolute value of a normal variable of unit deviation.
+    scatter = scatter / (0.6745 * np.sqrt(20.0))
+    return np.maximum(scatter, encoder_resolution(position) / np.sqrt(12.0))
+
+
+def _smallest_step(values: Float[np.ndarray, " samples"]) -> float:
+    levels = np.unique(values)
+    steps = np.diff(levels)
+    # Equal counts may differ by rounding of their conversion to radians.
+    steps = steps[steps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
+    if steps.size == 0:
+        return 0.0
+    smallest = np.min(steps)
+    # Far larger steps would tell the count more exactly than it deserves: an error of the
+    # smallest would grow to a whole count there.
+    multiples = steps[steps < 8.5 * smallest] / smallest
+    nearest = np.round(multiples)
+    on_grid = np.abs(multiples - nearest) < 0.05
+    # Without a grid, a tenth of the steps would pass that test by chance.
+    if multiples.size < 2 or np.mean(on_grid) < 0.9:
+        return 0.0
+    return float(smallest * np.median(multiples[on_grid] / nearest[on_grid]))
