@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..derivation import Table
-from ..network import CSLC
-from ..network.terms import input_layer
+from ..network import CSLC, JAX_FUNCTIONS, input_layer
 from ._activations import LINEAR_COMBINER
 from ._layers import ContextLayer, Layer
 from ._links import Links
@@ -49,8 +48,10 @@ class InverseDynamicsInputs(eqx.Module):
             else jnp.zeros((0, *q.shape[1:]), q.dtype)
             for table in tables
         )
-        last = (jnp.moveaxis(x, 0, -1) for x in (q, qd, qdd))
-        friction = [jnp.stack(values) for values in self.network.term_inputs(*last)]
+        motion = [list(x) for x in (q, qd, qdd)]
+        friction = [
+            jnp.stack(term.inputs(JAX_FUNCTIONS, *motion)) for term in self.network.input_terms
+        ]
         present = [(mass, (qdd,)), (velocity, (qd, qd)), (gravity, ())]
         parts = [part for part, table in zip(present, tables, strict=True) if table.links]
         parts += [(term, ()) for term in friction]
@@ -98,12 +99,11 @@ def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
             links.multiple,
         )
         parts.append(Subnetwork("gravity", (Layer(joints),)))
-    first = len(algebra.coefficients)
-    for term in network.terms:
-        m = len(term.joints)
-        own = Links(m, n, range(m), term.joints, [first + place for place in term.places])
-        parts.append(Subnetwork(f"{term.word}{term.part}", (Layer(own),)))
-        first += term.size
+    for term in network.input_terms:
+        m = len(term.input_joints)
+        weights = network.layout.indices(term.kind)[list(term.input_indices)]
+        links = Links(m, n, range(m), term.input_joints, weights.tolist())
+        parts.append(Subnetwork(term.kind, (Layer(links),)))
     return AdaptiveNetwork(
         tuple(parts), InverseDynamicsInputs(network), LINEAR_COMBINER, network.names
     )

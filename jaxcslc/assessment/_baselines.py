@@ -39,12 +39,8 @@ def regress_friction(
     >>> bool(np.allclose(jc.regress_friction(network, patterns, wrong), k))
     True
     """
-    friction = np.zeros(network.size, bool)
-    start = len(network.algebra.coefficients)
-    for term in network.terms:
-        friction[start : start + term.size] = term.word not in ("coupled_inertia", "spring")
-        start += term.size
-    rigid = np.where(friction, 0.0, np.asarray(k))
+    friction = network.layout.friction
+    rigid = np.array(network.without_friction(jnp.asarray(k)))
     left = np.asarray(torque_errors(network, patterns, jnp.asarray(rigid)))
     counts = np.asarray(patterns.mask)
     columns = np.asarray(regressor_of(network, patterns))[:, :, friction]

@@ -95,8 +95,10 @@ def _errors(network: CSLC, found: PayloadFit, patterns: Patterns) -> dict[str, l
     """Root mean square torque error of each joint, with the payload's part and without."""
     k, counts = np.asarray(found.fit.k), np.asarray(patterns.mask)
     errors: dict[str, list[float]] = {}
-    for name, own in (("with", k), ("without", np.concatenate([k[:-10], np.zeros(10)]))):
-        torque = np.asarray(network.torque(own, patterns.q, patterns.qd, patterns.qdd))
+    without = k.copy()
+    without[network.layout.payload] = 0.0
+    for name, coefficients in (("with", k), ("without", without)):
+        torque = np.asarray(network.torque(coefficients, patterns.q, patterns.qd, patterns.qdd))
         squares = np.where(counts, torque - np.asarray(patterns.torque), 0.0) ** 2
         number = np.maximum(np.sum(counts, axis=0), 1)
         errors[name] = np.sqrt(np.sum(squares, axis=0) / number).tolist()

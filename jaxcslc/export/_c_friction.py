@@ -1,11 +1,46 @@
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Float
 
-from ..network import CSLC
-from ..network.terms import FrictionTerm
+from ..network import CSLC, AbstractFunctions
 from ._expressions import Expressions, Motion, Value
+
+
+class CFunctions(AbstractFunctions):
+    """The functions of terms' inputs as operations of C code."""
+
+    def __init__(self, graph: Expressions) -> None:
+        self.graph = graph
+
+    def constant(self, number: float, like: Value) -> Value:
+        del like
+        return self.graph.constant(float(number))
+
+    def sign(self, x: Value) -> Value:
+        return self.graph.apply("sign", x)
+
+    def absolute(self, x: Value) -> Value:
+        return self.graph.apply("fabs", x)
+
+    def positive(self, x: Value) -> Value:
+        return self.graph.apply("positive", x)
+
+    def negative(self, x: Value) -> Value:
+        return self.graph.apply("negative", x)
+
+    def sqrt(self, x: Value) -> Value:
+        return self.graph.apply("sqrt", x)
+
+    def exp(self, x: Value) -> Value:
+        return self.graph.apply("exp", x)
+
+    def tanh(self, x: Value) -> Value:
+        return self.graph.apply("tanh", x)
+
+    def sin(self, x: Value) -> Value:
+        return self.graph.apply("sin", x)
+
+    def cos(self, x: Value) -> Value:
+        return self.graph.apply("cos", x)
 
 
 def friction_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]:
@@ -13,80 +48,28 @@ def friction_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Valu
 
     Everything that the network adds to it: friction, offsets, springs, coupled joints.
     """
-    graph, q, qd, qdd = motion.graph, motion.q, motion.qd, motion.qdd
-    slopes = network.static_slopes
-    held = [1.0] * network.joint_count if slopes is None else np.asarray(slopes, float).tolist()
+    functions = CFunctions(motion.graph)
     entries: list[tuple[int, int, Value]] = []
-    start = len(network.algebra.coefficients)
-    for term in network.terms:
-        if term.pairs:
-            inputs = [
-                x for pair in range(len(term.pairs)) for x in _coupled(term, pair, qd, qdd, graph)
-            ]
-        else:
-            inputs = [_own(term, j, held[j], q, qd, graph) for j in term.joints]
-        for joint, place, value in zip(term.joints, term.places, inputs, strict=True):
-            entries.append((joint, start + place, value))
-        start += term.size
+    for term in network.input_terms:
+        indices = network.layout.indices(term.kind)[list(term.input_indices)].tolist()
+        values = term.inputs(functions, motion.q, motion.qd, motion.qdd)
+        entries += zip(term.input_joints, indices, values, strict=True)
     return entries
-
-
-def _own(
-    term: FrictionTerm,
-    j: int,
-    slope: float,
-    q: Sequence[Value],
-    qd: Sequence[Value],
-    graph: Expressions,
-) -> Value:
-    rate = qd[j]
-    match term.word:
-        case "viscous" | "asymmetric_viscous":
-            value = rate
-        case "dry" | "asymmetric_dry":
-            value = graph.apply("sign", rate)
-        case "static":
-            decay = graph.apply("exp", -(graph.apply("fabs", rate) * slope))
-            value = graph.apply("sign", rate) * decay
-        case "root":
-            speed = graph.apply("sqrt", graph.apply("fabs", rate))
-            value = graph.apply("sign", rate) * speed
-        case "spring":
-            value = q[j]
-        case "offset":
-            value = graph.constant(1.0)
-        case _:
-            raise ValueError(f"friction term {term.word!r} has no C code")
-    if not term.part:
-        return value
-    return graph.apply("positive" if term.part == "+" else "negative", value)
-
-
-def _coupled(
-    term: FrictionTerm, pair: int, qd: Sequence[Value], qdd: Sequence[Value], graph: Expressions
-) -> tuple[Value, Value]:
-    """As the network's: what a shaft that two joints turn adds to either."""
-    first, second = term.pairs[pair].first - 1, term.pairs[pair].second - 1
-    ratio = float(term.pairs[pair].ratio)
-    if term.word == "coupled_dry":
-        sign = graph.apply("sign", qd[first] + qd[second] * ratio)
-        return sign, sign * ratio
-    if term.word not in ("coupled_inertia", "coupled_viscous"):
-        raise ValueError(f"friction term {term.word!r} has no C code")
-    motion = qdd if term.word == "coupled_inertia" else qd
-    return motion[second] * ratio, motion[first] * ratio
 
 
 def coupled_inertias(
     network: CSLC, k: Float[np.ndarray, " coefficients"]
 ) -> list[tuple[int, int, float]]:
-    """What coupled joints add to the mass matrix above its diagonal: row, column, value."""
-    found: list[tuple[int, int, float]] = []
-    start = len(network.algebra.coefficients)
-    for term in network.terms:
-        if term.word == "coupled_inertia":
-            for place, pair in enumerate(term.pairs):
-                i, j = sorted((pair.first - 1, pair.second - 1))
-                found.append((i, j, float(pair.ratio) * float(k[start + place])))
-        start += term.size
-    return found
+    """What terms beside the rigid body add to the mass matrix above its diagonal.
+
+    **Returns** row, column and value.
+    """
+    entries: list[tuple[int, int, float]] = []
+    for term in network.input_terms:
+        total = np.tensordot(k[network.layout.of(term)], term.inertia_matrices, 1)
+        entries += [
+            (int(i), int(j), float(total[i, j]))
+            for i, j in zip(*np.triu_indices(len(total)), strict=True)
+            if total[i, j]
+        ]
+    return entries

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..network import CSLC
+from ..network import CSLC, RigidBodyTables
 from ._c_friction import coupled_inertias, friction_entries
 from ._expressions import Expressions, Motion, Value
 from ._rigid_body import (
@@ -56,9 +56,12 @@ def regressor(dynamics: Dynamics) -> list[Value] | None:
     rigid = dynamics.rigid_body.regressor()
     if rigid is None:
         return None
-    inertial = len(network.algebra.coefficients)
-    zeros = [motion.graph.constant(0.0)] * (network.size - len(rigid[0]))
-    rows = [[*row[:inertial], *zeros, *row[inertial:]] for row in rigid]
+    layout = network.layout
+    columns = layout.indices("rigid_body", *(["payload"] if network.payload else [])).tolist()
+    rows = [[motion.graph.constant(0.0)] * layout.size for _ in rigid]
+    for row, values in zip(rows, rigid, strict=True):
+        for column, value in zip(columns, values, strict=True):
+            row[column] = value
     for joint, index, value in friction_entries(network, motion):
         rows[joint][index] = rows[joint][index] + value
     return [value for row in rows for value in row]
@@ -137,7 +140,7 @@ def _rigid_bodies(
         bodies = bodies_of_coefficients(network, k)
         if bodies is not None:
             yield lambda motion: RecursiveRigidBody(motion, network, bodies)
-        if network.evaluator.has_tables:
+        if isinstance(network.rigid_body, RigidBodyTables):
             yield lambda motion: TabulatedRigidBody(motion, network, k)
 
     return list(candidates())

@@ -100,7 +100,7 @@ class TabulatedRigidBody(AbstractRigidBody):
         self, motion: Motion, network: CSLC, k: Float[np.ndarray, " coefficients"]
     ) -> None:
         self._motion, self._network = motion, network
-        self._k = k[: len(network.algebra.coefficients)]
+        self._k = k[network.layout.inertial]
         self._tables = ClosedForm(motion, network.algebra)
         self._recursion = newton_euler(motion, network.algebra)
         payload = payload_bodies(network, k)
@@ -183,7 +183,7 @@ def payload_bodies(
     """The payload's ten numbers, at the link that carries it."""
     bodies = np.zeros((network.joint_count, 10))
     if network.carrying_link is not None:
-        bodies[network.carrying_link - 1] = k[-10:]
+        bodies[network.carrying_link - 1] = k[network.layout.payload]
     return bodies
 
 
@@ -204,7 +204,7 @@ def bodies_of_coefficients(network: CSLC, k: Float[np.ndarray, " coefficients"])
     numbers have them: symbolic coefficients that were identified one by one are rarely consistent.
     """
     n, algebra = network.joint_count, network.algebra
-    inertial = k[: len(algebra.coefficients)]
+    inertial = k[network.layout.inertial]
     links, motors = np.zeros((n, 10)), np.zeros(n)
     if algebra.lengths == "numeric":
         for value, unit in zip(inertial, algebra.unit_inertias, strict=True):

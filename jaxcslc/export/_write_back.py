@@ -184,10 +184,10 @@ def _left_out(network: CSLC, found: PhysicalParameters, held: tuple[str, ...]) -
     names: list[str] = []
     if "motor_inertia" not in held:
         names += [f"Im{i}" for i, x in enumerate(found.links, start=1) if float(x.motor_inertia)]
-    for term in network.terms:
-        if term.word not in held:
+    for term in network.input_terms:
+        if term.kind not in held:
             names += term.names
-    return names + [c.name for c in network.coefficients if c.group == "payload"]
+    return names + list(network.names[network.layout.payload])
 
 
 def _random_states(n: int) -> States:

@@ -80,17 +80,17 @@ def fit_payload(
         fit = reidentify(whole, loaded, previous, groups=("payload",), solver=solver, throw=throw)
     else:
         assert unloaded is not None
-        payload = range(whole.size - 10, whole.size)
+        payload = whole.layout.indices("payload").tolist()
         alone = solver.equations(whole, unloaded).without(whole, payload)
         both = solver.equations(whole, loaded).followed_by(alone, loaded.samples)
         fit = solver.fit_equations(whole, both, loaded.samples + unloaded.samples, throw=throw)
-    body = _possible(fit)
+    body = _possible(fit, whole.layout.payload)
     return PayloadFit(fit, None if body is None else link_of(body))
 
 
-def _possible(fit: Identification) -> np.ndarray | None:
-    covariance = np.asarray(fit.independent_covariance)[-10:, -10:]
-    body = np.asarray(fit.k)[-10:]
+def _possible(fit: Identification, payload: slice) -> np.ndarray | None:
+    covariance = np.asarray(fit.independent_covariance)[payload, payload]
+    body = np.asarray(fit.k)[payload]
     if not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(body))):
         return None
-    return nearest_body(body, covariance, np.asarray(fit.undetermined)[:, -10:])
+    return nearest_body(body, covariance, np.asarray(fit.undetermined)[:, payload])

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy.special import stdtrit
 
 from ..manipulator import LinkParameters
@@ -35,7 +35,7 @@ class PayloadFit(eqx.Module):
     >>> t = np.linspace(0, 5, 500)[:, None]
     >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
     >>> k = np.zeros(network.size)
-    >>> k[-10:] = 0.01, 0.01, 0.02, 0, 0, 0, 0.1, 0, 0, 1
+    >>> k[network.layout.payload] = 0.01, 0.01, 0.02, 0, 0, 0, 0.1, 0, 0, 1
     >>> patterns = jc.Patterns(t[:, 0], *motion, network.torque(k, *motion), pairs, pairs)
     >>> found = jc.fit_payload(network, patterns, previous=np.zeros(network.size - 10))
     >>> print(found.unidentifiable[0])
@@ -48,25 +48,30 @@ class PayloadFit(eqx.Module):
     possible: LinkParameters | None
 
     @property
+    def _indices(self) -> Int[np.ndarray, "10"]:
+        """Of the payload's coefficients among those of the fit."""
+        return np.array([self.fit.names.index(name) for name in PAYLOAD])
+
+    @property
     def parameters(self) -> Float[Array, "10"]:
         """Inertia about the frame's origin, first moments and mass, in the order of
         `jaxcslc.derivation.BODY` [kg m², kg m, kg]."""
-        return self.fit.k[-10:]
+        return self.fit.k[self._indices]
 
     @property
     def covariance(self) -> Float[Array, "10 10"]:
         """Of `parameters`."""
-        return self.fit.covariance[-10:, -10:]
+        return self.fit.covariance[np.ix_(self._indices, self._indices)]
 
     @property
     def standard_error(self) -> Float[Array, "10"]:
         """Of `parameters`; infinite where the motion does not determine them."""
-        return self.fit.standard_error[-10:]
+        return self.fit.standard_error[self._indices]
 
     @property
     def determined(self) -> Bool[Array, "10"]:
         """Which of `parameters` the motion determines by themselves."""
-        return self.fit.determined[-10:]
+        return self.fit.determined[self._indices]
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
@@ -120,7 +125,7 @@ class PayloadFit(eqx.Module):
 
         **Raises** `ValueError` for a level that is not between 0 and 1.
         """
-        return self.fit.confidence_interval(level)[-10:]
+        return self.fit.confidence_interval(level)[self._indices]
 
     def physical_interval(self, level: float = 0.95) -> Float[np.ndarray, "10 2"]:
         """The same for each of `physical`, to first order: trust those of centre and tensor as

@@ -205,7 +205,7 @@ def physical_parameters(
         network.names,
         links,
         tuple(link_of(body, float(motor)) for body, motor in zip(free, rotors, strict=True)),
-        _friction(network, others[driven.sum() :]),
+        _friction(network, k),
         k,
         float(np.sqrt(np.mean(moved**2))) if moved.size else 0.0,
         _torque_distance(network, k - problem.k, patterns),
@@ -214,24 +214,14 @@ def physical_parameters(
 
 
 def _friction(
-    network: CSLC, values: Float[np.ndarray, " _"]
+    network: CSLC, k: Float[np.ndarray, " coefficients"]
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """The coefficients beside the inertial ones, by word, in the form of `coefficients_from`."""
-    found: dict[str, np.ndarray] = {}
-    start, n = 0, network.joint_count
-    for term in network.terms:
-        own = values[start : start + term.size]
-        start += term.size
-        if term.pairs:
-            table = found.setdefault("coupled", np.zeros((len(term.pairs), 3)))
-            table[:, ("inertia", "viscous", "dry").index(term.word.removeprefix("coupled_"))] = own
-        elif term.part:
-            table = found.setdefault(term.word, np.zeros((n, 2)))
-            table[list(term.joints), "+-".index(term.part)] = own
-        else:
-            found[term.word] = np.zeros(n)
-            found[term.word][list(term.joints)] = own
-    return found
+    """The coefficients beside the inertial ones, as the arguments of `coefficients_from`."""
+    tables: dict[str, np.ndarray] = {}
+    for term in network.input_terms:
+        table = tables.setdefault(term.keyword, np.zeros(term.value_shape))
+        table[term.value_index] = k[network.layout.of(term)]
+    return tables
 
 
 def _torque_distance(

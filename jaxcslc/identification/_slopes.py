@@ -301,10 +301,6 @@ def _covariance(
 
 
 def _static_columns(network: CSLC) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Joints with static friction, and the places of its coefficients in `k`."""
-    start = len(network.algebra.coefficients)
-    for term in network.terms:
-        if term.word == "static":
-            return term.joints, tuple(start + place for place in term.places)
-        start += term.size
-    raise AssertionError("no static friction")
+    """Joints with static friction, and the indices of its coefficients in `k`."""
+    (term,) = (term for term in network.input_terms if term.kind == "static")
+    return term.input_joints, tuple(network.layout.indices("static").tolist())

@@ -1,12 +1,17 @@
 from ._cslc import CSLC as CSLC
 from ._derive import derive as derive
+from ._layout import Layout as Layout
 from .terms import (
+    JAX_FUNCTIONS as JAX_FUNCTIONS,
     PAYLOAD as PAYLOAD,
-    AbstractEvaluator as AbstractEvaluator,
-    FrictionTerm as FrictionTerm,
-    RecursiveEvaluator as RecursiveEvaluator,
-    TableEvaluator as TableEvaluator,
+    AbstractFunctions as AbstractFunctions,
+    AbstractInputTerm as AbstractInputTerm,
+    AbstractJointLaw as AbstractJointLaw,
+    AbstractTerm as AbstractTerm,
+    JointTerm as JointTerm,
+    RigidBodyRecursion as RigidBodyRecursion,
+    RigidBodyTables as RigidBodyTables,
+    StaticFriction as StaticFriction,
     carrier as carrier,
-    friction_terms as friction_terms,
     input_layer as input_layer,
 )

@@ -5,11 +5,9 @@ from ..derivation import Algebra, Lengths, derive_algebra
 from ..manipulator import Manipulator
 from ._cslc import CSLC
 from .terms import (
-    AbstractEvaluator,
-    RecursiveEvaluator,
-    TableEvaluator,
-    friction_coefficients,
-    static_slopes,
+    RigidBodyRecursion,
+    RigidBodyTables,
+    input_terms,
 )
 
 
@@ -47,27 +45,22 @@ def derive(
 
     >>> import jaxcslc as jc
     >>> jc.derive(jc.puma560())
-    CSLC(PUMA 560: 6 joints, 43 coefficients: 26 mass, 5 gravity, 6 viscous, 6 dry; TableEvaluator)
+    CSLC(PUMA 560: 6 joints, 43 coefficients: 26 mass, 5 gravity, 6 viscous, 6 dry; RigidBodyTables)
     """
     if isinstance(lengths, str) and lengths not in ("symbolic", "numeric"):
         raise ValueError(
             f"lengths must be 'symbolic', 'numeric' or a list of names, got {lengths!r}"
         )
-    kept = lengths if isinstance(lengths, str) else tuple(lengths)
-    algebra = derive_algebra(robot, cast(Lengths, kept))
-    return CSLC(
-        (*algebra.coefficients, *friction_coefficients(robot)),
-        algebra,
-        _evaluator(algebra, evaluator),
-        static_slopes(robot),
-    )
+    symbols = lengths if isinstance(lengths, str) else tuple(lengths)
+    algebra = derive_algebra(robot, cast(Lengths, symbols))
+    return CSLC(algebra, (_rigid_body(algebra, evaluator), *input_terms(robot)))
 
 
-def _evaluator(algebra: Algebra, choice: str) -> AbstractEvaluator:
+def _rigid_body(algebra: Algebra, choice: str) -> RigidBodyTables | RigidBodyRecursion:
     if choice == "tables" or (choice == "auto" and _tables_are_small(algebra)):
-        return TableEvaluator.from_algebra(algebra)
+        return RigidBodyTables.from_algebra(algebra)
     if choice in ("recursive", "auto"):
-        return RecursiveEvaluator.from_algebra(algebra)
+        return RigidBodyRecursion.from_algebra(algebra)
     raise ValueError(f"evaluator must be 'auto', 'tables' or 'recursive', got {choice!r}")
 
 

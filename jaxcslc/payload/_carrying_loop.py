@@ -66,13 +66,13 @@ class CarryingLoop(eqx.Module):
         compensating: float | Float[Array, ""] = 1.0,
     ) -> None:
         """**Raises** `ValueError` if controller and estimator have not the same coefficients."""
-        own = controller.network.size - (0 if controller.network.payload is None else 10)
-        if own != estimator.k.shape[0]:
+        arm_k = controller.k[controller.network.layout.unloaded]
+        if arm_k.shape != estimator.k.shape:
             raise ValueError(
-                f"the controller's network has {own} coefficients of the arm, the estimator's"
-                f" {estimator.k.shape[0]}; expected the same network"
+                f"the controller's network has {len(arm_k)} coefficients of the arm, the"
+                f" estimator's {estimator.k.shape[0]}; expected the same network"
             )
-        k = jnp.concatenate([controller.k[:own], jnp.zeros(10)])
+        k = jnp.concatenate([arm_k, jnp.zeros(10)])
         controller = controller.with_network(estimator.network, k)
         self.controller, self.estimator = controller, estimator
         self.filter = Loop(controller).filter if filter is None else filter
@@ -97,7 +97,9 @@ class CarryingLoop(eqx.Module):
         known = state.learning.estimate
         wanted = jnp.where(known.carrying, known.body, jnp.zeros(10))
         body = wanted + (state.body - wanted) * jnp.exp(-interval / self.fade)
-        k = self.controller.k.at[-10:].set(self.compensating * body)
+        k = self.controller.k.at[self.controller.network.layout.payload].set(
+            self.compensating * body
+        )
         loop = Loop(self.controller.with_coefficients(k), self.filter)
         torque, own = loop.step(state.loop, reference, q, interval)
         learning = self.estimator.step(state.learning, q, torque, interval)

@@ -132,7 +132,7 @@ class PayloadEstimator(eqx.Module):
     >>> t = 0.002 * np.arange(1500)[:, None]
     >>> q, qd, qdd = -np.cos(3 * t), 3 * np.sin(3 * t), 9 * np.cos(3 * t)  # from rest
     >>> torque = network.torque(k, q, qd, qdd)
-    >>> estimator = PayloadEstimator(network, k[:-10], noise=np.array([1e-4]))
+    >>> estimator = PayloadEstimator(network, k[network.layout.unloaded], noise=np.array([1e-4]))
     >>> def onwards(state, signal):
     ...     return estimator.step(state, *signal, 0.002), None
     >>> state, _ = jax.lax.scan(onwards, estimator.begin(jnp.asarray(q[0])), (q, torque))
@@ -184,7 +184,7 @@ class PayloadEstimator(eqx.Module):
           is not above 0; names it.
         """
         self.network = network if network.payload is not None else network.with_payload()
-        own, n = self.network.size - _SIZE, self.network.joint_count
+        own, n = self.network.layout.unloaded.stop, self.network.joint_count
         identified = isinstance(known, Identification)
         self.k = jnp.asarray(known.k if identified else known)
         if self.k.shape != (own,):
@@ -261,7 +261,8 @@ class PayloadEstimator(eqx.Module):
         q, qd, qdd = self.filter.read(state.motion)
         torque = self.filter.read(state.effort).value
         columns = self.network.regressor(q, qd, qdd)
-        own, felt = columns[:, :-_SIZE], columns[:, -_SIZE:]
+        layout = self.network.layout
+        own, felt = columns[:, layout.unloaded], columns[:, layout.payload]
         residual = torque - own @ self.k
         weight = jnp.where(jnp.abs(qd) > self.slowest, state.waited / self.noise, 0.0)
         moving = state.waited * jnp.any(weight > 0)

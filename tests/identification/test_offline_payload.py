@@ -55,7 +55,7 @@ class TestKnownArm:
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """Oracle: dense least squares of ten columns, errors of the other 43 spread into them."""
-        arm = ORDINARY.fit(puma, _drawn(puma, loaded_k[:43], rng, 200, 0.5))
+        arm = ORDINARY.fit(puma, _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 200, 0.5))
         patterns = _drawn(loaded, loaded_k, rng, 150, 0.3)
         found = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
         rows, torque = _rows(loaded, patterns)
@@ -78,7 +78,7 @@ class TestKnownArm:
         found = jc.fit_payload(loaded, patterns, previous=loaded_k, solver=solver)
         fit = jc.reidentify(loaded, patterns, loaded_k, groups=("payload",), solver=solver)
         assert_allclose(found.fit.k, fit.k)
-        assert_allclose(found.standard_error, fit.standard_error[-10:])
+        assert_allclose(found.standard_error, fit.standard_error[loaded.layout.payload])
 
 
 class TestTwoRecordings:
@@ -92,7 +92,7 @@ class TestTwoRecordings:
         rng: np.random.Generator,
     ) -> None:
         """Oracle: all rows of both, zeros for the payload of the unloaded arm."""
-        empty = _drawn(puma, loaded_k[:43], rng, 200, 0.5)
+        empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 200, 0.5)
         patterns = _drawn(loaded, loaded_k, rng, 150, 0.5)
         solver = jc.LeastSquares(joint_weights="equal", loss="huber" if robust else "squared")
         found = jc.fit_payload(puma, patterns, empty, solver=solver)
@@ -119,7 +119,7 @@ class TestTwoRecordings:
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """The loaded arm's motion is motion of the arm too."""
-        empty = _drawn(puma, loaded_k[:43], rng, 60, 0.5)
+        empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 60, 0.5)
         patterns = _drawn(loaded, loaded_k, rng, 600, 0.5)
         both = jc.fit_payload(puma, patterns, empty, solver=ORDINARY)
         arm = ORDINARY.fit(puma, empty)
@@ -130,7 +130,7 @@ class TestTwoRecordings:
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """Filtering both sides alike loses nothing of what has no noise."""
-        empty = _drawn(puma, loaded_k[:43], rng, 600, 0.0)
+        empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 600, 0.0)
         patterns = _drawn(loaded, loaded_k, rng, 600, 0.0)
         found = jc.fit_payload(
             puma, patterns, empty, solver=dataclasses.replace(ORDINARY, cutoff=20.0)

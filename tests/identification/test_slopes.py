@@ -39,7 +39,7 @@ def test_recovers_slopes_and_coefficients(network: jc.CSLC, rng: np.random.Gener
     assert_allclose(found.slopes, SLOPES, rtol=1e-6)
     assert_allclose(found.fit.k, k, rtol=1e-6)
     assert bool(found.settled)
-    assert found.network.static_slopes == tuple(np.asarray(found.slopes).tolist())
+    assert np.array_equal(np.asarray(found.network.static_slopes), found.slopes)
     assert "slopes [12 ± " in repr(found)
 
 

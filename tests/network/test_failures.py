@@ -9,7 +9,7 @@ import pytest
 
 import jaxcslc
 from jaxcslc import CSLC, Manipulator, RobotError
-from jaxcslc.network import RecursiveEvaluator
+from jaxcslc.network import RigidBodyRecursion
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_recursion_with_symbolic_lengths() -> None:
     with pytest.raises(ValueError, match="recursive evaluator needs numeric lengths"):
         jaxcslc.derive(jaxcslc.puma560(), evaluator="recursive")
     with pytest.raises(ValueError, match="recursive evaluator needs numeric lengths"):
-        RecursiveEvaluator.from_algebra(jaxcslc.derive(jaxcslc.puma560()).algebra)
+        RigidBodyRecursion.from_algebra(jaxcslc.derive(jaxcslc.puma560()).algebra)
 
 
 def test_lengths_without_values() -> None:

@@ -98,7 +98,7 @@ def k(network: jc.CSLC, rng: np.random.Generator) -> np.ndarray:
 def test_torque_is_the_formulas(
     network: jc.CSLC, k: np.ndarray, state: tuple[np.ndarray, ...]
 ) -> None:
-    start = len(network.algebra.coefficients)
+    start = network.layout.inertial.stop
     alone = np.where(np.arange(k.size) < start, 0.0, k)
     torque = network.torque(alone, *state)
     each = [expected(network.names[start:], k[start:], *x) for x in zip(*state, strict=True)]
@@ -131,7 +131,7 @@ def test_forward_dynamics_inverts_torque(
     """With the shared inertia and the springs; inertias large enough for M to have an inverse."""
     q, qd, qdd = state
     links = [jc.LinkParameters(2.0, np.array([0.2, 0.1, 0.05]), np.diag([0.3, 0.4, 0.5]), 0.6)] * 3
-    start = len(network.algebra.coefficients)
+    start = network.layout.inertial.stop
     k = np.concatenate([np.asarray(network.coefficients_from(links))[:start], k[start:]])
     k[network.names.index("kcm2_3")] = 0.05
     torque = network.torque(k, q, qd, qdd)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import jaxcslc
 from jaxcslc.manipulator import LinkInertia, LinkParameters, Manipulator
-from jaxcslc.network import TableEvaluator
+from jaxcslc.network import RigidBodyTables
 
 
 # Of the largest entry: a few hundred products of numbers below ten, in float64.
@@ -114,9 +114,9 @@ def christoffel_matrix(case: Any, q: np.ndarray, qd: np.ndarray) -> jax.Array:
     """C of V = C qd from the network's symbols c_ijk, which are listed for j <= k (2.4-5)."""
     network = case.network
     n = network.joint_count
-    k = jnp.asarray(case.k)[: len(network.algebra.coefficients)]
+    k = jnp.asarray(case.k)[network.layout.inertial]
     rows = [[jnp.zeros(q.shape[:-1]) for _ in range(n)] for _ in range(n)]
-    for (i, j, m), value in network.evaluator.christoffel_symbols(k, jnp.asarray(q)).items():
+    for (i, j, m), value in network.rigid_body.christoffel_symbols(k, jnp.asarray(q)).items():
         rows[i][j] = rows[i][j] + value * qd[..., m]
         if j != m:
             rows[i][m] = rows[i][m] + value * qd[..., j]
@@ -128,7 +128,7 @@ def test_rate_of_mass_less_twice_coriolis_is_skew(
     cases: Callable[[str], Any], rng: np.random.Generator, name: str
 ) -> None:
     case = cases(name)
-    assert isinstance(case.network.evaluator, TableEvaluator)
+    assert isinstance(case.network.rigid_body, RigidBodyTables)
     q, qd, _ = case.states(rng)
     _, rate = jax.jvp(lambda q: case.network.mass_matrix(case.k, q), (q,), (qd,))
     coriolis = christoffel_matrix(case, q, qd)

@@ -86,19 +86,19 @@ def test_names(network: CSLC) -> None:
     assert network.names == tuple(f"{name}{i + 1}" for name, n in parts for i in range(n))
     assert repr(network) == (
         "CSLC(PUMA 560: 6 joints, 43 coefficients: 26 mass, 5 gravity, 6 viscous, 6 dry;"
-        " TableEvaluator)"
+        " RigidBodyTables)"
     )
 
 
 def test_choice_of_evaluator() -> None:
     def chosen(robot: jaxcslc.Manipulator, **options: Any) -> str:
-        return type(jaxcslc.derive(robot, **options).evaluator).__name__
+        return type(jaxcslc.derive(robot, **options).rigid_body).__name__
 
     puma, panda = jaxcslc.puma560(), jaxcslc.panda()
-    assert chosen(puma) == "TableEvaluator"
-    assert chosen(puma, lengths="numeric") == "TableEvaluator"
-    assert chosen(puma, lengths="numeric", evaluator="recursive") == "RecursiveEvaluator"
-    assert chosen(panda, lengths="numeric") == "RecursiveEvaluator"
+    assert chosen(puma) == "RigidBodyTables"
+    assert chosen(puma, lengths="numeric") == "RigidBodyTables"
+    assert chosen(puma, lengths="numeric", evaluator="recursive") == "RigidBodyRecursion"
+    assert chosen(panda, lengths="numeric") == "RigidBodyRecursion"
 
 
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 0.0), (0.0, 3.0, -9.0)], ids=["none", "tilted"])

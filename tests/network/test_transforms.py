@@ -80,8 +80,8 @@ def test_a_network_derived_again_is_the_same_to_the_compiler(
         traces.append(None)
         return network.torque(*values)
 
-    evaluator: Any = {"TableEvaluator": "tables", "RecursiveEvaluator": "recursive"}[
-        type(case.network.evaluator).__name__
+    evaluator: Any = {"RigidBodyTables": "tables", "RigidBodyRecursion": "recursive"}[
+        type(case.network.rigid_body).__name__
     ]
     for _ in range(2):
         again = jaxcslc.derive(

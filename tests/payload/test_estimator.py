@@ -178,6 +178,7 @@ def test_it_is_least_squares_on_filtered_signals(
     motion, effort = chain.begin(q[0]), chain.begin(torque[0])
     rows, values = [np.diag(1 / np.array([0.2] * 6 + [1.0] * 3 + [5.0]))], [np.zeros(10)]
     step = jax.jit(chain.step, static_argnames="hold")
+    layout = estimator.network.layout
     for n in range(400):
         if n:
             motion = step(motion, q[n - 1], q[n], 0.002)
@@ -186,8 +187,9 @@ def test_it_is_least_squares_on_filtered_signals(
             at = chain.read(motion)
             columns = np.asarray(estimator.network.regressor(*at))
             weight = np.sqrt(np.where(np.abs(at.rate) > SLOWEST, 0.02 / NOISE, 0.0))
-            residual = np.asarray(chain.read(effort).value) - columns[:, :-10] @ np.asarray(arm_k)
-            rows.append(weight[:, None] * columns[:, -10:])
+            of_arm = columns[:, layout.unloaded] @ np.asarray(arm_k)
+            residual = np.asarray(chain.read(effort).value) - of_arm
+            rows.append(weight[:, None] * columns[:, layout.payload])
             values.append(weight * residual)
     a, b = np.concatenate(rows), np.concatenate(values)
     covariance = np.linalg.inv(a.T @ a)

@@ -1,9 +1,10 @@
 from fractions import Fraction
+from functools import lru_cache
 
 from ...derivation import BODY, Addend, Coefficient, inertial_terms
 from ...manipulator import LinkInertia, Manipulator, RobotError
 from ._link_motion import paths_of
-from ._recursive import RecursiveEvaluator
+from ._rigid_body_recursion import RigidBodyRecursion
 
 
 PAYLOAD = tuple(f"p{entry}" for entry in BODY)
@@ -45,34 +46,37 @@ def carrier(robot: Manipulator, link: int | None = None) -> Manipulator:
     )
 
 
-def payload_coefficients(carrying: Manipulator) -> tuple[Coefficient, ...]:
-    """One coefficient for each of the ten terms of a `carrier`'s body."""
-    found: list[Coefficient] = []
-    for name, term in zip(PAYLOAD, inertial_terms(carrying), strict=True):
-        label = "*".join(f"{factor}p" for factor in term.factors)
-        positive = name in ("pIxx", "pIyy", "pIzz", "pm")
-        addend = Addend(Fraction(1), (), term)
-        found.append(Coefficient(name, "payload", label, _UNITS[name[1]], positive, (addend,)))
-    return tuple(found)
+def payload_term(carrying: Manipulator) -> RigidBodyRecursion:
+    """Newton-Euler over the body of a `carrier`, with a coefficient for each of its ten numbers.
 
-
-def payload_evaluator(carrying: Manipulator) -> RecursiveEvaluator:
-    """Newton-Euler over a `carrier`'s body.
-
-    All ten numbers, not the fewest that the torque depends on: whether a body can exist is a
-    question to all of them, and a motion, or an arm of few joints, that leaves some of them
-    open says so in a fit.
+    All ten numbers, not the fewest that the torque depends on: whether a body is physically
+    possible depends on all of them, and a fit reports those that a motion, or an arm of few
+    joints, leaves undetermined.
     """
     size = len(BODY)
     unit = tuple(tuple(float(i == j) for j in range(size)) for i in range(size))
     link = inertial_terms(carrying)[0].link
     links = range(carrying.joint_count)
-    return RecursiveEvaluator(
+    return RigidBodyRecursion(
         body=tuple(unit if i == link else ((),) * size for i in links),
         joints=carrying.joints,
         gravity=carrying.gravity,
-        places=tuple(tuple(range(size)) if i == link else () for i in links),
+        indices=tuple(tuple(range(size)) if i == link else () for i in links),
         motors=(),
         paths=paths_of(carrying.parents),
-        size=size,
+        coefficients=_coefficients(carrying),
+        kind="payload",
     )
+
+
+@lru_cache(maxsize=64)  # coefficients are compared by identity
+def _coefficients(carrying: Manipulator) -> tuple[Coefficient, ...]:
+    coefficients: list[Coefficient] = []
+    for name, term in zip(PAYLOAD, inertial_terms(carrying), strict=True):
+        label = "*".join(f"{factor}p" for factor in term.factors)
+        positive = name in ("pIxx", "pIyy", "pIzz", "pm")
+        addend = Addend(Fraction(1), (), term)
+        coefficients.append(
+            Coefficient(name, "payload", label, _UNITS[name[1]], positive, (addend,))
+        )
+    return tuple(coefficients)

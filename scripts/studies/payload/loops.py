@@ -68,10 +68,11 @@ class Told(eqx.Module):
         stop: float = 0.0,
     ) -> "Told":
         """From the arm's controller, and the arm's network with payload."""
-        own = network.coefficients_from
         k = jnp.concatenate([controller.k, jnp.zeros(10)])
         links = [LinkParameters(0.0, jnp.zeros(3), jnp.zeros((3, 3)))] * network.joint_count
-        ten = jnp.zeros(10) if body is None else jnp.asarray(own(links, payload=body))[-10:]
+        ten = jnp.zeros(10)
+        if body is not None:
+            ten = network.coefficients_from(links, payload=body)[network.layout.payload]
         return cls(
             Loop(controller.with_network(network, k)), ten, jnp.asarray(start), jnp.asarray(stop)
         )
@@ -92,7 +93,9 @@ class Told(eqx.Module):
         carrying = (clock > self.start - 0.5 * interval) & (clock < self.stop - 0.5 * interval)
         controller = self.loop.controller
         assert isinstance(controller, ComputedTorque)
-        k = controller.k.at[-10:].set(jnp.where(carrying, self.body, 0.0))
+        k = controller.k.at[controller.network.layout.payload].set(
+            jnp.where(carrying, self.body, 0.0)
+        )
         loop = Loop(controller.with_coefficients(k), self.loop.filter)
         torque, own = loop.step(own, reference, q, interval)
         return torque, (clock + interval, own)

@@ -228,11 +228,10 @@ def _path(
     network: jc.CSLC, theta: Array, state: Array, demands: Array, interval: Array
 ) -> Float[Array, "samples joints"]:
     """Positions at the samples of a window, from a state at the first; midpoint rule."""
-    n, p = network.joint_count, network.size
-    start = len(network.algebra.coefficients)
-    rigid = jnp.concatenate([theta[:start], jnp.zeros(p - start)])
-    viscous, dry, static = theta[start:p].reshape(3, n)
-    slopes = jnp.exp(theta[p:])
+    layout, n = network.layout, network.joint_count
+    k, slopes = theta[: layout.size], jnp.exp(theta[layout.size :])
+    rigid = network.without_friction(k)
+    viscous, dry, static = (k[layout.of(kind)] for kind in ("viscous", "dry", "static"))
     h = interval / STEPS
 
     def mean_friction(before: Array, after: Array) -> Array:

@@ -51,7 +51,8 @@ def test_it_is_told_the_payload_while_it_is_there(
     told = loops.Told.of(controller, network, body, 0.002, 0.004)
     q, near = jnp.asarray(np.linspace(-1.0, 1.0, 6)), Reference.rest(np.linspace(-0.9, 1.0, 6))
     nothing = jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
-    ten = network.coefficients_from([nothing] * 6, payload=body)[-10:]
+    loaded = network.coefficients_from([nothing] * 6, payload=body)
+    ten = loaded[network.layout.payload]
     whole = controller.with_network(network, jnp.concatenate([puma_k, ten]))
     state, others = told.begin(q), [Loop(each) for each in (controller, whole)]
     states = [each.begin(q) for each in others]

@@ -7,14 +7,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from ...derivation import BODY, Algebra
+from ...derivation import BODY, Algebra, Coefficient
 from ...manipulator import Joint
-from ._blocks import in_blocks
-from ._evaluator import AbstractEvaluator, Coefficients, Joints, Matrices, Regressor
+from ._compilation import in_blocks
 from ._link_motion import LinkMotion, States, cross, link_motion, link_states, paths_of, turning_of
+from ._term import AbstractTerm, Coefficients, Joints, Matrices, Regressor, Rows
 
 
-class RecursiveEvaluator(AbstractEvaluator):
+class RigidBodyRecursion(AbstractTerm):
     """Newton-Euler over link parameters, for robots whose closed-form tables are large.
 
     Cost grows with the square of the number of joints, not with the number of monomials, and
@@ -25,21 +25,26 @@ class RecursiveEvaluator(AbstractEvaluator):
     the base parameters and all others to zero. (In matrices: k = L θ with L in reduced echelon
     form, so selecting the chosen columns is a right inverse of L.)
 
-    `body` holds, for every link, the (10, chosen) matrix from its chosen parameters to
-    (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), as nested tuples. `paths` lists the joints that carry
-    each link, from the base outwards.
+    **Attributes**
+
+    - `body`: for every link, the matrix (10, coefficients of the link) from its coefficients to
+      (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), as nested tuples.
+    - `indices`: for every link, its coefficients.
+    - `motors`: a joint and the coefficient of its motor's inertia, each.
+    - `paths`: the joints that carry each link, from the base outwards.
     """
 
     body: tuple[tuple[tuple[float, ...], ...], ...] = eqx.field(static=True)
     joints: tuple[Joint, ...] = eqx.field(static=True)
     gravity: tuple[float, float, float] = eqx.field(static=True)
-    places: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    indices: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     motors: tuple[tuple[int, int], ...] = eqx.field(static=True)
     paths: tuple[tuple[int, ...], ...] = eqx.field(static=True)
-    size: int = eqx.field(static=True)
+    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
+    kind: str = eqx.field(static=True, default="rigid_body")
 
     @classmethod
-    def from_algebra(cls, algebra: Algebra) -> "RecursiveEvaluator":
+    def from_algebra(cls, algebra: Algebra) -> "RigidBodyRecursion":
         """**Raises** `ValueError` if the algebra kept lengths symbolic."""
         if algebra.lengths != "numeric":
             raise ValueError(
@@ -47,65 +52,60 @@ class RecursiveEvaluator(AbstractEvaluator):
                 " independent once lengths have values; derive with lengths='numeric'"
             )
         n = algebra.robot.joint_count
-        places: list[list[int]] = [[] for _ in range(n)]
+        indices: list[list[int]] = [[] for _ in range(n)]
         columns: list[list[list[float]]] = [[] for _ in range(n)]
         motors: list[tuple[int, int]] = []
-        for place, index in enumerate(algebra.base_terms):
-            term = algebra.terms[index]
+        for index, base_term in enumerate(algebra.base_terms):
+            term = algebra.terms[base_term]
             if term.factors == ("motor",):
-                motors.append((term.link, place))
+                motors.append((term.link, index))
             else:
                 column = [0.0] * 10
                 for entry, multiple in term.body:
                     column[BODY.index(entry)] += multiple
-                places[term.link].append(place)
+                indices[term.link].append(index)
                 columns[term.link].append(column)
         return cls(
             tuple(tuple(zip(*c, strict=True)) if c else ((),) * 10 for c in columns),
             algebra.robot.joints,
             algebra.robot.gravity,
-            tuple(tuple(p) for p in places),
+            tuple(tuple(link) for link in indices),
             tuple(motors),
             paths_of(algebra.robot.parents),
-            len(algebra.base_terms),
+            algebra.coefficients,
         )
 
     @property
-    def has_tables(self) -> bool:
-        return False
+    def parts(self) -> tuple[str, ...]:
+        return ("mass", "velocity", "gravity")
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:
-        # Joint j carries the links whose path it is on, and its own motor.
+        # Joint j carries the links whose path it is on, and its motor.
         return tuple(
             tuple(
                 sorted(
                     [
-                        place
-                        for path, places in zip(self.paths, self.places, strict=True)
+                        index
+                        for path, indices in zip(self.paths, self.indices, strict=True)
                         if joint in path
-                        for place in places
+                        for index in indices
                     ]
-                    + [place for motor, place in self.motors if motor == joint]
+                    + [index for motor, index in self.motors if motor == joint]
                 )
             )
             for joint in range(len(self.joints))
         )
 
     @eqx.filter_jit
-    def columns(
-        self,
-        q: Float[Array, "joints samples"],
-        qd: Float[Array, "joints samples"],
-        qdd: Float[Array, "joints samples"],
-    ) -> tuple[Float[Array, "_ samples"], ...]:
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
         support = self.support
-        entries = [(joint, place) for joint, places in enumerate(support) for place in places]
+        entries = [(joint, index) for joint, indices in enumerate(support) for index in indices]
 
         def of_block(*motion: Array) -> Array:
-            return self._gathered(self._felt(*motion), entries)
+            return self._gathered(self._unit_torques(*motion), entries)
 
-        ends = np.cumsum([len(places) for places in support])[:-1]
+        ends = np.cumsum([len(indices) for indices in support])[:-1]
         return tuple(jnp.split(in_blocks(of_block, (q, qd, qdd)), ends))
 
     @eqx.filter_jit
@@ -113,10 +113,10 @@ class RecursiveEvaluator(AbstractEvaluator):
         if self.size == 0:
             return jnp.zeros((*q.shape, 0), q.dtype)
         n, p = len(self.joints), self.size
-        entries = [(joint, place) for joint in range(n) for place in range(p)]
+        entries = [(joint, index) for joint in range(n) for index in range(p)]
 
         def of_block(*motion: Array) -> Array:
-            return self._gathered(self._felt(*motion), entries).T
+            return self._gathered(self._unit_torques(*motion), entries).T
 
         motion = (_samples_last(q), _samples_last(qd), _samples_last(qdd))
         return in_blocks(of_block, motion, samples_first=True).reshape(*q.shape, p)
@@ -157,8 +157,8 @@ class RecursiveEvaluator(AbstractEvaluator):
         carries = jnp.asarray(_carries(self.paths), position.dtype)
         diagonal = jnp.eye(len(self.joints), dtype=position.dtype)
         motor = jnp.zeros(len(self.joints), position.dtype)
-        for joint, place in self.motors:
-            motor = motor.at[joint].set(k[place])
+        for joint, index in self.motors:
+            motor = motor.at[joint].set(k[index])
         upper = upper * carries[:, :, None]
         below = jnp.swapaxes(upper, 0, 1) * (1 - diagonal)[:, :, None]
         return upper + below + (motor[None] * diagonal)[:, :, None]
@@ -201,14 +201,19 @@ class RecursiveEvaluator(AbstractEvaluator):
         w, wd, a = motion.angular_velocity, motion.angular_acceleration, motion.acceleration
         bodies = self._bodies(k)
 
-        def turned(x: Array) -> Array:  # I x, with I in the link's axes
-            own = jnp.sum(motion.axes * x[:, None], axis=2)
-            felt = jnp.sum(bodies.inertia[..., None] * own[:, None], axis=2)
-            return jnp.sum(motion.axes * felt[:, :, None], axis=1)
+        def inertia_times(x: Array) -> Array:  # I x, with I in the link's axes
+            along = jnp.sum(motion.axes * x[:, None], axis=2)
+            product = jnp.sum(bodies.inertia[..., None] * along[:, None], axis=2)
+            return jnp.sum(motion.axes * product[:, :, None], axis=1)
 
         first = jnp.sum(bodies.first[:, :, None] * motion.axes, axis=1)
         force = bodies.mass[:, None, None] * a + cross(wd, first) + cross(w, cross(w, first))
-        moment = turned(wd) + cross(w, turned(w)) + cross(first, a) + cross(motion.origin, force)
+        moment = (
+            inertia_times(wd)
+            + cross(w, inertia_times(w))
+            + cross(first, a)
+            + cross(motion.origin, force)
+        )
         # What each joint carries, as moments about the base's origin.
         carries = jnp.asarray(_carries(self.paths), q.dtype)
         force, moment = (
@@ -217,10 +222,10 @@ class RecursiveEvaluator(AbstractEvaluator):
         )
         turns = turning_of(self.joints, q.dtype)[:, None, None]
         axis = motion.axes[:, 2]
-        felt = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
-        total = jnp.sum(axis * felt, axis=1)
-        for joint, place in self.motors:
-            total = total.at[joint].add(k[place] * qdd[joint])
+        along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
+        total = jnp.sum(axis * along, axis=1)
+        for joint, index in self.motors:
+            total = total.at[joint].add(k[index] * qdd[joint])
         return total
 
     def _motion(
@@ -232,16 +237,16 @@ class RecursiveEvaluator(AbstractEvaluator):
         """What the coefficients give the links."""
         n = len(self.joints)
         chosen = np.zeros((n, 10, self.size))
-        for link, places in enumerate(self.places):
-            if places:
-                chosen[link][:, list(places)] = np.array(self.body[link])
+        for link, indices in enumerate(self.indices):
+            if indices:
+                chosen[link][:, list(indices)] = np.array(self.body[link])
         ten = jnp.asarray(chosen, k.dtype) @ k
         xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
         tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(n, 3, 3)
         return _Bodies(tensor, ten[:, 6:9, None], ten[:, 9])
 
-    def _felt(self, q: Array, qd: Array, qdd: Array) -> Float[Array, "rows samples"]:
-        """What each joint feels of each of the ten of every link that it carries.
+    def _unit_torques(self, q: Array, qd: Array, qdd: Array) -> Float[Array, "rows samples"]:
+        """Each joint's torque by each of the ten numbers of every link that it carries.
 
         Rows are pairs times ten, then the accelerations, then zeros.
         """
@@ -249,41 +254,41 @@ class RecursiveEvaluator(AbstractEvaluator):
         links, joints = _pairs(self.paths)
         turns = turning_of(self.joints, q.dtype)[joints]
         pairs = jnp.asarray(links + 1), jnp.asarray(joints + 1), turns
-        _, ten = lax.scan(_felt_of_pair, states, pairs)
+        _, ten = lax.scan(_unit_torques_of_pair, states, pairs)
         rows = ten.reshape(10 * len(links), q.shape[1])
         return jnp.concatenate([rows, qdd, jnp.zeros((1, q.shape[1]), q.dtype)])
 
     def _gathered(
-        self, felt: Float[Array, "rows samples"], entries: list[tuple[int, int]]
+        self, torques: Float[Array, "rows samples"], entries: list[tuple[int, int]]
     ) -> Float[Array, "_ samples"]:
-        """Regressor entries (joint, coefficient) as sums of rows of `_felt`."""
-        nothing = felt.shape[0] - 1
+        """Regressor entries (joint, coefficient) as sums of rows of `_unit_torques`."""
+        zero_row = torques.shape[0] - 1
         if not entries:
-            return felt[:0]
-        each = [self._rows(joint, place) for joint, place in entries]
+            return torques[:0]
+        sums = [self._rows(joint, index) for joint, index in entries]
         total: Array | None = None
-        for part in range(max(map(len, each))):
-            terms = [rows[part] if part < len(rows) else (nothing, 0.0) for rows in each]
-            picked = felt[np.array([row for row, _ in terms])]
+        for part in range(max(map(len, sums))):
+            terms = [rows[part] if part < len(rows) else (zero_row, 0.0) for rows in sums]
+            picked = torques[np.array([row for row, _ in terms])]
             factors = np.array([factor for _, factor in terms])
             if not np.all(factors == 1.0):
-                picked = picked * jnp.asarray(factors, felt.dtype)[:, None]
+                picked = picked * jnp.asarray(factors, torques.dtype)[:, None]
             total = picked if total is None else total + picked
         assert total is not None
         return total
 
-    def _rows(self, joint: int, place: int) -> list[tuple[int, float]]:
-        """Rows of `_felt`, and multiples, of which one entry of the regressor is made."""
+    def _rows(self, joint: int, index: int) -> list[tuple[int, float]]:
+        """Rows of `_unit_torques`, and multiples, of which one entry of the regressor is made."""
         link, joints = _pairs(self.paths)
-        nothing = 10 * len(link) + len(self.joints)
-        for motor, at in self.motors:
-            if at == place:
-                return [(10 * len(link) + motor, 1.0) if motor == joint else (nothing, 1.0)]
-        (body,) = [i for i, places in enumerate(self.places) if place in places]
+        zero_row = 10 * len(link) + len(self.joints)
+        for motor, motor_index in self.motors:
+            if motor_index == index:
+                return [(10 * len(link) + motor, 1.0) if motor == joint else (zero_row, 1.0)]
+        (body,) = [i for i, indices in enumerate(self.indices) if index in indices]
         if joint not in self.paths[body]:
-            return [(nothing, 1.0)]
+            return [(zero_row, 1.0)]
         (pair,) = np.flatnonzero((link == body) & (joints == joint))
-        column = self.places[body].index(place)
+        column = self.indices[body].index(index)
         return [
             (10 * int(pair) + entry, row[column])
             for entry, row in enumerate(self.body[body])
@@ -299,26 +304,26 @@ class _Bodies(NamedTuple):
     mass: Float[Array, " links"]
 
 
-def _felt_of_pair(states: States, pair: tuple[Array, Array, Array]) -> tuple[States, Array]:
-    """What a joint feels of (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m) of a link, (10, samples)."""
+def _unit_torques_of_pair(states: States, pair: tuple[Array, Array, Array]) -> tuple[States, Array]:
+    """A joint's torque by each of a link's (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), (10, samples)."""
     link, joint, turning = pair
     x, y, z, origin, w, wd, a = lax.dynamic_index_in_dim(states, link, keepdims=False)
     _, _, axis, pivot, *_ = lax.dynamic_index_in_dim(states, joint, keepdims=False)
     angular = turning * axis
     linear = turning * cross(axis, origin - pivot) + (1 - turning) * axis
 
-    def own(vector: Array) -> list[Array]:  # along the link's axes
+    def along_axes(vector: Array) -> list[Array]:  # of the link
         return [jnp.sum(vector * along, axis=0) for along in (x, y, z)]
 
     # A moment of inertia about the link's x: torque (I wd + w x I w) along the joint's axis.
-    turn, gain, rate, twist = own(angular), own(wd), own(w), own(cross(angular, w))
+    turn, gain, rate, twist = (along_axes(x) for x in (angular, wd, w, cross(angular, w)))
     ten = [turn[i] * gain[i] + twist[i] * rate[i] for i in range(3)]
     ten += [
         turn[i] * gain[j] + turn[j] * gain[i] + twist[i] * rate[j] + twist[j] * rate[i]
         for i, j in ((0, 1), (0, 2), (1, 2))
     ]
     # A first moment h: force wd x h + w x (w x h), moment h x a, both seen from h.
-    ten += own(cross(linear, wd) + cross(cross(linear, w), w) + cross(a, angular))
+    ten += along_axes(cross(linear, wd) + cross(cross(linear, w), w) + cross(a, angular))
     ten.append(jnp.sum(linear * a, axis=0))
     return states, jnp.stack(ten)
 

@@ -5,16 +5,17 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...derivation import Algebra, PositionRing, Table
-from ._evaluator import AbstractEvaluator, Coefficients, Joints, Matrices, Regressor
-from ._inputs import input_layer, position_variables, products
-from ._stages import in_stage
+from ...derivation import Algebra, Coefficient, PositionRing, Table
+from ._compilation import in_stage
+from ._input_term import by_joint
+from ._term import AbstractTerm, Coefficients, Joints, Matrices, Regressor, Rows
 
 
 Samples = Float[Array, "*batch"]
+Monomial = tuple[int, ...]
 
 
-class TableEvaluator(AbstractEvaluator):
+class RigidBodyTables(AbstractTerm):
     """The CSLC as the thesis draws it: preprocessed inputs, links, context-sensitive layers.
 
     Straight-line code over one array a quantity and joint, so that a batch is the only axis
@@ -26,43 +27,42 @@ class TableEvaluator(AbstractEvaluator):
     velocity: Table = eqx.field(static=True)
     gravity: Table = eqx.field(static=True)
     ring: PositionRing = eqx.field(static=True)
-    joints: int = eqx.field(static=True)
-    size: int = eqx.field(static=True)
+    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
+    joint_count: int = eqx.field(static=True)
 
     @classmethod
-    def from_algebra(cls, algebra: Algebra) -> "TableEvaluator":
+    def from_algebra(cls, algebra: Algebra) -> "RigidBodyTables":
         return cls(
             algebra.mass,
             algebra.velocity,
             algebra.gravity,
             algebra.ring,
+            algebra.coefficients,
             algebra.robot.joint_count,
-            len(algebra.coefficients),
         )
 
     @property
-    def has_tables(self) -> bool:
-        return True
+    def kind(self) -> str:
+        return "rigid_body"
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return ("mass", "velocity", "gravity")
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:
-        reach: list[set[int]] = [set() for _ in range(self.joints)]
+        reach: list[set[int]] = [set() for _ in range(self.joint_count)]
         for table, outputs in ((self.mass, 2), (self.velocity, 1), (self.gravity, 1)):
             for link in table.links:
                 for joint in table.columns[link.column][:outputs]:
                     reach[joint] |= {coefficient for coefficient, _ in link.weights}
         return tuple(tuple(sorted(coefficients)) for coefficients in reach)
 
-    def columns(
-        self,
-        q: Float[Array, "joints samples"],
-        qd: Float[Array, "joints samples"],
-        qdd: Float[Array, "joints samples"],
-    ) -> tuple[Float[Array, "_ samples"], ...]:
-        found = self._entries(list(q), list(qd), list(qdd))
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+        entries = self._entries(list(q), list(qd), list(qdd))
         zero = jnp.zeros_like(q[0])
         return tuple(
-            jnp.stack([found[joint, p] for p in support])
+            jnp.stack([entries[joint, p] for p in support])
             if support
             else jnp.zeros((0, *zero.shape), zero.dtype)
             for joint, support in enumerate(self.support)
@@ -71,12 +71,12 @@ class TableEvaluator(AbstractEvaluator):
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
         if self.size == 0:
             return jnp.zeros((*q.shape, 0), q.dtype)
-        found = self._entries(_split(q), _split(qd), _split(qdd))
+        entries = self._entries(by_joint(q), by_joint(qd), by_joint(qdd))
         zero = jnp.zeros_like(q[..., 0])
         return jnp.stack(
             [
-                jnp.stack([found.get((j, p), zero) for p in range(self.size)], axis=-1)
-                for j in range(self.joints)
+                jnp.stack([entries.get((j, p), zero) for p in range(self.size)], axis=-1)
+                for j in range(self.joint_count)
             ],
             axis=-2,
         )
@@ -97,51 +97,54 @@ class TableEvaluator(AbstractEvaluator):
         values = in_stage(lambda variables: products(used, variables), variables)
         inputs = dict(zip(used, values, strict=True)).__getitem__
 
-        found: dict[tuple[int, int], Samples] = {}
+        entries: dict[tuple[int, int], Samples] = {}
         for (j, k), coefficient, value in _sums(self.mass, inputs):
-            _add(found, (j, coefficient), value * qdd[k])
+            _add(entries, (j, coefficient), value * qdd[k])
             if j != k:
-                _add(found, (k, coefficient), value * qdd[j])
+                _add(entries, (k, coefficient), value * qdd[j])
         rates = _rate_products(qd)
         for (i, j, k), coefficient, value in _sums(self.velocity, inputs):
-            _add(found, (i, coefficient), value * rates(j, k))
+            _add(entries, (i, coefficient), value * rates(j, k))
         for (j,), coefficient, value in _sums(self.gravity, inputs):
-            _add(found, (j, coefficient), value)
-        return found
+            _add(entries, (j, coefficient), value)
+        return entries
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         used = (*self.mass.inputs, *self.velocity.inputs, *self.gravity.inputs)
-        inputs = input_layer(self.ring, used, _split(q))
-        total = self._mass_term(k, inputs, _split(qdd))
-        for term in (self._velocity_term(k, inputs, _split(qd)), self._gravity_term(k, inputs)):
+        inputs = input_layer(self.ring, used, by_joint(q))
+        total = self._mass_term(k, inputs, by_joint(qdd))
+        for term in (self._velocity_term(k, inputs, by_joint(qd)), self._gravity_term(k, inputs)):
             for joint, value in term.items():
                 _add(total, joint, value)
         return self._stack(total, q)
 
     def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        elements = _elements(self.mass, k, input_layer(self.ring, self.mass.inputs, _split(q)))
+        elements = _elements(self.mass, k, input_layer(self.ring, self.mass.inputs, by_joint(q)))
         zero = jnp.zeros_like(q[..., 0])
         rows = [
             jnp.stack(
-                [elements.get((min(j, i), max(j, i)), zero) for i in range(self.joints)], axis=-1
+                [elements.get((min(j, i), max(j, i)), zero) for i in range(self.joint_count)],
+                axis=-1,
             )
-            for j in range(self.joints)
+            for j in range(self.joint_count)
         ]
         return jnp.stack(rows, axis=-2)
 
     def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        inputs = input_layer(self.ring, self.velocity.inputs, _split(q))
-        return self._stack(self._velocity_term(k, inputs, _split(qd)), q)
+        inputs = input_layer(self.ring, self.velocity.inputs, by_joint(q))
+        return self._stack(self._velocity_term(k, inputs, by_joint(qd)), q)
 
     def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        inputs = input_layer(self.ring, self.gravity.inputs, _split(q))
+        inputs = input_layer(self.ring, self.gravity.inputs, by_joint(q))
         return self._stack(self._gravity_term(k, inputs), q)
 
     def christoffel_symbols(
         self, k: Float[Array, " coefficients"], q: Float[Array, "*batch joints"]
     ) -> dict[tuple[int, ...], Samples]:
         """The symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
-        return _elements(self.velocity, k, input_layer(self.ring, self.velocity.inputs, _split(q)))
+        return _elements(
+            self.velocity, k, input_layer(self.ring, self.velocity.inputs, by_joint(q))
+        )
 
     def _mass_term(self, k: Array, inputs: "Inputs", qdd: Sequence[Samples]) -> dict[int, Samples]:
         total: dict[int, Samples] = {}
@@ -165,14 +168,10 @@ class TableEvaluator(AbstractEvaluator):
 
     def _stack(self, total: dict[int, Samples], like: Array) -> Array:
         zero = jnp.zeros_like(like[..., 0])
-        return jnp.stack([total.get(joint, zero) for joint in range(self.joints)], axis=-1)
+        return jnp.stack([total.get(joint, zero) for joint in range(self.joint_count)], axis=-1)
 
 
 Inputs = Callable[[tuple[int, ...]], Samples]
-
-
-def _split(x: Float[Array, "*batch joints"]) -> list[Samples]:
-    return [x[..., joint] for joint in range(x.shape[-1])]
 
 
 Key = TypeVar("Key")
@@ -225,3 +224,49 @@ def _times(factor: float, value: Samples) -> Samples:
     if factor == 1.0:
         return value
     return -value if factor == -1.0 else factor * value
+
+
+def position_variables(ring: PositionRing, q: Sequence[Samples]) -> list[Samples]:
+    """Values of the ring's variables: cosine and sine of every angle, prismatic positions.
+
+    `q` is one array a joint.
+    """
+    variables: list[Samples] = []
+    for angle in ring.chain.angles:
+        joint, sign = angle.terms[0]
+        total = q[joint] if sign > 0 else -q[joint]
+        for joint, sign in angle.terms[1:]:
+            total = total + q[joint] if sign > 0 else total - q[joint]
+        variables += [jnp.cos(total), jnp.sin(total)]
+    return variables + [q[i] for i, link in enumerate(ring.chain.links) if link.prismatic]
+
+
+def products(monomials: Sequence[Monomial], variables: Sequence[Samples]) -> list[Samples]:
+    """Values of monomials, each formed once, from the product without its last factor."""
+    known: dict[Monomial, Samples] = {(0,) * len(variables): jnp.ones_like(variables[0])}
+
+    def value(monomial: Monomial) -> Samples:
+        if monomial not in known:
+            last = max(index for index, power in enumerate(monomial) if power)
+            rest = list(monomial)
+            rest[last] -= 1
+            shorter = tuple(rest)
+            known[monomial] = (
+                variables[last] if not any(shorter) else value(shorter) * variables[last]
+            )
+        return known[monomial]
+
+    return [value(monomial) for monomial in monomials]
+
+
+def input_layer(
+    ring: PositionRing, monomials: Sequence[Monomial], q: Sequence[Samples]
+) -> Callable[[Monomial], Samples]:
+    """The preprocessing layer: joint positions to products of sines and cosines (thesis 5.1.1).
+
+    Sines and cosines are a stage of their own: fused, the compiler takes them anew for every
+    torque (1.1 instead of 2.3 million PUMA 560 patterns/s on two busy cores).
+    """
+    variables = in_stage(lambda q: position_variables(ring, q), list(q))
+    values = products(monomials, variables)
+    return dict(zip(monomials, values, strict=True)).__getitem__

@@ -1,0 +1,97 @@
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ..derivation import Algebra, Coefficient, InertialTerm, constant_values
+from ..manipulator import LinkParameters
+from .terms import AbstractInputTerm
+
+
+_AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def inertial_values(
+    algebra: Algebra, links: Sequence[LinkParameters]
+) -> Float[Array, " coefficients"]:
+    """Inertial coefficients of a robot with these links.
+
+    **Raises** `ValueError` if the links are not one a joint.
+    """
+    n = algebra.robot.joint_count
+    if len(links) != n:
+        raise ValueError(f"links: expected {n} entries, one a joint, got {len(links)}")
+    constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}
+    return expression_values(algebra.coefficients, links, constants)
+
+
+def expression_values(
+    coefficients: Sequence[Coefficient],
+    links: Sequence[LinkParameters],
+    constants: Mapping[str, float],
+) -> Float[Array, " coefficients"]:
+    """The expressions of inertial coefficients for these links and named constants."""
+    products: dict[InertialTerm, Array] = {}
+    values: list[Array] = []
+    for coefficient in coefficients:
+        total = jnp.asarray(0.0)
+        for addend in coefficient.addends:
+            if addend.term not in products:
+                products[addend.term] = _product(addend.term, links)
+            factor = float(addend.factor)
+            for name, power in addend.constants:
+                factor *= constants[name] ** power
+            total = total + factor * products[addend.term]
+        values.append(total)
+    return jnp.stack(values)
+
+
+def _product(term: InertialTerm, links: Sequence[LinkParameters]) -> Float[Array, ""]:
+    """One product of link parameters."""
+    link = links[term.link]
+    value = jnp.asarray(1.0)
+    for factor in term.factors:
+        if factor == "motor":
+            value = value * link.motor_inertia
+        elif factor == "m":
+            value = value * link.mass
+        elif factor[0] == "r":
+            value = value * link.centre_of_gravity[_AXES[factor[1]]]
+        else:
+            tensor = link.inertia if term.central else link.inertia_at_frame
+            value = value * tensor[_AXES[factor[1]], _AXES[factor[2]]]
+    return value
+
+
+def check_keywords(terms: Sequence[AbstractInputTerm], values: Mapping[str, Any]) -> None:
+    """**Raises** `ValueError` for values, not None, that no term has."""
+    keywords = tuple(dict.fromkeys(term.keyword for term in terms))
+    for keyword, value in values.items():
+        if value is not None and keyword not in keywords:
+            raise ValueError(
+                f"{keyword}: the network has no such friction term; it has"
+                f" {', '.join(keywords) or 'none'}"
+            )
+
+
+def input_values(term: AbstractInputTerm, values: Mapping[str, Any]) -> Any:
+    """The coefficients of a term, from values by keyword; zeros where there are none.
+
+    **Raises** `ValueError` for a wrong shape, and for numbers, not 0, of joints without the term.
+    """
+    keyword, shape = term.keyword, term.value_shape
+    array = values.get(keyword)
+    array = np.zeros(shape) if array is None else jnp.asarray(array)
+    if array.shape != shape:
+        raise ValueError(
+            f"{keyword}: expected {' by '.join(map(str, shape))} values, {term.value_meaning},"
+            f" got {array.shape}"
+        )
+    if not isinstance(array, Tracer):
+        for joint in sorted(set(range(shape[0])) - set(term.value_index[0])):
+            if np.any(np.asarray(array[joint]) != 0):
+                raise ValueError(f"{keyword}: joint {joint + 1} has no such friction term")
+    return array[tuple(np.array(index) for index in term.value_index)]

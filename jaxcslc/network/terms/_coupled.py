@@ -1,0 +1,160 @@
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...derivation import Coefficient
+from ...manipulator import Coupling, Manipulator
+from ._input_term import JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm, by_joint
+from ._term import Coefficients, Joints, Regressor, Rows
+
+
+# Of each kind: the letters of its coefficients' names, what they are, units for revolute and
+# prismatic joints, and the sum of the equation of motion that it belongs to.
+_KINDS = {
+    "coupled_inertia": ("kcm", "inertia", ("kg m²", "kg"), "mass"),
+    "coupled_viscous": ("kcv", "viscous friction", ("N m s/rad", "N s/m"), "friction"),
+    "coupled_dry": ("kcd", "dry friction", ("N m", "N"), "friction"),
+}
+
+
+class CoupledTerm(AbstractInputTerm):
+    """What two joints share of a motor's shaft: inertia, viscous or dry friction.
+
+    The shaft of a pair turns by `q[first] + ratio * q[second]`.
+
+    **Attributes**
+
+    - `kind`: `"coupled_inertia"`, `"coupled_viscous"` or `"coupled_dry"`.
+    - `pairs`: of joints, with one coefficient each; `joint_count`: n of the robot.
+    """
+
+    kind: str = eqx.field(static=True)
+    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
+    pairs: tuple[Coupling, ...] = eqx.field(static=True)
+    joint_count: int = eqx.field(static=True)
+
+    @classmethod
+    def all_of(cls, robot: Manipulator) -> list["CoupledTerm"]:
+        """One term of each kind; none without coupled joints."""
+        if not robot.coupled:
+            return []
+        prismatic = tuple(robot.joints[pair.first - 1].kind == "P" for pair in robot.coupled)
+        return [
+            cls(
+                kind,
+                _coefficients(kind, robot.coupled, prismatic),
+                robot.coupled,
+                robot.joint_count,
+            )
+            for kind in _KINDS
+        ]
+
+    @property
+    def keyword(self) -> str:
+        return "coupled"
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return (_KINDS[self.kind][-1],)
+
+    @property
+    def input_joints(self) -> tuple[int, ...]:
+        return tuple(joint - 1 for pair in self.pairs for joint in (pair.first, pair.second))
+
+    @property
+    def input_indices(self) -> tuple[int, ...]:
+        return tuple(index for index in range(self.size) for _ in range(2))
+
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        return (len(self.pairs), len(_KINDS))
+
+    @property
+    def value_index(self) -> tuple[tuple[int, ...], ...]:
+        return tuple(range(self.size)), (list(_KINDS).index(self.kind),) * self.size
+
+    @property
+    def value_meaning(self) -> str:
+        return "inertia, viscous and dry of each pair"
+
+    @property
+    def inertia_matrices(self) -> Float[np.ndarray, "coefficients joints joints"]:
+        matrices = np.zeros((self.size, self.joint_count, self.joint_count))
+        if self.kind == "coupled_inertia":
+            for matrix, pair in zip(matrices, self.pairs, strict=True):
+                i, j = pair.first - 1, pair.second - 1
+                matrix[i, j] = matrix[j, i] = pair.ratio
+        return matrices
+
+    def inputs(
+        self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
+    ) -> list[Any]:
+        """Of either joint of each pair, what the shaft's share adds to its own terms.
+
+        The shaft's inertia and viscous friction enter joint i's torque by its own motion too; that
+        part cannot be told from the joint's own motor and friction, and is left to them.
+        """
+        del q
+        values: list[Any] = []
+        for pair in self.pairs:
+            i, j, ratio = pair.first - 1, pair.second - 1, float(pair.ratio)
+            if self.kind == "coupled_dry":
+                sign = functions.sign(qd[i] + ratio * qd[j])
+                values += [sign, ratio * sign]
+            else:
+                motion = qdd if self.kind == "coupled_inertia" else qd
+                values += [ratio * motion[j], ratio * motion[i]]
+        return values
+
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+        entries = self._entries(list(q), list(qd), list(qdd))
+        return tuple(
+            jnp.stack([entries[joint, index] for index in support]) if support else q[:0]
+            for joint, support in enumerate(self.support)
+        )
+
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        entries = self._entries(*(by_joint(x) for x in (q, qd, qdd)))
+        zero = jnp.zeros_like(q[..., 0])
+        rows = [
+            jnp.stack([entries.get((joint, p), zero) for p in range(self.size)], axis=-1)
+            for joint in range(self.joint_count)
+        ]
+        return jnp.stack(rows, axis=-2)
+
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+        total = [jnp.zeros_like(q[..., 0])] * self.joint_count
+        entries = self._entries(*(by_joint(x) for x in (q, qd, qdd)))
+        for (joint, index), value in entries.items():
+            total[joint] = total[joint] + k[index] * value
+        return jnp.stack(total, axis=-1)
+
+    def _entries(
+        self, q: Sequence[Array], qd: Sequence[Array], qdd: Sequence[Array]
+    ) -> dict[tuple[int, int], Array]:
+        """The regressor's entries that are ever non-zero, by joint and coefficient."""
+        where = zip(self.input_joints, self.input_indices, strict=True)
+        return dict(zip(where, self.inputs(JAX_FUNCTIONS, q, qd, qdd), strict=True))
+
+
+# Made once for some pairs: coefficients are compared by identity.
+@lru_cache(maxsize=256)
+def _coefficients(
+    kind: str, pairs: tuple[Coupling, ...], prismatic: tuple[bool, ...]
+) -> tuple[Coefficient, ...]:
+    letters, quantity, units, _ = _KINDS[kind]
+    return tuple(
+        Coefficient(
+            f"{letters}{pair.first}_{pair.second}",
+            kind,
+            f"{quantity} that joints {pair.first} and {pair.second} share",
+            units[slides],
+            positive=True,
+        )
+        for pair, slides in zip(pairs, prismatic, strict=True)
+    )

@@ -1,0 +1,156 @@
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._term import AbstractTerm, Coefficients, Joints, Matrices
+
+
+class AbstractFunctions(abc.ABC):
+    """Functions of one number that a term's inputs are written with.
+
+    Sums, differences and products are plain operators. One formula, written with these, computes
+    arrays in JAX (`JAX_FUNCTIONS`) and becomes C code (`jaxcslc.export`).
+    """
+
+    @abc.abstractmethod
+    def constant(self, number: Any, like: Any) -> Any:
+        """A number as a value of the kind and shape of `like`."""
+
+    @abc.abstractmethod
+    def sign(self, x: Any) -> Any:
+        """-1, 0 or 1."""
+
+    @abc.abstractmethod
+    def absolute(self, x: Any) -> Any: ...
+
+    @abc.abstractmethod
+    def positive(self, x: Any) -> Any:
+        """The greater of x and 0."""
+
+    @abc.abstractmethod
+    def negative(self, x: Any) -> Any:
+        """The lesser of x and 0."""
+
+    @abc.abstractmethod
+    def sqrt(self, x: Any) -> Any:
+        """Square root; at 0 its derivative counts as 0."""
+
+    @abc.abstractmethod
+    def exp(self, x: Any) -> Any: ...
+
+    @abc.abstractmethod
+    def tanh(self, x: Any) -> Any: ...
+
+    @abc.abstractmethod
+    def sin(self, x: Any) -> Any: ...
+
+    @abc.abstractmethod
+    def cos(self, x: Any) -> Any: ...
+
+
+class _JaxFunctions(AbstractFunctions):
+    """On arrays of any shape."""
+
+    def constant(self, number: Any, like: Array) -> Array:
+        return jnp.full_like(like, number)
+
+    def sign(self, x: Array) -> Array:
+        return jnp.sign(x)
+
+    def absolute(self, x: Array) -> Array:
+        return jnp.abs(x)
+
+    def positive(self, x: Array) -> Array:
+        return jnp.maximum(x, 0.0)
+
+    def negative(self, x: Array) -> Array:
+        return jnp.minimum(x, 0.0)
+
+    def sqrt(self, x: Array) -> Array:
+        # The root of 0 has no derivative, and 0 times infinity is no number: 1 stands in for it.
+        return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
+
+    def exp(self, x: Array) -> Array:
+        return jnp.exp(x)
+
+    def tanh(self, x: Array) -> Array:
+        return jnp.tanh(x)
+
+    def sin(self, x: Array) -> Array:
+        return jnp.sin(x)
+
+    def cos(self, x: Array) -> Array:
+        return jnp.cos(x)
+
+
+JAX_FUNCTIONS = _JaxFunctions()
+"""The functions of JAX, elementwise on arrays."""
+
+
+class AbstractInputTerm(AbstractTerm):
+    """A term whose coefficients multiply inputs that are written in closed form, joint by joint.
+
+    All but rigid bodies: friction, torque offsets, springs, coupled joints. Other programs than
+    JAX's evaluate the same inputs (C code, adaptive networks).
+
+    **Attributes**
+
+    - `joint_count`: n of the robot.
+    - `input_joints`: the joint whose torque each input enters, from 0.
+    - `input_indices`: which of the term's coefficients each input is multiplied by.
+    - `keyword`: the argument of `CSLC.coefficients_from` that its coefficients are part of.
+    - `value_shape`: of that argument, and `value_index`: where in it the coefficients are, in
+      their order, an index of an array.
+    - `value_meaning`: of that argument's entries, for messages.
+    """
+
+    joint_count: eqx.AbstractVar[int]
+    input_joints: eqx.AbstractVar[tuple[int, ...]]
+    input_indices: eqx.AbstractVar[tuple[int, ...]]
+    keyword: eqx.AbstractVar[str]
+    value_shape: eqx.AbstractVar[tuple[int, ...]]
+    value_index: eqx.AbstractVar[tuple[tuple[int, ...], ...]]
+    value_meaning: eqx.AbstractVar[str]
+
+    @abc.abstractmethod
+    def inputs(
+        self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
+    ) -> list[Any]:
+        """One value for each of `input_joints`, from motion with an entry a joint.
+
+        Entries are whatever `functions` works on.
+        """
+
+    @property
+    @abc.abstractmethod
+    def inertia_matrices(self) -> Float[np.ndarray, "coefficients joints joints"]:
+        """What each coefficient is multiplied by in the mass matrix."""
+
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        reach: list[list[int]] = [[] for _ in range(self.joint_count)]
+        for joint, index in zip(self.input_joints, self.input_indices, strict=True):
+            reach[joint].append(index)
+        return tuple(tuple(sorted(indices)) for indices in reach)
+
+    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
+        matrix = jnp.tensordot(k, jnp.asarray(self.inertia_matrices, k.dtype), 1)
+        return jnp.broadcast_to(matrix, (*q.shape, self.joint_count))
+
+    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
+        del k, qd
+        return jnp.zeros_like(q)
+
+    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
+        del k
+        return jnp.zeros_like(q)
+
+
+def by_joint(x: Float[Array, "*batch joints"]) -> list[Float[Array, "*batch"]]:
+    """One array a joint."""
+    return [x[..., joint] for joint in range(x.shape[-1])]

@@ -1,0 +1,35 @@
+from collections.abc import Callable
+
+from ...manipulator import Manipulator
+from ._coupled import CoupledTerm
+from ._friction_laws import (
+    AsymmetricDry,
+    AsymmetricViscous,
+    Dry,
+    Offset,
+    Root,
+    Spring,
+    Viscous,
+)
+from ._input_term import AbstractInputTerm
+from ._joint_term import AbstractJointLaw, JointTerm
+from ._static_friction import StaticFriction
+
+
+# The law of each word of `jaxcslc.manipulator.FRICTION_TERMS`, made for a robot.
+_LAWS: dict[str, Callable[[Manipulator], AbstractJointLaw]] = {
+    "viscous": lambda _: Viscous(),
+    "asymmetric_viscous": lambda _: AsymmetricViscous(),
+    "dry": lambda _: Dry(),
+    "asymmetric_dry": lambda _: AsymmetricDry(),
+    "static": StaticFriction.from_robot,
+    "root": lambda _: Root(),
+    "offset": lambda _: Offset(),
+    "spring": lambda _: Spring(),
+}
+
+
+def input_terms(robot: Manipulator) -> tuple[AbstractInputTerm, ...]:
+    """The terms of the robot's friction model, in its order, then those of coupled joints."""
+    joint_terms = [JointTerm.of(_LAWS[kind](robot), robot) for kind in robot.friction_terms]
+    return (*joint_terms, *CoupledTerm.all_of(robot))

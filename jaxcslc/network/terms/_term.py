@@ -1,0 +1,78 @@
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from ...derivation import Coefficient
+
+
+Coefficients = Float[Array, " coefficients"]
+Joints = Float[Array, "*batch joints"]
+Matrices = Float[Array, "*batch joints joints"]
+Regressor = Float[Array, "*batch joints coefficients"]
+Rows = Float[Array, "joints samples"]
+
+
+class AbstractTerm(eqx.Module):
+    """One addend of the torque, linear in coefficients of its own.
+
+    A network is a sum of terms (`CSLC.terms`); `network.layout` says where in `k` each one's
+    coefficients are. Every method takes and returns the term's own coefficients only. Positions,
+    velocities and accelerations have any leading batch axes, (..., n) in rad (or m), per s and
+    per s². What torque is not linear in is an array leaf of the term.
+
+    **Attributes**
+
+    - `kind`: what it is called, one word that no other term of a network has: `"rigid_body"`,
+      `"viscous"`, `"coupled_inertia"`, `"payload"`.
+    - `parts`: which of the sums of the equation of motion it belongs to, some of `"mass"`,
+      `"velocity"`, `"gravity"`, `"friction"` and `"spring"` (Eqn. 2.5-2).
+    - `coefficients`: names, groups, expressions and units, in the term's order.
+    """
+
+    kind: eqx.AbstractVar[str]
+    parts: eqx.AbstractVar[tuple[str, ...]]
+    coefficients: eqx.AbstractVar[tuple[Coefficient, ...]]
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return len(self.coefficients)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return tuple(coefficient.name for coefficient in self.coefficients)
+
+    @property
+    @abc.abstractmethod
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        """For each joint, the coefficients that its torque can depend on, in ascending order."""
+
+    @abc.abstractmethod
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+        """For each joint, the regressor's columns in its `support` as rows: (support, samples).
+
+        Joints first, samples last, and nothing that is always zero: the shape that a
+        factorisation of many patterns wants.
+        """
+
+    @abc.abstractmethod
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        """The matrix that the coefficients are multiplied by, (..., n, coefficients)."""
+
+    @abc.abstractmethod
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+        """The term's share of the torque, (..., n) [N m or N]."""
+
+    @abc.abstractmethod
+    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
+        """The term's share of M(q), (..., n, n)."""
+
+    @abc.abstractmethod
+    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
+        """The term's share of V(q, qd), (..., n)."""
+
+    @abc.abstractmethod
+    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
+        """The term's share of G(q), (..., n)."""
