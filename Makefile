@@ -37,7 +37,7 @@ demo: $(stamp) ## perform the experiment of Chapter 7 on two simulated PUMA 560s
 	$(bin)/python scripts/studies/puma560/experiment.py -o build/demo $(ARGS)
 
 test: $(stamp) ## run all tests and the examples in docstrings (one file: ARGS=tests/test_x.py)
-	$(bin)/python -m pytest -n $(WORKERS) $(ARGS)
+	$(bin)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
 check: $(stamp) ## check formatting, lint and types
 	$(bin)/ruff format --check .
