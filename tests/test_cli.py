@@ -87,7 +87,7 @@ class TestIdentify:
             assert (output / f"torque_{name}.png").read_bytes()[:4] == b"\x89PNG"
             table = np.genfromtxt(output / f"torque_{name}.csv", delimiter=",", names=True)
             error = table["measured_1"] - table["predicted_1"]
-            kept = error[table["counts_1"] > 0]
+            kept = error[table["mask_1"] > 0]
             assert np.sqrt(np.mean(kept**2)) == pytest.approx(
                 document["torque_error_rms"][name][0], rel=1e-6
             )
@@ -172,7 +172,7 @@ class TestExport:
         assert list(tmp_path.iterdir()) == []
 
 
-class TestRelearn:
+class TestReidentify:
     def test_friction_alone(
         self, identified: tuple[Result, Path], recordings: tuple[Path, Path], tmp_path: Path
     ) -> None:
@@ -181,11 +181,11 @@ class TestRelearn:
         _write(tmp_path / "short.csv", cells[:500])
         known = identified[1] / "identification.json"
         result = run(
-            *("identify", "puma560", tmp_path / "short.csv", "--relearn", "viscous, dry"),
-            *("--known", known, "--validate", recordings[1], "-o", tmp_path / "out"),
+            *("identify", "puma560", tmp_path / "short.csv", "--reidentify", "viscous, dry"),
+            *("--previous", known, "--validate", recordings[1], "-o", tmp_path / "out"),
         )
         assert result.exit_code == 0, result.output
-        for text in ("learnt again: viscous, dry", "rank 12 of 12", "before", "held out"):
+        for text in ("re-identified: viscous, dry", "rank 12 of 12", "before", "validation RMS"):
             assert text in result.output
         before, after = (
             jc.Identification.load(path)
@@ -199,13 +199,13 @@ class TestRelearn:
     @pytest.mark.parametrize(
         ("options", "words"),
         [
-            (["--relearn", "viscous"], ["--relearn and --known", "both or neither"]),
-            (["--known", "KNOWN"], ["--relearn and --known", "both or neither"]),
-            (["--relearn", "oil", "--known", "KNOWN"], ["'oil'", "viscous, dry"]),
-            (["--relearn", "dry", "--known", "none.json"], ["none.json", "no such"]),
+            (["--reidentify", "viscous"], ["--reidentify and --previous", "both or neither"]),
+            (["--previous", "KNOWN"], ["--reidentify and --previous", "both or neither"]),
+            (["--reidentify", "oil", "--previous", "KNOWN"], ["'oil'", "viscous, dry"]),
+            (["--reidentify", "dry", "--previous", "none.json"], ["none.json", "no such"]),
             (
-                ["--relearn", "dry", "--known", "KNOWN", "--friction", "dry"],
-                ["not with --known"],
+                ["--reidentify", "dry", "--previous", "KNOWN", "--friction", "dry"],
+                ["not with --previous"],
             ),
         ],
     )
@@ -253,7 +253,7 @@ class TestPayload:
         tmp_path: Path,
     ) -> None:
         result = run(
-            *("payload", "puma560", loaded, "--known", identified[1] / "identification.json"),
+            *("payload", "puma560", loaded, "--previous", identified[1] / "identification.json"),
             *(("--unloaded", recordings[0]) if together else ()),
             *("-o", tmp_path / "out"),
         )
@@ -276,10 +276,10 @@ class TestPayload:
     ) -> None:
         known = identified[1] / "identification.json"
         for arguments, words in (
-            (["panda", loaded, "--known", known], ["expected an identification of this robot"]),
-            (["puma560", tmp_path / "none.csv", "--known", known], ["none.csv"]),
-            (["puma560", loaded, "--known", tmp_path / "no.json"], ["no.json", "no such"]),
-            (["puma560", loaded, "--known", loaded], ["loaded.csv", "not valid JSON"]),
+            (["panda", loaded, "--previous", known], ["expected an identification of this robot"]),
+            (["puma560", tmp_path / "none.csv", "--previous", known], ["none.csv"]),
+            (["puma560", loaded, "--previous", tmp_path / "no.json"], ["no.json", "no such"]),
+            (["puma560", loaded, "--previous", loaded], ["loaded.csv", "not valid JSON"]),
         ):
             result = run("payload", *arguments, "-o", tmp_path / "o")
             assert result.exit_code == 2

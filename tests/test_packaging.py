@@ -27,7 +27,7 @@ LAYERS = {
     "motion": set[str](),
     "inertia": {"derivation"},
     "adaptive": {"network", "motion"},
-    "plotting": {"network", "motion"},
+    "plotting": set[str](),
     "identification": {"network", "motion", "inertia", "plotting"},
     "training": {"adaptive", "identification"},
     "assessment": {"identification"},

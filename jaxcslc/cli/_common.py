@@ -13,6 +13,7 @@ from ..network import CSLC, derive
 
 
 BUNDLED = {"puma560": puma560, "panda": panda}
+"""Robots that the library brings with it, by the name that the command takes."""
 
 RobotArgument = Annotated[
     str,
@@ -37,7 +38,7 @@ TipOption = Annotated[
 FrictionOption = Annotated[
     str | None,
     typer.Option(
-        metavar="WORDS",
+        metavar="TERMS",
         help="Friction terms of every joint in place of the file's, as in viscous,dry,static"
         " (docs/friction.md).",
     ),
@@ -52,10 +53,24 @@ CoupledOption = Annotated[
 ]
 
 
+SettingsOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Settings from a previous identification.json, or a JSON file written by hand; those"
+        " of --previous if omitted, or else chosen by cross-validation within the recording."
+    ),
+]
+
+
+def names_in(text: str) -> list[str]:
+    """The names of a list that is separated by commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | None) -> Manipulator:
-    """The robot with friction terms and couplings that its file has no words for."""
+    """The robot with friction terms and couplings that its file format cannot express."""
     if friction is not None:
-        robot = robot.with_friction(*(word.strip() for word in friction.split(",") if word.strip()))
+        robot = robot.with_friction(*names_in(friction))
     pairs: list[tuple[int | float, ...]] = []
     for text in coupled or []:
         try:
@@ -69,6 +84,7 @@ def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | N
 
 
 def robot_named(name: str, base: str | None = None, tip: str | None = None) -> Manipulator:
+    """A bundled robot, or the part of a robot file from body `base` to body `tip`."""
     if name not in BUNDLED:
         return load_robot(name, base=base, tip=tip)
     if base is not None or tip is not None:
@@ -77,25 +93,18 @@ def robot_named(name: str, base: str | None = None, tip: str | None = None) -> M
 
 
 def network_of(robot: Manipulator, lengths: str) -> CSLC:
-    if lengths == "auto":
-        drawn = robot.source is not None and robot.source.format != "toml"
-        lengths = "numeric" if drawn or robot.joint_count > 6 else "symbolic"
-    if lengths == "symbolic" or lengths == "numeric":
+    """The network, with lengths as `LengthsOption` describes them."""
+    if lengths == "auto" or lengths == "symbolic" or lengths == "numeric":
         return derive(robot, lengths=lengths)
-    return derive(robot, lengths=[name.strip() for name in lengths.split(",")])
-
-
-def usable(output: Path) -> None:
-    if output.exists() and not output.is_dir():
-        raise ValueError(f"{output}: expected a folder for the results, this is a file")
+    return derive(robot, lengths=names_in(lengths))
 
 
 @contextlib.contextmanager
 def one_line_errors() -> Generator[None]:
-    """What a user can set right is one line on standard error, and exit code 2."""
+    """Prints errors that a user can correct as one line on standard error, with exit code 2."""
     try:
         yield
-    except BrokenPipeError:  # the reader has seen enough, as `head` has; typer ends quietly
+    except BrokenPipeError:  # `head` closes the pipe early; typer exits quietly
         raise
     except (RobotError, RecordingError, ValueError, RuntimeError, OSError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
@@ -105,7 +114,7 @@ def one_line_errors() -> Generator[None]:
 
 @contextlib.contextmanager
 def progress(first: str) -> Generator[Callable[[str], None]]:
-    """A line on standard error that says what is being done, on a terminal only."""
+    """Shows the current step on standard error, on a terminal only."""
     console = Console(stderr=True)
     with console.status(first) as status:
         yield lambda text: status.update(text)

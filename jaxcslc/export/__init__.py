@@ -1,2 +1,7 @@
 from ._c_code import CCode as CCode, c_code as c_code
+from ._export_robot import (
+    RobotExport as RobotExport,
+    export_robot as export_robot,
+    write_c as write_c,
+)
 from ._write_back import WrittenRobot as WrittenRobot, write_robot as write_robot

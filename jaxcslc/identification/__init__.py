@@ -4,6 +4,8 @@ from ._held_out import (
     cross_validated_error as cross_validated_error,
     held_out_error as held_out_error,
 )
+from ._identify import identify as identify
+from ._identify_payload import identify_payload as identify_payload
 from ._offline import fit_payload as fit_payload
 from ._payload_fit import PHYSICAL as PHYSICAL, PayloadFit as PayloadFit
 from ._physical_parameters import (
@@ -21,8 +23,12 @@ from ._settings_document import (
 )
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
 from .report import (
+    DerivationReport as DerivationReport,
     ErrorTable as ErrorTable,
     Excitation as Excitation,
+    PayloadReport as PayloadReport,
+    Report as Report,
+    SavedReport as SavedReport,
     Verdict as Verdict,
     all_or_nothing as all_or_nothing,
     coefficient_rows as coefficient_rows,
@@ -30,7 +36,8 @@ from .report import (
     compare as compare,
     degree_of_excitation as degree_of_excitation,
     derivation_document as derivation_document,
-    identification_report as identification_report,
+    load_report as load_report,
+    load_settings as load_settings,
     predicted_torque as predicted_torque,
     text_table as text_table,
     torque_errors as torque_errors,

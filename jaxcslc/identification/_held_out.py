@@ -1,5 +1,5 @@
 import dataclasses
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,14 +23,17 @@ _CHANCE = 0.01
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
-    """Torque errors where a fit had seen the data, and where it had not.
+    """Torque errors of a fit on its training data and on data that it was not fitted to.
 
     **Attributes**
 
-    - `training`: (n,) root mean square over the pairs that the fit was made from [N m or N].
-    - `held_out`: (n,) the same over pairs that it was not made from; NaN for a joint without any.
-    - `limit`: (n,) how many times the training error the held-out error may be by chance, if the
-      network's model were all that there is besides noise.
+    - `training`: (n,) RMS error over the training data [N m or N].
+    - `held_out`: (n,) RMS error over data that was not fitted [N m or N]; NaN for a joint without
+      any.
+    - `limit`: (n,) largest ratio of held-out to training error that noise explains, if the network
+      models all else.
+    - `source`: of the held-out data, `"validation"` or `"cross-validation"`.
+    - `units`: of each joint's torque; N m if omitted.
 
     >>> import numpy as np
     >>> from jaxcslc.identification import HeldOut
@@ -38,13 +41,15 @@ class HeldOut:
     >>> held.beyond_chance
     (2,)
     >>> print(held.warnings[0])
-    joint 2: torque error 0.9 where it was not fitted, 0.5 where it was, 1.8 times as much; \
-noise explains up to 1.2 times
+    joint 2: validation RMS 0.9 N m, training RMS 0.5 N m (ratio 1.8, limit 1.2): the model may \
+lack a term
     """
 
     training: Float[np.ndarray, " joints"]
     held_out: Float[np.ndarray, " joints"]
     limit: Float[np.ndarray, " joints"]
+    source: Literal["validation", "cross-validation"] = "validation"
+    units: tuple[str, ...] | None = None
 
     @property
     def ratio(self) -> Float[np.ndarray, " joints"]:
@@ -54,21 +59,22 @@ noise explains up to 1.2 times
 
     @property
     def beyond_chance(self) -> tuple[int, ...]:
-        """The joints, counted from 1, whose fit does worse elsewhere than noise explains.
+        """Joints, counted from 1, whose held-out error is larger than noise explains.
 
-        Either the fit follows the noise of its own recording (over-fitting: fewer coefficients, or
-        more motion), or the model lacks something that the other motion shows more of.
+        Either the model lacks a term whose effect the held-out motion shows more of, or the fit
+        follows the noise of its training data: use fewer coefficients or more motion.
         """
         return tuple(int(joint) + 1 for joint in np.flatnonzero(self.ratio > self.limit))
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each joint of `beyond_chance`."""
+        units = self.units or ("N m",) * len(self.training)
         return tuple(
-            f"joint {joint}: torque error {self.held_out[joint - 1]:.3g} where it was not fitted,"
-            f" {self.training[joint - 1]:.3g} where it was, {self.ratio[joint - 1]:.3g} times as"
-            f" much; noise explains up to {self.limit[joint - 1]:.3g} times"
-            for joint in self.beyond_chance
+            f"joint {i + 1}: {self.source} RMS {self.held_out[i]:.3g} {units[i]}, training RMS"
+            f" {self.training[i]:.3g} {units[i]} (ratio {self.ratio[i]:.3g}, limit"
+            f" {self.limit[i]:.3g}): the model may lack a term"
+            for i in (joint - 1 for joint in self.beyond_chance)
         )
 
     def to_pandas(self) -> Any:
@@ -131,7 +137,8 @@ def held_out_error(
         predicted = np.asarray(regressor_of(network, patterns) @ fit.k)
         errors.append(np.asarray(patterns.torque) - predicted)
     masks = np.asarray(training.mask), np.asarray(validation.mask)
-    return _judged(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
+    held_out = _judged(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
+    return dataclasses.replace(held_out, units=network.robot.torque_units)
 
 
 def cross_validated_error(
@@ -177,7 +184,8 @@ def cross_validated_error(
     held_out = given.solver.held_out_errors(network, patterns, fold)
     fit = dataclasses.replace(given, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
-    return _judged(training, mask, held_out, mask, int(fit.rank))
+    judged = _judged(training, mask, held_out, mask, int(fit.rank))
+    return dataclasses.replace(judged, source="cross-validation", units=network.robot.torque_units)
 
 
 def _judged(

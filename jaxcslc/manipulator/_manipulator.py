@@ -108,6 +108,11 @@ class Manipulator:
         """Joint kinds in order, as in `"RRPRRR"`."""
         return "".join(joint.kind for joint in self.joints)
 
+    @property
+    def torque_units(self) -> tuple[str, ...]:
+        """`"N m"` for each revolute joint, `"N"` for each prismatic one."""
+        return tuple("N m" if kind == "R" else "N" for kind in self.kinds)
+
     @classmethod
     def from_modified_dh(
         cls,

@@ -21,7 +21,7 @@ _MOST_ANGLES = 6
 def derive(
     robot: Manipulator,
     *,
-    lengths: Literal["symbolic", "numeric"] | Sequence[str] = "symbolic",
+    lengths: Literal["symbolic", "numeric", "auto"] | Sequence[str] = "symbolic",
     evaluator: Literal["auto", "tables", "recursive"] = "auto",
 ) -> CSLC:
     """Derive a robot's inverse dynamics and build the network that computes them.
@@ -33,7 +33,8 @@ def derive(
       `"numeric"`: the base parameters, the fewest coefficients that describe the torque; use it
       for identification unless the lengths themselves are in doubt, and for any robot of more
       than 6 joints. A list of names keeps these lengths as symbols and puts the others' values
-      in, mass and gravity coefficients apart (thesis 8.2.1).
+      in, mass and gravity coefficients apart (thesis 8.2.1). `"auto"`: symbolic for robots of up
+      to 6 joints, numeric for others and for those from URDF and MJCF files.
     - `evaluator`: `"tables"`: straight-line code from the closed form; `"recursive"`:
       Newton-Euler, numeric lengths only; `"auto"`: tables where they are small.
 
@@ -47,13 +48,21 @@ def derive(
     >>> jc.derive(jc.puma560())
     CSLC(PUMA 560: 6 joints, 43 coefficients: 26 mass, 5 gravity, 6 viscous, 6 dry; RigidBodyTables)
     """
+    if lengths == "auto":
+        lengths = "numeric" if _has_many_lengths(robot) else "symbolic"
     if isinstance(lengths, str) and lengths not in ("symbolic", "numeric"):
         raise ValueError(
-            f"lengths must be 'symbolic', 'numeric' or a list of names, got {lengths!r}"
+            f"lengths must be 'symbolic', 'numeric', 'auto' or a list of names, got {lengths!r}"
         )
     symbols = lengths if isinstance(lengths, str) else tuple(lengths)
     algebra = derive_algebra(robot, cast(Lengths, symbols))
     return CSLC(algebra, (_rigid_body(algebra, evaluator), *input_terms(robot)))
+
+
+def _has_many_lengths(robot: Manipulator) -> bool:
+    """Files of CAD models give every axis an arbitrary offset, and each would be a symbol."""
+    from_cad = robot.source is not None and robot.source.format != "toml"
+    return from_cad or robot.joint_count > 6
 
 
 def _rigid_body(algebra: Algebra, choice: str) -> RigidBodyTables | RigidBodyRecursion:

@@ -19,7 +19,7 @@ def torque_picture(
     *,
     title: str,
     units: tuple[str, ...],
-    counts: Bool[Array | np.ndarray, "samples joints"] | None = None,
+    mask: Bool[Array | np.ndarray, "samples joints"] | None = None,
 ) -> "Figure":
     """Measured and predicted torque of every joint against time (Figs. 7.6-1, 7.6-2).
 
@@ -29,13 +29,14 @@ def torque_picture(
     - `measured`: (samples, n) [N m or N].
     - `predicted`: the same of each model, by name.
     - `units`: of each joint's torque.
-    - `counts`: (samples, n), where given: predictions are drawn where a pair counts.
+    - `mask`: (samples, n), the judged samples: predictions are drawn for these only. By default
+      for all.
 
     **Returns** a matplotlib figure; `figure.savefig(path)` draws it.
     """
     measured = np.asarray(measured)
     n = measured.shape[1]
-    shown = np.ones(measured.shape, bool) if counts is None else np.asarray(counts)
+    shown = np.ones(measured.shape, bool) if mask is None else np.asarray(mask)
     rows = -(-n // 2)
     figure = new_figure(11.0, 1.2 + 2.3 * rows)
     axes = np.atleast_2d(figure.subplots(rows, 2, sharex=True))

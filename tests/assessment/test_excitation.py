@@ -91,4 +91,4 @@ def test_rows_and_words(puma: jc.CSLC, patterns: jc.Patterns) -> None:
     ]
     assert found.rows()[0]["condition"] == float(found.condition)
     worst = puma.names[int(np.argmax(np.abs(np.asarray(found.weakest))))]
-    assert f"told least: {worst}" in str(found)
+    assert f"least determined: {worst}" in str(found)

@@ -1,4 +1,4 @@
-"""Verdicts on coefficients, and how entangled they are."""
+"""Verdicts on coefficients, and how correlated they are."""
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ def patterns_of(
 def words(network: jc.CSLC, patterns: jc.Patterns) -> list[str]:
     fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(network, patterns)
     excitation = degree_of_excitation(network, patterns)
-    return [verdict.word for verdict in verdicts(network, fit, excitation)]
+    return [verdict.kind for verdict in verdicts(network, fit, excitation)]
 
 
 def test_each_word(arm: jc.CSLC, rng: np.random.Generator) -> None:
@@ -61,7 +61,7 @@ def test_reasons_name_what_stands_in(arm: jc.CSLC, rng: np.random.Generator) -> 
         degree_of_excitation(arm, patterns),
     )
     found = verdicts(arm, fit, excitation)
-    assert "entangled with others" in found[1].reason and "entangled" not in found[0].reason
+    assert "correlated with others" in found[1].reason and "correlated" not in found[0].reason
     assert excitation.worst_combination in ("kd1 - 2*kv1", "kv1 - 0.5*kd1") or all(
         name in excitation.worst_combination for name in ("kd1", "kv1")
     )
@@ -114,3 +114,16 @@ def test_a_fit_of_another_network(
     )
     with pytest.raises(ValueError, match="the fit has 3 coefficients from 'kB1', the network has"):
         verdicts(puma, fit)
+
+
+def test_nothing_is_well_determined_at_a_meaningless_condition(
+    arm: jc.CSLC, rng: np.random.Generator
+) -> None:
+    """Viscous and dry friction differ by 1e-9 of themselves: small standard errors say nothing."""
+    qd = np.sign(rng.normal(size=400)) * (2.0 + 1e-9 * rng.normal(size=400))
+    patterns = patterns_of(arm, [5.0, 1e3, 1e3], qd, rng.normal(size=400), 0.0)
+    fit = jc.LeastSquares().fit(arm, patterns)
+    assert float(fit.condition) > 1e8
+    judged = verdicts(arm, fit)
+    assert "well determined" not in [verdict.kind for verdict in judged]
+    assert "condition number" in judged[0].reason

@@ -170,7 +170,7 @@ class TestHeldOut:
         )
         held = held_out_error(arm, ORDINARY.fit(arm, own), own, more)
         assert held.beyond_chance == (1,)
-        assert "joint 1: torque error" in held.warnings[0]
+        assert "joint 1: validation RMS" in held.warnings[0]
         assert held.to_pandas().loc[1, "ratio"] == held.ratio[0]
 
     def test_cross_validation_leaves_each_stretch_out(

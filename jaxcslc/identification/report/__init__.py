@@ -2,6 +2,10 @@ from ._coefficient_table import (
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,
 )
+from ._derivation_report import (
+    DerivationReport as DerivationReport,
+    derivation_document as derivation_document,
+)
 from ._errors import (
     ErrorTable as ErrorTable,
     compare as compare,
@@ -11,12 +15,17 @@ from ._errors import (
 from ._excitation import Excitation as Excitation, degree_of_excitation as degree_of_excitation
 from ._output import (
     all_or_nothing as all_or_nothing,
+    check_output_folder as check_output_folder,
+    text_table as text_table,
     write_csv as write_csv,
     write_json as write_json,
 )
-from ._report import (
-    derivation_document as derivation_document,
-    identification_report as identification_report,
+from ._payload_report import PayloadReport as PayloadReport
+from ._report import Report as Report
+from ._saved import (
+    SavedReport as SavedReport,
+    load_report as load_report,
+    load_settings as load_settings,
 )
-from ._text import text_table as text_table
 from ._verdicts import Verdict as Verdict, verdicts as verdicts
+from ._warnings import fit_warnings as fit_warnings

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from ...network import CSLC
 from ..solver import Identification
 from ._excitation import Excitation
-from ._text import text_table
+from ._output import text_table
 from ._verdicts import verdicts
 
 
@@ -23,7 +23,7 @@ def coefficient_rows(
     excitation: Excitation | None = None,
     level: float = 0.95,
 ) -> list[dict[str, str | float | bool]]:
-    """One row a coefficient: name, group, expression, unit and, with a fit, what it found.
+    """One row a coefficient: name, group, unit, expression and, with a fit, value and verdict.
 
     With a reference and sensitivities the rows are those of Figs. B.1-1 to B.5-2.
 
@@ -32,7 +32,7 @@ def coefficient_rows(
     - `fit`: adds `value`, `standard_error`, `relative_error`, the interval's ends `low` and
       `high`, and `verdict` and `reason`, as `verdicts` gives them.
     - `reference`: further columns of values, such as Armstrong's, or the true ones.
-    - `sensitivity`: adds the column `sensitivity`; see `output_sensitivity`.
+    - `sensitivity`: adds the column `sensitivity`; see `jaxcslc.assessment.output_sensitivity`.
     - `excitation`: adds `variance_inflation`, and reasons that name it; see
       `degree_of_excitation`.
     - `level`: of the intervals.
@@ -44,7 +44,7 @@ def coefficient_rows(
     - `ValueError`: for a group that the network does not have, or a vector of another length.
 
     >>> import jaxcslc as jc
-    >>> from jaxcslc.assessment import coefficient_rows
+    >>> from jaxcslc.identification import coefficient_rows
     >>> network = jc.derive(jc.puma560())
     >>> len(coefficient_rows(network, groups=["gravity"]))
     5
@@ -76,7 +76,7 @@ def coefficient_rows(
             row["low"], row["high"] = (float(end) for end in interval[i])
             if excitation is not None:
                 row["variance_inflation"] = float(excitation.variance_inflation[i])
-            row["verdict"], row["reason"] = judged[i].word, judged[i].reason
+            row["verdict"], row["reason"] = judged[i].kind, judged[i].reason
         for name, vector in columns.items():
             row[name] = float(vector[i])
         row["expression"] = coefficient.expression
@@ -88,7 +88,7 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     """Coefficient rows as a table to read; long expressions are cut.
 
     >>> import jaxcslc as jc
-    >>> from jaxcslc.assessment import coefficient_rows, coefficient_text
+    >>> from jaxcslc.identification import coefficient_rows, coefficient_text
     >>> pendulum = jc.Manipulator.from_modified_dh(
     ...     [(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=()
     ... )

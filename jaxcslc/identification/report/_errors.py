@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from ...motion import Patterns
 from ...network import CSLC
 from ..solver import filled_up
-from ._text import text_table
+from ._output import text_table
 
 
 class ErrorTable(eqx.Module):
@@ -19,28 +19,42 @@ class ErrorTable(eqx.Module):
     **Attributes**
 
     - `names`: of the vectors.
-    - `mean_modulus`: (vectors, n), mean |error| of each joint over the pairs that count [N m].
-    - `rms`: (vectors, n), root mean square of the same [N m].
+    - `mean_modulus`: (vectors, n), mean |error| of each joint over the judged samples, those in
+      `Patterns.mask` [N m].
+    - `rms`: (vectors, n), root mean square of the same errors [N m].
     - `epsilon`: (vectors,), mean error cost: half the root mean square over the joints of one
-      pattern's errors, averaged over patterns (7.5) [N m]. Of a pattern in which some joint does
-      not count, the others'.
+      pattern's errors, averaged over patterns (7.5) [N m]. Joints outside the mask of a pattern
+      are left out of its mean.
+    - `rms_all_samples`: (vectors, n), root mean square error over all samples, masked ones
+      included [N m].
+    - `share_judged`: (n,) judged samples of each joint over all samples, from 0 to 1.
+    - `unit`: of all errors; for a robot with joints of both kinds `"N m or N"`, joint by joint.
 
-    Prints itself as the thesis's table; `rows()` has the same as data.
-
-    - `unit`: of it all; of a robot with joints of both kinds, N m or N joint by joint.
+    `print` shows the thesis's table and, below it, RMS errors of judged and of all samples;
+    `rows()` and `rms_rows()` return the two as data.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
-    >>> one = jnp.array([[0.25]])
-    >>> print(jc.ErrorTable(("fit",), mean_modulus=one, rms=one, epsilon=jnp.array([0.125])))
+    >>> error, all_samples = jnp.array([[0.25]]), jnp.array([[0.75]])
+    >>> print(
+    ...     jc.ErrorTable(
+    ...         ("fit",), mean_modulus=error, rms=error, epsilon=jnp.array([0.125]),
+    ...         rms_all_samples=all_samples, share_judged=jnp.array([0.5]),
+    ...     )
+    ... )
     [N m]       fit
     mean |e1|  0.25
     mean ε     0.125
+    <BLANKLINE>
+    joint  judged samples  RMS fit  RMS fit, all samples
+    1                50 %     0.25                  0.75
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
     mean_modulus: Float[Array, "vectors joints"]
     rms: Float[Array, "vectors joints"]
     epsilon: Float[Array, " vectors"]
+    rms_all_samples: Float[Array, "vectors joints"]
+    share_judged: Float[Array, " joints"]
     unit: str = eqx.field(static=True, default="N m")
 
     def rows(self) -> list[dict[str, float | str]]:
@@ -53,6 +67,23 @@ class ErrorTable(eqx.Module):
         rows.append({"": "mean ε", **dict(zip(self.names, mean, strict=True))})
         return rows
 
+    def rms_rows(self) -> list[dict[str, float | int]]:
+        """One row a joint: the share of judged samples, and each vector's RMS error over them and
+        over all samples."""
+        share, rms, all_samples = (
+            np.asarray(values).tolist()
+            for values in (self.share_judged, self.rms, self.rms_all_samples)
+        )
+        return [
+            {"joint": joint + 1, "share_judged": share[joint]}
+            | {f"rms_{name}": row[joint] for name, row in zip(self.names, rms, strict=True)}
+            | {
+                f"rms_all_samples_{name}": row[joint]
+                for name, row in zip(self.names, all_samples, strict=True)
+            }
+            for joint in range(len(share))
+        ]
+
     def to_pandas(self) -> Any:
         """`rows()` as a `pandas.DataFrame`, a column for each coefficient vector [N m]."""
         import pandas
@@ -64,16 +95,23 @@ class ErrorTable(eqx.Module):
         )
 
     def __str__(self) -> str:
-        return text_table(
+        errors = text_table(
             [f"[{self.unit}]", *self.names],
             [[str(row[""]), *(f"{row[name]:.4g}" for name in self.names)] for row in self.rows()],
         )
+        header = ["joint", "judged samples", *(f"RMS {name}" for name in self.names)]
+        header += [f"RMS {name}, all samples" for name in self.names]
+        cells = [
+            [str(joint), f"{100 * share:.3g} %", *(f"{value:.4g}" for value in values)]
+            for joint, share, *values in (row.values() for row in self.rms_rows())
+        ]
+        return f"{errors}\n\n{text_table(header, cells)}"
 
 
 def compare(
     network: CSLC, patterns: Patterns, vectors: Mapping[str, Float[Array | np.ndarray, " k"]]
 ) -> ErrorTable:
-    """How well each of several coefficient vectors predicts the torque of the same patterns.
+    """Compares how well several coefficient vectors predict the torque of the same patterns.
 
     **Arguments**
 
@@ -96,25 +134,30 @@ def compare(
     0.0
     """
     names = tuple(vectors)
-    mean_modulus, rms, epsilon = _figures(
-        jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names]),
-        jnp.asarray(patterns.mask),
+    errors = jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names])
+    mask = jnp.asarray(patterns.mask)
+    mean_modulus, rms, epsilon = _over_judged(errors, mask)
+    return ErrorTable(
+        names,
+        mean_modulus,
+        rms,
+        epsilon,
+        rms_all_samples=jnp.sqrt(jnp.mean(errors**2, axis=1)),
+        share_judged=jnp.mean(mask, axis=0, dtype=errors.dtype),
+        unit=" or ".join(sorted(set(network.robot.torque_units), key=len, reverse=True)),
     )
-    kinds = set(network.robot.kinds)
-    unit = "N m or N" if len(kinds) > 1 else {"R": "N m", "P": "N"}[kinds.pop()]
-    return ErrorTable(names, mean_modulus, rms, epsilon, unit)
 
 
 @jax.jit
-def _figures(
+def _over_judged(
     errors: Float[Array, "vectors samples joints"], mask: Bool[Array, "samples joints"]
 ) -> tuple[
     Float[Array, "vectors joints"], Float[Array, "vectors joints"], Float[Array, " vectors"]
 ]:
-    counts = jnp.broadcast_to(mask, errors.shape)
-    kept = jnp.where(counts, errors, 0.0)
-    per_joint = jnp.maximum(jnp.sum(counts, axis=1), 1)
-    per_pattern = jnp.sum(counts, axis=2)
+    judged = jnp.broadcast_to(mask, errors.shape)
+    kept = jnp.where(judged, errors, 0.0)
+    per_joint = jnp.maximum(jnp.sum(judged, axis=1), 1)
+    per_pattern = jnp.sum(judged, axis=2)
     cost = 0.5 * jnp.sqrt(jnp.sum(kept**2, axis=2) / jnp.maximum(per_pattern, 1))
     some = per_pattern > 0
     return (

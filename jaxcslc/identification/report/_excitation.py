@@ -11,32 +11,31 @@ from ...network import CSLC
 from ..solver import factorise, filled_up
 
 
-# As many coefficients as a line that is read can name.
+# Most coefficients that `worst_combination` names.
 _PARTS = 4
 
 
 class Excitation(eqx.Module):
-    """How well a recording tells the coefficients of a network apart.
+    """How well a recording separates the coefficients of a network.
 
-    From the singular values of the regressor over the pairs that count, each column scaled to
-    unit length: neither units nor the length of the recording enter. Were all columns
-    orthogonal, every singular value would be 1.
+    Computed from the singular values of the regressor over the pairs in `Patterns.mask`, each
+    column scaled to unit length: neither units nor the length of the recording enter. For
+    orthogonal columns every singular value is 1.
 
     **Attributes**
 
-    - `condition`: the largest singular value over the smallest; infinite where the patterns
-      leave a combination of coefficients untold. What noise in the torque is multiplied by, at
-      the worst, on its way to relative errors of the coefficients.
+    - `condition`: the largest singular value over the smallest, which bounds how much relative
+      noise of the torque is amplified in the coefficients; infinite where the patterns leave a
+      combination of coefficients undetermined.
     - `smallest`: the smallest singular value, from 0 to 1.
-    - `weakest`: (p,) the combination of scaled coefficients that belongs to it, of unit length:
-      its largest entries name what the recording tells least.
-    - `length`: (p,) of each column, the root of its sum of squares: what the coefficients are
-      multiplied by to be scaled.
-    - `variance_inflation`: (p,) from 1: how many times larger each coefficient's variance is than
-      if the others were known (Belsley, Kuh and Welsch, 'Regression Diagnostics', 1980; about
-      zero, not about means). Infinite where the patterns do not determine it.
-    - `group_condition`: the condition of each group's columns by themselves: as if everything
-      else were known.
+    - `weakest`: (p,) right singular vector of `smallest`: the combination of scaled coefficients
+      that the recording determines least, of unit length.
+    - `length`: (p,) Euclidean norm of each column; a coefficient times it is the scaled one.
+    - `variance_inflation`: (p,) ratio of each coefficient's variance to its variance if all others
+      were fixed, from 1 (Belsley, Kuh and Welsch, 'Regression Diagnostics', 1980; about zero, not
+      about means). Infinite where the patterns do not determine it.
+    - `group_condition`: the condition of each group's columns alone, as if all other coefficients
+      were fixed.
     - `names`: of the coefficients.
     """
 
@@ -58,17 +57,17 @@ class Excitation(eqx.Module):
 
     @property
     def worst_combination(self) -> str:
-        """The combination of coefficients that the recording tells least, in words.
+        """The combination of coefficients that the recording determines least, as a formula.
 
-        In the coefficients' units, the largest part first and made 1; no more than four parts, and
-        none that matters less than a fifth of the first. Not available under `jit`.
+        In the coefficients' units, the largest term first and scaled to 1; at most four terms, and
+        none of less than a fifth of the first. Not available under `jit`.
         """
         part = np.asarray(self.weakest)
         size = np.abs(part)
         order = [int(i) for i in np.argsort(-size)[:_PARTS] if size[i] > 0.2 * size.max()]
         multiple = part * np.asarray(self.length)
         first = order[0]
-        # A column of zeros has no length to be scaled with: it is that coefficient alone.
+        # A column of zeros has no length to scale by: the combination is that coefficient.
         scaled = multiple / multiple[first] if multiple[first] else np.ones_like(multiple)
         text = self.names[first]
         for i in order[1:]:
@@ -78,7 +77,7 @@ class Excitation(eqx.Module):
         return text
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, one row a coefficient: variance inflation and weakest part."""
+        """A `pandas.DataFrame`, one row a coefficient: variance inflation and `weakest`."""
         import pandas
 
         return pandas.DataFrame(
@@ -92,7 +91,7 @@ class Excitation(eqx.Module):
     def __str__(self) -> str:
         return (
             f"condition {float(self.condition):.4g}, smallest singular value"
-            f" {float(self.smallest):.4g}; told least: {self.worst_combination}"
+            f" {float(self.smallest):.4g}; least determined: {self.worst_combination}"
         )
 
 
@@ -101,9 +100,8 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
 
     Measured as in Armstrong, 'On finding exciting trajectories for identification experiments
     involving systems with nonlinear dynamics' (1989): condition number and smallest singular
-    value of the regressor. `condition` is what `least_squares` reports for the same patterns
-    with joints of equal weight, where they determine every coefficient; here nothing is fitted,
-    and the torque is not used.
+    value of the regressor. `condition` equals that of a fit to the same patterns with joints of
+    equal weight, if they determine every coefficient; the torque is not used.
 
     **Arguments**
 
@@ -113,7 +111,7 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
     **Returns** an `Excitation`.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.assessment import degree_of_excitation
+    >>> from jaxcslc.identification import degree_of_excitation
     >>> pendulum = jc.Manipulator.from_modified_dh(
     ...     [(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=("viscous",)
     ... )
@@ -143,19 +141,19 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
     # What counts as zero in `least_squares` too.
     rounding = 10 * jnp.finfo(scaled.dtype).eps
     rounding *= jnp.maximum(network.size, jnp.sqrt(jnp.sum(factors.counts)))
-    told = singular > rounding * singular[0]
-    inverse = jnp.where(told, 1.0 / jnp.where(told, singular, 1.0), 0.0)
-    untold = jnp.sum(jnp.where(told[:, None], 0.0, right) ** 2, axis=0) > 1e-12
+    counted = singular > rounding * singular[0]
+    inverse = jnp.where(counted, 1.0 / jnp.where(counted, singular, 1.0), 0.0)
+    undetermined = jnp.sum(jnp.where(counted[:, None], 0.0, right) ** 2, axis=0) > 1e-12
     inflation = jnp.sum((inverse[:, None] * right) ** 2, axis=0)
     return Excitation(
         condition=_condition(singular, rounding),
         smallest=singular[-1],
         weakest=right[-1],
         length=length,
-        variance_inflation=jnp.where(untold, jnp.inf, inflation),
+        variance_inflation=jnp.where(undetermined, jnp.inf, inflation),
         group_condition={
-            group: _condition(jnp.linalg.svd(scaled[:, chosen], compute_uv=False), rounding)
-            for group, chosen in columns.items()
+            group: _condition(jnp.linalg.svd(scaled[:, indices], compute_uv=False), rounding)
+            for group, indices in columns.items()
         },
         names=network.names,
     )
@@ -167,5 +165,5 @@ _factorise = eqx.filter_jit(factorise)
 
 def _condition(singular: Float[Array, " values"], rounding: Float[Array, ""]) -> Float[Array, ""]:
     """Infinite where the smallest singular value is no more than rounding."""
-    told = singular[-1] > rounding * singular[0]
-    return jnp.where(told, singular[0] / jnp.where(told, singular[-1], 1.0), jnp.inf)
+    counted = singular[-1] > rounding * singular[0]
+    return jnp.where(counted, singular[0] / jnp.where(counted, singular[-1], 1.0), jnp.inf)

@@ -13,12 +13,21 @@ import numpy as np
 from jaxtyping import Array
 
 
+def check_output_folder(folder: Path) -> None:
+    """**Raises** `ValueError` if a file is where the results should go."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: expected a folder for the results, this is a file")
+
+
 @contextlib.contextmanager
 def all_or_nothing(folder: Path) -> Generator[Path]:
     """A scratch folder whose files move into `folder` when all of them are written.
 
-    If writing fails, what `folder` held stays as it was. Files of other names are left alone.
+    If writing fails, the files of `folder` stay as they were. Files of other names are not touched.
+
+    **Raises** as `check_output_folder`.
     """
+    check_output_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
@@ -39,7 +48,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """A document as JSON; numbers that JSON has no word for become null."""
+    """A document as JSON; numbers that JSON cannot represent become null."""
     path.write_text(
         json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n",
         encoding="utf-8",
@@ -54,3 +63,23 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic | Array):
         return _plain(np.asarray(value).tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def text_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()
+) -> str:
+    """Columns of text, the first and those in `left` aligned left, the others right.
+
+    >>> print(text_table(["joint", "error"], [["1", "0.25"], ["2", "10.5"]]))
+    joint  error
+    1       0.25
+    2       10.5
+    """
+    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i == 0 or header[i] in left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in (header, *rows)
+    )

@@ -1,164 +1,180 @@
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from jaxtyping import Array, Float
 
 from ...motion import Patterns
 from ...network import CSLC
-from ...plotting import save_picture, torque_picture
-from .. import HeldOut, Settings, settings_document
+from .._held_out import HeldOut
+from .._settings import Settings
+from .._slopes import SlopeFit
 from ..solver import Identification
-from ._coefficient_table import coefficient_rows
-from ._errors import ErrorTable, predicted_torque
+from ._coefficient_table import coefficient_rows, coefficient_text
+from ._errors import ErrorTable
 from ._excitation import Excitation
-from ._output import write_csv, write_json
+from ._output import all_or_nothing
+from ._report_files import RECORDINGS, recording_files, write_report
 
 
-_STATES = 100  # of the motion that is kept beside the coefficients
+@dataclasses.dataclass(frozen=True, eq=False)
+class Report:
+    """The result of `identify`: coefficients, their uncertainty, and torque errors.
 
+    `print` shows what `jaxcslc identify` prints; `save` writes what it writes.
 
-def identification_report(
-    folder: Path,
-    network: CSLC,
-    fit: Identification,
-    patterns: Mapping[str, Patterns],
-    errors: Mapping[str, ErrorTable],
-    settings: Settings,
-    *,
-    excitation: Excitation | None = None,
-    held_out: HeldOut | None = None,
-) -> list[Path]:
-    """Everything that an identification found, as files.
+    **Attributes**
 
-    **Arguments**
+    - `network`: with the slopes of static friction that were fitted, if it has static friction.
+    - `settings`: of preparation and fit.
+    - `fit`: the `Identification`, with standard errors and covariance.
+    - `patterns`: by recording, `"training"` and, if there was one, `"validation"`.
+    - `errors`: torque errors, by recording. The first vector of each `ErrorTable` is `"fit"`; after
+      a re-identification the second is `"before"`.
+    - `excitation`: of the training recording; None after a re-identification.
+    - `held_out`: errors of the validation recording beside those of the training recording; without
+      a validation recording by cross-validation within the training recording. None after a
+      re-identification without a validation recording.
+    - `slopes`: the fit of the slopes of static friction; None if there was none.
+    - `groups`: groups or names of the re-identified coefficients; None if all were fitted.
+    - `warnings`: one sentence each.
 
-    - `folder`: exists.
-    - `patterns`, `errors`: by the name of the recording: `"training"`, `"validation"`.
-    - `excitation`: of the training recording; adds variance inflation and the combination of
-      coefficients that is told least.
-    - `held_out`: adds how the fit does where it was not fitted.
-
-    **Returns** the files: `coefficients.csv`, `identification.json`, and for every recording
-    `errors_NAME.csv`, `torque_NAME.csv` and `torque_NAME.png`.
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
+    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> report = jc.identify(network, recording, settings=jc.Settings())
+    >>> report.to_pandas().index.tolist()
+    ['kB1', 'kB2', 'kB3', 'kv1', 'kd1']
+    >>> tuple(report.errors)
+    ('training',)
     """
-    write_csv(folder / "coefficients.csv", coefficient_rows(network, fit, excitation=excitation))
-    write_json(
-        folder / "identification.json",
-        {
-            "robot": network.robot.name,
-            "lengths": network.algebra.lengths,
-            "settings": settings_document(settings),
-            **_slopes(network),
-            "friction": list(network.robot.friction),
-            "coupled": [list(pair) for pair in network.robot.coupled],
-            "expressions": [coefficient.expression for coefficient in network.coefficients],
-            "units": [coefficient.unit for coefficient in network.coefficients],
-            "unidentifiable": fit.unidentifiable,
-            **fit.document(),  # so that `Identification.load` reads this file too
-            **({} if excitation is None else {"told_least": excitation.worst_combination}),
-            **({} if held_out is None else {"held_out": _held_out(held_out)}),
-            "torque_error_rms": {name: table.rms[0] for name, table in errors.items()},
-            "motion": _some_motion(patterns["training"]),
-        },
+
+    network: CSLC
+    settings: Settings
+    fit: Identification
+    patterns: Mapping[str, Patterns]
+    errors: Mapping[str, ErrorTable]
+    excitation: Excitation | None = None
+    held_out: HeldOut | None = None
+    slopes: SlopeFit | None = None
+    groups: tuple[str, ...] | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def k(self) -> Float[Array, " coefficients"]:
+        """(p,) identified coefficients, in the order of `network.coefficients`."""
+        return self.fit.k
+
+    def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]:
+        """One row a coefficient: value, interval, verdict and expression; see
+        `coefficient_rows`."""
+        return coefficient_rows(self.network, self.fit, excitation=self.excitation, level=level)
+
+    def to_pandas(self, level: float = 0.95) -> Any:
+        """`rows()` as a `pandas.DataFrame` indexed by coefficient.
+
+        **Arguments**
+
+        - `level`: of the confidence intervals.
+        """
+        import pandas
+
+        return pandas.DataFrame(self.rows(level)).set_index("name").rename_axis("coefficient")
+
+    def save(self, folder: str | Path, *, pictures: bool = True) -> tuple[Path, ...]:
+        """Writes the report into a folder: all of its files or, if writing fails, none.
+
+        `coefficients.csv`; `identification.json`, which `load_report` reads; and for each recording
+        `errors_NAME.csv`, `torque_NAME.csv` and `torque_NAME.png`. Files of these names that an
+        earlier report left and this one does not have are removed.
+
+        **Arguments**
+
+        - `folder`: is made if it is missing.
+        - `pictures`: whether to draw measured and predicted torque.
+
+        **Returns** the files.
+
+        **Raises**
+
+        - `ValueError`: `folder` is a file; or the settings have a smoothing of one's own, which
+          has no name in a file.
+        - `OSError`: the folder cannot be written.
+        """
+        folder = Path(folder)
+        with all_or_nothing(folder) as scratch:
+            names = [path.name for path in write_report(scratch, self, pictures=pictures)]
+        for recording in RECORDINGS:
+            for path in recording_files(folder, recording):
+                if path.name not in names:
+                    path.unlink(missing_ok=True)
+        return tuple(folder / name for name in names)
+
+    def __repr__(self) -> str:
+        return f"Report({self.network.robot.name}; {self.fit!r})"
+
+    def __str__(self) -> str:
+        return "\n\n".join("\n".join(section) for section in self._sections() if section)
+
+    def _sections(self) -> Iterator[list[str]]:
+        yield [str(self.network), f"settings: {self.settings}"]
+        if self.groups is not None:
+            yield [
+                f"re-identified: {', '.join(self.groups)}; all other coefficients are fixed at"
+                " those of the previous identification"
+            ]
+        yield [coefficient_text(self.rows())]
+        if self.slopes is not None:
+            yield [_slopes(self.slopes)]
+        yield self._determination()
+        for name, table in self.errors.items():
+            yield [f"torque error, {name} recording", str(table)]
+        yield self._held_out()
+        yield [f"warning: {warning}" for warning in self.warnings]
+
+    def _determination(self) -> list[str]:
+        fit = self.fit
+        lines = [
+            f"low and high: 95 % intervals for {fit.errors} errors,"
+            f" {float(fit.degrees_of_freedom):.0f} degrees of freedom",
+            *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
+        ]
+        fitted = sum(
+            self.groups is None or c.group in self.groups or c.name in self.groups
+            for c in self.network.coefficients
+        )
+        text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"
+        if self.excitation is not None:
+            text += f"; least determined: {self.excitation.worst_combination}"
+        return [*lines, text]
+
+    def _held_out(self) -> list[str]:
+        if self.held_out is None:
+            return []
+        kind = "validation" if "validation" in self.patterns else "cross-validation"
+        ratios = ", ".join(f"{ratio:.3g}" for ratio in self.held_out.ratio)
+        return [f"{kind} RMS over training RMS, joint by joint: {ratios}"]
+
+
+def _slopes(fit: SlopeFit) -> str:
+    network = fit.network
+    listed = ", ".join(
+        f"joint {joint} {slope:.4g} ± {error:.2g}"
+        for joint, slope, error, terms in zip(
+            range(1, network.joint_count + 1),
+            fit.slopes.tolist(),
+            fit.slope_error.tolist(),
+            network.robot.friction_per_joint,
+            strict=True,
+        )
+        if "static" in terms
     )
-    written = [folder / "coefficients.csv", folder / "identification.json"]
-    for name, pattern in patterns.items():
-        predicted = np.asarray(predicted_torque(network, pattern, fit.k))
-        written += _recording_files(folder, name, network, pattern, predicted, errors[name])
-    return written
-
-
-def _slopes(network: CSLC) -> dict[str, Any]:
-    if network.static_slopes is None:
-        return {}
-    return {"static_slopes": np.asarray(network.static_slopes, float)}
-
-
-def _some_motion(patterns: Patterns) -> dict[str, np.ndarray]:
-    """States of the recording, evenly spaced: enough to compare torques over it later."""
-    every = max(len(np.asarray(patterns.time)) // _STATES, 1)
-    return {name: np.asarray(getattr(patterns, name))[::every] for name in ("q", "qd", "qdd")}
-
-
-def _held_out(held_out: HeldOut) -> dict[str, Any]:
-    return {
-        "training_rms": held_out.training,
-        "held_out_rms": held_out.held_out,
-        "limit": held_out.limit,
-        "beyond_chance": held_out.beyond_chance,
-    }
-
-
-def _recording_files(
-    folder: Path,
-    name: str,
-    network: CSLC,
-    patterns: Patterns,
-    predicted: np.ndarray,
-    errors: ErrorTable,
-) -> list[Path]:
-    paths = [
-        folder / f"errors_{name}.csv",
-        folder / f"torque_{name}.csv",
-        folder / f"torque_{name}.png",
-    ]
-    n = network.joint_count
-    write_csv(
-        paths[0],
-        [
-            {
-                "joint": joint + 1,
-                "rms": float(errors.rms[0, joint]),
-                "mean_modulus": float(errors.mean_modulus[0, joint]),
-                "pairs": int(np.sum(np.asarray(patterns.mask)[:, joint])),
-            }
-            for joint in range(n)
-        ],
+    return (
+        f"slopes of static friction [s/rad or s/m]: {listed};"
+        " the intervals above hold for these slopes"
     )
-    measured, counts = np.asarray(patterns.torque), np.asarray(patterns.mask)
-    header = ["time"] + [
-        f"{kind}_{joint + 1}" for kind in ("measured", "predicted", "counts") for joint in range(n)
-    ]
-    table = np.concatenate(
-        [np.asarray(patterns.time)[:, None], measured, predicted, counts.astype(float)], axis=1
-    )
-    np.savetxt(paths[1], table, delimiter=",", header=",".join(header), comments="", fmt="%.10g")
-    figure = torque_picture(
-        np.asarray(patterns.time),
-        measured,
-        {"predicted": predicted},
-        title=f"{network.robot.name}: torque of the {name} recording",
-        units=tuple("N m" if kind == "R" else "N" for kind in network.robot.kinds),
-        counts=counts,
-    )
-    save_picture(figure, paths[2])
-    return paths
-
-
-def derivation_document(network: CSLC) -> dict[str, Any]:
-    """The tables of inputs and links as plain data; indices count from 1, as in Appendix B."""
-
-    def table(name: str) -> dict[str, Any]:
-        source = getattr(network.algebra, name)
-        return {
-            "inputs": source.labels,
-            "nodes": [[index + 1 for index in column] for column in source.columns],
-            "links": [
-                {
-                    "input": link.input + 1,
-                    "node": link.column + 1,
-                    "weight": {network.names[i]: float(value) for i, value in link.weights},
-                }
-                for link in source.links
-            ],
-        }
-
-    return {
-        "robot": network.robot.name,
-        "lengths": network.algebra.lengths,
-        "coefficients": coefficient_rows(network),
-        "order": network.order,
-        "order_per_joint": network.order_per_joint,
-        **{name: table(name) for name in ("mass", "velocity", "gravity")},
-    }

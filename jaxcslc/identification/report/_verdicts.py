@@ -8,7 +8,7 @@ from ..solver import Identification
 from ._excitation import Excitation
 
 
-Word = Literal[
+VerdictKind = Literal[
     "well determined",
     "poorly determined",
     "indistinguishable from zero",
@@ -19,31 +19,35 @@ Word = Literal[
 # A standard error of a tenth of the value, the field's rule of thumb (Khalil and Dombre 2002,
 # 12.5).
 _WELL = 0.1
-# From here on, most of a coefficient's variance is that others could stand in for it (Belsley, Kuh
-# and Welsch 1980).
-_ENTANGLED = 10.0
+# Variance inflation above this: most of a coefficient's variance comes from its correlation with
+# others (Belsley, Kuh and Welsch 1980).
+_CORRELATED = 10.0
+# Condition number above which coefficients lose half of float64's digits, and any error of the
+# regressor exceeds them.
+MEANINGLESS_CONDITION = 1e8
 
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """How far a recording tells a coefficient.
+    """How well a recording determines a coefficient.
 
     **Attributes**
 
     - `name`: of the coefficient.
-    - `word`: `"well determined"`: its standard error is at most a tenth of it; `"poorly
-      determined"`: it is more; `"indistinguishable from zero"`: its interval holds zero;
-      `"wrong sign"`: positive for every possible body, and its whole interval is negative;
-      `"not determined"`: the patterns do not tell it.
-    - `reason`: why, in a few words.
+    - `kind`: `"well determined"`: the standard error is at most a tenth of the value; `"poorly
+      determined"`: it is larger, or the condition number of the fit makes every value
+      meaningless; `"indistinguishable from zero"`: the confidence interval contains zero;
+      `"wrong sign"`: the coefficient is positive for every possible body and the whole interval is
+      negative; `"not determined"`: the patterns do not determine it.
+    - `reason`: of the verdict.
     """
 
     name: str
-    word: Word
+    kind: VerdictKind
     reason: str
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.word}, {self.reason}"
+        return f"{self.name}: {self.kind}, {self.reason}"
 
 
 def verdicts(
@@ -53,14 +57,14 @@ def verdicts(
     *,
     level: float = 0.95,
 ) -> tuple[Verdict, ...]:
-    """What a fit's standard errors mean, coefficient by coefficient, in words.
+    """Judges each coefficient of a fit by its standard error.
 
     **Arguments**
 
     - `network`: p coefficients.
     - `fit`: to this network.
-    - `excitation`: of the patterns that it was made from; reasons then name entanglement with
-      other coefficients, where that is what makes one poorly determined.
+    - `excitation`: of the patterns that were fitted; reasons then name correlation with other
+      coefficients where it makes one poorly determined.
     - `level`: of the intervals.
 
     **Returns** p verdicts, in the order of the coefficients.
@@ -70,7 +74,7 @@ def verdicts(
     - `ValueError`: a fit of another network.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.assessment import verdicts
+    >>> from jaxcslc.identification import verdicts
     >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
     >>> network = jc.derive(arm, lengths="numeric")
     >>> t = np.linspace(0, 5, 500)[:, None]
@@ -80,7 +84,7 @@ def verdicts(
     >>> everything = np.ones(t.shape, bool)
     >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
     >>> for verdict in verdicts(network, jc.LeastSquares().fit(network, patterns)):
-    ...     print(verdict.name, verdict.word)
+    ...     print(verdict.name, verdict.kind)
     kB1 well determined
     kv1 well determined
     kd1 indistinguishable from zero
@@ -92,39 +96,39 @@ def verdicts(
         )
     interval = fit.confidence_interval(level)
     inflation = None if excitation is None else np.asarray(excitation.variance_inflation)
-    determined = np.asarray(fit.determined)
-    known = _known(fit)
-    found: list[Verdict] = []
+    determined, combinations = np.asarray(fit.determined), _determined_combinations(fit)
+    meaningless = float(fit.condition) > MEANINGLESS_CONDITION
+    result: list[Verdict] = []
     for i, coefficient in enumerate(network.coefficients):
         name, (low, high) = coefficient.name, interval[i]
         value, error = float(fit.k[i]), float(fit.standard_error[i])
-        if not determined[i]:
-            found.append(Verdict(name, "not determined", known[name]))
-            continue
-        part = abs(error / value) if value else np.inf
-        reason = f"standard error {_percent(part)} of it"
-        if inflation is not None and part > _WELL and inflation[i] > _ENTANGLED:
+        relative = abs(error / value) if value else np.inf
+        reason = f"standard error {_percent(relative)} of it"
+        if inflation is not None and relative > _WELL and inflation[i] > _CORRELATED:
             times = f"{np.sqrt(inflation[i]):.2g} times as large"
-            reason += f"; entangled with others, which alone makes it {times}"
-        if coefficient.positive and high < 0.0:
-            found.append(Verdict(name, "wrong sign", "positive for every possible body"))
+            reason += f"; correlated with others, which alone makes it {times}"
+        kind: VerdictKind = "well determined" if relative <= _WELL else "poorly determined"
+        if not determined[i]:
+            kind, reason = "not determined", combinations[name]
+        elif meaningless:
+            kind, reason = "poorly determined", f"condition number {float(fit.condition):.2g}"
+        elif coefficient.positive and high < 0.0:
+            kind, reason = "wrong sign", "positive for every possible body"
         elif low <= 0.0 <= high:
-            found.append(Verdict(name, "indistinguishable from zero", reason))
-        else:
-            word = "well determined" if part <= _WELL else "poorly determined"
-            found.append(Verdict(name, word, reason))
-    return tuple(found)
+            kind = "indistinguishable from zero"
+        result.append(Verdict(name, kind, reason))
+    return tuple(result)
 
 
 def _percent(part: float) -> str:
     return f"{100 * part:.2g} %" if part < 1.0 else f"{min(part, 1e9):.2g} times"
 
 
-def _known(fit: Identification) -> dict[str, str]:
-    """For each coefficient that is not determined, what is: the sentence of its group."""
+def _determined_combinations(fit: Identification) -> dict[str, str]:
+    """For each undetermined coefficient the combinations that are determined, as a sentence."""
     sentences: dict[str, str] = {}
     for sentence in fit.unidentifiable:
         group, _, text = sentence.partition(": ")
         for name in group.split(", "):
             sentences[name] = text
-    return {name: sentences.get(name, "the patterns do not tell it") for name in fit.names}
+    return {name: sentences.get(name, "the patterns do not determine it") for name in fit.names}

@@ -172,7 +172,7 @@ def torque_figure(network: jc.CSLC, one: Study) -> Any:
         },
         title=f"{one.name}: torques of the comparison trajectory",
         units=("N m",) * 6,
-        counts=one.judged.mask,
+        mask=one.judged.mask,
     )
 
 

@@ -1,0 +1,151 @@
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..identification import PhysicalParameters, physical_parameters
+from ..identification.report import text_table
+from ..identification.solver import Identification
+from ..motion import Patterns
+from ..network import CSLC
+from ._c_code import CCode
+from ._write_back import WrittenRobot, write_robot
+
+
+@dataclass(frozen=True, eq=False)
+class RobotExport:
+    """A robot file with identified parameters, and how they were found.
+
+    `print` shows what `jaxcslc export` prints.
+
+    **Attributes**
+
+    - `network`: that was identified.
+    - `parameters`: the possible link parameters nearest to the identified coefficients.
+    - `written`: the file, and the torques that it predicts when it is read again.
+    - `measured`: whether torques were compared over recorded motion, not over random states.
+    """
+
+    network: CSLC
+    parameters: PhysicalParameters
+    written: WrittenRobot
+    measured: bool
+
+    def __str__(self) -> str:
+        written, parameters = self.written, self.parameters
+        units = self.network.robot.torque_units
+        rows = [
+            [str(j + 1), f"{parameters.torque_distance[j]:.3g}", f"{written.rms[j]:.1e}", units[j]]
+            for j in range(len(units))
+        ]
+        states = "the recording's motion" if self.measured else "random states"
+        header = ["joint", "cost of being possible", "file against parameters", "unit"]
+        lines = [
+            f"{self.network}\n",
+            f"{parameters.to_pandas().to_string(float_format=lambda x: f'{x:.5g}')}\n",
+            f"possible parameters are {parameters.distance:.3g} standard errors from the identified"
+            " coefficients (root mean square)",
+            f"\nRMS difference of torque over {states}",
+            text_table(header, rows),
+        ]
+        source = self.network.robot.source
+        if source is not None and source.format == "urdf":
+            lines.append("URDF has no element for motor inertia: it was fixed at zero")
+        if written.left_out:
+            lines.append(f"the file has no entry for {', '.join(written.left_out)}: left out")
+        lines.append(
+            f"\nwrote {written.path}; read again, it predicts the same torques to"
+            f" {np.max(written.largest):.1e} {' or '.join(dict.fromkeys(units))}"
+        )
+        return "\n".join(lines)
+
+
+def export_robot(
+    network: CSLC,
+    fit: Identification,
+    path: str | Path,
+    *,
+    motion: Patterns | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> RobotExport:
+    """Writes the possible parameters nearest to an identification into a copy of the robot's file.
+
+    Bodies that the robot's file fixes to a link keep what it says of them; motor inertia is zero
+    where the format has none.
+
+    **Arguments**
+
+    - `network`: derived from a robot that was read from a file.
+    - `fit`: of this network.
+    - `path`: of the file to write, of the same kind as the robot's own.
+    - `motion`: states at which torques are compared; random ones if omitted.
+    - `progress`: is called with a few words at the start of each step.
+
+    **Returns** a `RobotExport`.
+
+    **Raises** as `physical_parameters` and `write_robot`.
+
+    >>> import tempfile
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.export import export_robot
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     folder = Path(name)
+    ...     _ = (folder / "arm.toml").write_text("gravity = [0, -9.81, 0]\\n[[joint]]  # hinge\\n")
+    ...     network = jc.derive(jc.load_robot(folder / "arm.toml"), lengths="numeric")
+    ...     t = np.linspace(0, 5, 500)[:, None]
+    ...     motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    ...     torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
+    ...     torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    ...     patterns = jc.Patterns(t[:, 0], *motion, torque, pairs, pairs)
+    ...     fit = jc.Settings().fit(network, patterns)
+    ...     export = export_robot(network, fit, folder / "identified.toml", motion=patterns)
+    >>> bool(export.written.largest.max() < 1e-9)
+    True
+    """
+    report = progress or (lambda _: None)
+    source = network.robot.source
+    carried = source.carried if source is not None else None
+    fixed = carried if carried is not None and any(body is not None for body in carried) else None
+    motors = source is None or source.format != "urdf"
+    states = _random_states(network.joint_count) if motion is None else motion
+    report("fitting possible bodies")
+    parameters = physical_parameters(network, fit, fixed=fixed, patterns=states, motors=motors)
+    report("writing and reading again")
+    written = write_robot(network, parameters, path, states=(states.q, states.qd, states.qdd))
+    return RobotExport(network, parameters, written, motion is not None)
+
+
+def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
+    """Writes C code as a source file and the header that it includes.
+
+    **Arguments**
+
+    - `code`: from `c_code`.
+    - `path`: of the source file; by default the code's name in the current folder.
+
+    **Returns** source and header.
+
+    **Raises**
+
+    - `ValueError`: a name that does not end in .c.
+    - `OSError`: the files cannot be written.
+    """
+    source = Path(f"{code.name}.c" if path is None else path)
+    if source.suffix != ".c":
+        raise ValueError(f"{source}: expected a name ending in .c")
+    header = source.with_suffix(".h")
+    # The source includes its header by name.
+    text = code.source.replace(f'#include "{code.name}.h"', f'#include "{header.name}"')
+    source.parent.mkdir(parents=True, exist_ok=True)
+    header.write_text(code.header, encoding="ascii")
+    source.write_text(text, encoding="ascii")
+    return source, header
+
+
+def _random_states(joints: int) -> Patterns:
+    """A hundred random states, as patterns without torques."""
+    unit = np.random.default_rng(0).uniform(-1, 1, (3, 100, joints))
+    q, qd, qdd = unit * [[[np.pi]], [[1.0]], [[1.0]]]
+    mask = np.ones(q.shape, bool)
+    return Patterns(np.arange(100.0), q, qd, qdd, 0 * q, mask, mask)

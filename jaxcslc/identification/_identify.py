@@ -1,0 +1,132 @@
+import contextlib
+from collections.abc import Callable, Generator, Mapping, Sequence
+from types import MappingProxyType
+
+from ..motion import Patterns, Recording
+from ..network import CSLC
+from ._held_out import cross_validated_error, held_out_error
+from ._selection import choose_settings
+from ._settings import Settings
+from ._slopes import fit_slopes
+from .report import Report, compare, degree_of_excitation, fit_warnings
+from .solver import Identification, Previous
+
+
+def identify(
+    network: CSLC,
+    training: Recording,
+    validation: Recording | None = None,
+    settings: Settings | None = None,
+    *,
+    previous: Previous | None = None,
+    groups: Sequence[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Identifies a robot's coefficients from a recording, and judges the result.
+
+    Chooses settings, prepares patterns, fits the slopes of static friction where the network has
+    it, fits the coefficients, and evaluates excitation and torque errors: on the validation
+    recording or, without one, by cross-validation within the training recording.
+    `jaxcslc identify` prints and saves the report that this function returns.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `training`: the recording to fit.
+    - `validation`: a recording to judge the fit on; no coefficient depends on it.
+    - `settings`: of preparation and fit; by default those that `choose_settings` finds for the
+      training recording.
+    - `previous`: an identification of the same network, or its (p,) coefficients. Only the
+      coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
+    - `groups`: coefficients to re-identify, by group (`"viscous"`, `"dry"`, ...) or name.
+    - `progress`: is called with a few words at the start of each step.
+
+    **Returns** a `Report`.
+
+    **Raises**
+
+    - `ValueError`: only one of `previous` and `groups`; groups or a previous identification that
+      are not the network's; a recording that cannot be used, named as training or validation
+      recording.
+    - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
+    >>> report = jc.identify(network, jc.Recording(t[:, 0], q, torque), settings=jc.Settings())
+    >>> np.round(report.k, 3).tolist()
+    [0.5, 0.3, -0.1, 0.2, 0.05]
+    """
+    if (previous is None) != (groups is None):
+        raise ValueError("identify: got one of previous and groups; expected both or neither")
+    step = progress or without_progress
+    step("choosing settings")
+    with recording_named("training"):
+        settings = choose_settings(network, training).settings if settings is None else settings
+    step("preparing patterns")
+    patterns = _patterns(settings, training, validation)
+    slopes = None
+    if previous is None and "static" in network.robot.friction_terms:
+        step("fitting slopes of static friction")
+        slopes = fit_slopes(network, patterns["training"], solver=settings.solver)
+        network = slopes.network
+    step("fitting coefficients")
+    vectors = {}
+    if previous is None or groups is None:
+        fit = settings.fit(network, patterns["training"])
+    else:
+        fit = settings.reidentify(network, patterns["training"], previous, groups)
+        vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
+    step("computing errors")
+    errors = {
+        name: compare(network, values, {"fit": fit.k, **vectors})
+        for name, values in patterns.items()
+    }
+    excitation = degree_of_excitation(network, patterns["training"]) if previous is None else None
+    held_out = None
+    if validation is not None:
+        held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
+    elif previous is None:
+        held_out = cross_validated_error(network, patterns["training"], settings)
+    warnings = [*(() if held_out is None else held_out.warnings)]
+    warnings += fit_warnings(network, training, fit, errors["training"])
+    return Report(
+        network,
+        settings,
+        fit,
+        patterns,
+        MappingProxyType(errors),
+        excitation,
+        held_out,
+        slopes,
+        None if groups is None else tuple(groups),
+        tuple(warnings),
+    )
+
+
+def _patterns(
+    settings: Settings, training: Recording, validation: Recording | None
+) -> Mapping[str, Patterns]:
+    recordings = {"training": training, "validation": validation}
+    patterns: dict[str, Patterns] = {}
+    for name, recording in recordings.items():
+        if recording is not None:
+            with recording_named(name):
+                patterns[name] = settings.patterns(recording)
+    return MappingProxyType(patterns)
+
+
+@contextlib.contextmanager
+def recording_named(recording: str) -> Generator[None]:
+    """Adds to an error's message which recording it is about."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{recording} recording: {error}") from None
+
+
+def without_progress(step: str) -> None:
+    del step

@@ -1,0 +1,145 @@
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...motion import Patterns
+from ...network import CSLC
+from ...plotting import save_picture, torque_picture
+from .._held_out import HeldOut
+from .._settings_document import settings_document
+from ._coefficient_table import coefficient_rows
+from ._errors import ErrorTable, predicted_torque
+from ._output import write_csv, write_json
+
+
+if TYPE_CHECKING:
+    from ._report import Report
+
+
+RECORDINGS = ("training", "validation")
+# States of the motion that are stored beside the coefficients.
+_STATES = 100
+
+
+def write_report(folder: Path, report: "Report", *, pictures: bool) -> list[Path]:
+    """Writes the files of a report into a folder that exists.
+
+    **Returns** the files: `coefficients.csv`, `identification.json`, and for every recording
+    `errors_NAME.csv`, `torque_NAME.csv` and, with `pictures`, `torque_NAME.png`.
+    """
+    network = report.network
+    coefficients, document = folder / "coefficients.csv", folder / "identification.json"
+    write_csv(coefficients, coefficient_rows(network, report.fit, excitation=report.excitation))
+    write_json(document, report_document(report))
+    written = [coefficients, document]
+    for name, patterns in report.patterns.items():
+        errors, torque, picture = recording_files(folder, name)
+        predicted = np.asarray(predicted_torque(network, patterns, report.fit.k))
+        write_csv(errors, _error_rows(patterns, report.errors[name]))
+        _write_torque(torque, patterns, predicted)
+        written += [errors, torque]
+        if pictures:
+            _draw_torque(picture, name, network, patterns, predicted)
+            written.append(picture)
+    return written
+
+
+def recording_files(folder: Path, name: str) -> tuple[Path, Path, Path]:
+    """The files about one recording: its errors, its torques and their picture."""
+    stems = (f"errors_{name}.csv", f"torque_{name}.csv", f"torque_{name}.png")
+    errors, torque, picture = (folder / stem for stem in stems)
+    return errors, torque, picture
+
+
+def report_document(report: "Report") -> dict[str, Any]:
+    """A report as plain data, without its patterns.
+
+    It holds every entry of `Identification.document`, so that `Identification.load` reads it too.
+    """
+    network, fit, errors = report.network, report.fit, report.errors
+    document: dict[str, Any] = {
+        "robot": network.robot.name,
+        "lengths": network.algebra.lengths,
+        "settings": settings_document(report.settings),
+    }
+    if network.static_slopes is not None:
+        document["static_slopes"] = np.asarray(network.static_slopes, float)
+    document |= {
+        "friction": list(network.robot.friction),
+        "coupled": [list(pair) for pair in network.robot.coupled],
+        "expressions": [coefficient.expression for coefficient in network.coefficients],
+        "units": [coefficient.unit for coefficient in network.coefficients],
+        "unidentifiable": fit.unidentifiable,
+        **fit.document(),
+    }
+    if report.excitation is not None:
+        document["least_determined"] = report.excitation.worst_combination
+    if report.held_out is not None:
+        document["held_out"] = _held_out(report.held_out)
+    return document | {
+        "torque_error_rms": {name: table.rms[0] for name, table in errors.items()},
+        "torque_error_rms_all_samples": {
+            name: table.rms_all_samples[0] for name, table in errors.items()
+        },
+        "share_judged": {name: table.share_judged for name, table in errors.items()},
+        "warnings": report.warnings,
+        "motion": _some_motion(report.patterns["training"]),
+    }
+
+
+def _some_motion(patterns: Patterns) -> dict[str, np.ndarray]:
+    """States of the recording, evenly spaced: enough to compare torques over it later."""
+    every = max(len(np.asarray(patterns.time)) // _STATES, 1)
+    return {name: np.asarray(getattr(patterns, name))[::every] for name in ("q", "qd", "qdd")}
+
+
+def _held_out(held_out: HeldOut) -> dict[str, Any]:
+    return {
+        "training_rms": held_out.training,
+        "held_out_rms": held_out.held_out,
+        "limit": held_out.limit,
+        "beyond_chance": held_out.beyond_chance,
+    }
+
+
+def _error_rows(patterns: Patterns, errors: ErrorTable) -> list[dict[str, float | int]]:
+    judged = np.sum(np.asarray(patterns.mask), axis=0)
+    return [
+        {
+            "joint": joint + 1,
+            "rms": float(errors.rms[0, joint]),
+            "mean_modulus": float(errors.mean_modulus[0, joint]),
+            "judged_samples": int(judged[joint]),
+            "samples": patterns.samples,
+            "share_judged": float(errors.share_judged[joint]),
+            "rms_all_samples": float(errors.rms_all_samples[0, joint]),
+        }
+        for joint in range(patterns.joints)
+    ]
+
+
+def _write_torque(path: Path, patterns: Patterns, predicted: np.ndarray) -> None:
+    columns = {
+        "measured": np.asarray(patterns.torque),
+        "predicted": predicted,
+        "mask": np.asarray(patterns.mask, float),
+    }
+    header = [f"{name}_{joint + 1}" for name in columns for joint in range(patterns.joints)]
+    table = np.concatenate([np.asarray(patterns.time)[:, None], *columns.values()], axis=1)
+    text = ",".join(["time", *header])
+    np.savetxt(path, table, delimiter=",", header=text, comments="", fmt="%.10g")
+
+
+def _draw_torque(
+    path: Path, name: str, network: CSLC, patterns: Patterns, predicted: np.ndarray
+) -> None:
+    figure = torque_picture(
+        np.asarray(patterns.time),
+        np.asarray(patterns.torque),
+        {"predicted": predicted},
+        title=f"{network.robot.name}: torque of the {name} recording",
+        units=network.robot.torque_units,
+        mask=np.asarray(patterns.mask),
+    )
+    save_picture(figure, path)

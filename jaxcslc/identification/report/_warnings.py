@@ -1,0 +1,49 @@
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...motion import Recording
+from ...network import CSLC
+from ..solver import Identification
+from ._errors import ErrorTable
+from ._verdicts import MEANINGLESS_CONDITION
+
+
+def fit_warnings(
+    network: CSLC, recording: Recording, fit: Identification, errors: ErrorTable
+) -> Iterator[str]:
+    """Warnings about a fit, its training recording and how it explains the recorded torque.
+
+    **Arguments**
+
+    - `network`: n joints.
+    - `recording`: of n joints, that was fitted.
+    - `fit`: to that recording.
+    - `errors`: of the fit, on that recording.
+
+    **Returns** one sentence for a meaningless condition number, and one for each joint that does
+    not move, whose torque is constant, or of whose torque's variance the fit explains less than
+    half, as with a wrong unit.
+    """
+    if float(fit.condition) > MEANINGLESS_CONDITION:
+        yield (
+            f"condition number {float(fit.condition):.2g} exceeds {MEANINGLESS_CONDITION:.0g}: no"
+            " coefficient is well determined, whatever its standard error; use a motion that"
+            " excites more, or fewer terms"
+        )
+    for joint in np.flatnonzero(np.ptp(recording.position, axis=0) == 0) + 1:
+        yield (
+            f"joint {joint} does not move: coefficients that only its motion shows are not"
+            " determined"
+        )
+    deviation = np.std(recording.torque, axis=0)
+    rows = zip(np.asarray(errors.rms[0]), deviation, network.robot.torque_units, strict=True)
+    for joint, (rms, size, unit) in enumerate(rows, 1):
+        if size == 0:
+            yield f"joint {joint}: the measured torque is constant"
+        elif rms > np.sqrt(0.5) * size:
+            yield (
+                f"joint {joint}: training RMS {rms:.3g} {unit}, torque standard deviation"
+                f" {size:.3g} {unit}: the model explains less than half of the variance; check"
+                " units (rad, N m) and the signs of positions and torques"
+            )
