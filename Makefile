@@ -30,7 +30,7 @@ $(stamp): pyproject.toml constraints.txt
 	exit 1
 	@$(bin)/python -m pip install -qq --constraint constraints.txt pip hatchling editables
 	@$(bin)/python -m pip install -qq --constraint constraints.txt --no-build-isolation \
-	  --editable . --group dev
+	  --editable '.[all]' --group dev
 	@touch $@
 
 demo: $(stamp) ## perform the experiment of Chapter 7 on two simulated PUMA 560s, into build/demo

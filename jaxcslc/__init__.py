@@ -1,6 +1,8 @@
+import importlib as _importlib
 from importlib.metadata import version as _version
+from types import ModuleType as _ModuleType
+from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from . import adaptive as adaptive, training as training
 from .assessment import regress_friction as regress_friction
 from .derivation import Coefficient as Coefficient
 from .export import (
@@ -63,3 +65,13 @@ from .network import CSLC as CSLC, derive as derive
 
 
 __version__ = _version("jaxcslc")
+
+# Networks that learn take a quarter as long to import as all else: they load on first use.
+if _TYPE_CHECKING:
+    from . import adaptive as adaptive, training as training
+else:
+
+    def __getattr__(name: str) -> _ModuleType:
+        if name in ("adaptive", "training"):
+            return _importlib.import_module(f".{name}", __name__)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

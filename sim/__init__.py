@@ -1,3 +1,8 @@
+from jaxcslc._extras import require
+
+
+require("mujoco", "sim")
+
 from .engine import (
     Plant as Plant,
     SimulatedRecording as SimulatedRecording,

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from .._extras import MissingExtraError
 from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560
 from ..motion import RecordingError
 from ..network import CSLC, derive
@@ -106,7 +107,14 @@ def one_line_errors() -> Generator[None]:
         yield
     except BrokenPipeError:  # `head` closes the pipe early; typer exits quietly
         raise
-    except (RobotError, RecordingError, ValueError, RuntimeError, OSError) as error:
+    except (
+        RobotError,
+        RecordingError,
+        MissingExtraError,
+        ValueError,
+        RuntimeError,
+        OSError,
+    ) as error:
         message = " ".join(str(error).split()) or type(error).__name__
         print(f"jaxcslc: {message}", file=sys.stderr)
         raise typer.Exit(2) from None

@@ -3,9 +3,10 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.special import fdtri
 
+from .._extras import require
 from ..motion import Patterns
 from ..network import CSLC
 from ._settings import Settings
@@ -79,7 +80,7 @@ lack a term
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, one row a joint, counted from 1."""
-        import pandas
+        pandas = require("pandas", "tables")
 
         return pandas.DataFrame(
             {
@@ -199,7 +200,7 @@ def _judged(
     others, others_worth = _root_mean_square(held_out, held_out_mask)
     share = min(rank / max(float(worth.sum()), 1.0), 0.9)
     freedom = np.maximum(worth * (1.0 - share), 1.0)
-    chance = fdtri(np.maximum(others_worth, 1.0), freedom, 1.0 - _CHANCE)
+    chance = scipy.special.fdtri(np.maximum(others_worth, 1.0), freedom, 1.0 - _CHANCE)
     return HeldOut(own, others, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
 
 

@@ -4,8 +4,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float, Int
-from scipy.special import stdtrit
 
 from ..manipulator import LinkParameters
 from ..network.terms import PAYLOAD
@@ -135,9 +135,8 @@ class PayloadFit(eqx.Module):
         """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level is {level}; expected more than 0 and less than 1")
-        half = float(stdtrit(float(self.fit.degrees_of_freedom), 0.5 + 0.5 * level)) * np.asarray(
-            self.physical_error
-        )
+        quantile = scipy.special.stdtrit(float(self.fit.degrees_of_freedom), 0.5 + 0.5 * level)
+        half = float(quantile) * np.asarray(self.physical_error)
         value = np.asarray(self.physical)
         return np.stack([value - half, value + half], axis=-1)
 

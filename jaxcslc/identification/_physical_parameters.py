@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._extras import require
 from ..inertia import Fitted, NearestBodies, bodies_of, constrained, link_of
 from ..manipulator import LinkParameters
 from ..motion import Patterns
@@ -79,7 +80,7 @@ class PhysicalParameters:
 
     def to_pandas(self) -> "pandas.DataFrame":
         """One row a link: mass, centre of gravity, tensor there and motor inertia, in SI units."""
-        import pandas
+        pandas = require("pandas", "tables")
 
         index = pandas.RangeIndex(1, len(self.links) + 1, name="link")
         return pandas.DataFrame([_row(link) for link in self.links], index=index)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .._extras import require
 from ..motion import Derivatives, Patterns, Preparation, Recording, zero_phase
 from ..network import CSLC
 from ._candidates import Candidates
@@ -68,7 +69,7 @@ class Selection:
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, one row a trial: its settings in words, its score and its error of
         each joint [N m or N]."""
-        import pandas
+        pandas = require("pandas", "tables")
 
         return pandas.DataFrame(
             [

@@ -4,6 +4,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from .._extras import require
+
 
 _UPPER = [(a, b) for a in range(4) for b in range(a, 4)]
 _ROUNDING = 1e-12
@@ -73,13 +75,8 @@ def semidefinite_least_squares(
 
 def _conic_solver() -> Any:
     """CVXPY with Clarabel; they take a second to import and few fits need them."""
-    try:
-        import cvxpy
-    except ImportError:
-        raise ImportError(
-            "possible link parameters need a conic solver: pip install 'jaxcslc[inertia]'"
-        ) from None
-    return cvxpy
+    require("clarabel", "inertia")
+    return require("cvxpy", "inertia")
 
 
 def _expansion(bodies: int, others: int) -> Float[np.ndarray, "unknowns independent"]:

@@ -8,6 +8,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from jaxtyping import Float
 
+from .._extras import require
 from ._errors import RobotError
 from ._joint import JointKind
 from ._link_parameters import LinkParameters
@@ -119,7 +120,7 @@ def _read(path: Path, urdf: bool) -> BodyTree:
 
 
 def _parsed(path: Path, urdf: bool) -> Any:
-    import mujoco  # not needed by those who have no such file
+    mujoco: Any = require("mujoco", "urdf")  # not needed by those who have no such file
 
     # MuJoCo chooses its reader by the suffix, and has none for ".URDF" and ".mjcf".
     if urdf:
@@ -140,7 +141,7 @@ def _without_warnings() -> Generator[None]:
 
     They are about limits, looks and the like, which are not read.
     """
-    import mujoco
+    mujoco: Any = require("mujoco", "urdf")
 
     def ignore(_: str) -> None:
         pass
@@ -193,7 +194,7 @@ def _fault(
 
 def _without_looks(spec: Any, urdf: bool) -> set[str]:
     """Take out all that is no body and no joint; names bodies whose inertia would be a mesh's."""
-    import mujoco
+    mujoco: Any = require("mujoco", "urdf")
 
     unknown: set[str] = set()
     primitive = {

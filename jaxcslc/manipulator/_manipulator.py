@@ -3,6 +3,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from .._extras import require
 from ._errors import RobotError
 from ._friction import (
     FRICTION_TERMS,
@@ -280,7 +281,7 @@ class Manipulator:
         >>> jc.puma560().to_pandas()[["alpha", "a", "mass"]].loc[3].tolist()
         [0.0, 0.4318, 4.8]
         """
-        import pandas
+        pandas = require("pandas", "tables")
 
         rows: list[dict[str, Any]] = []
         for i, joint in enumerate(self.joints):

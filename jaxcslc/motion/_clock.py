@@ -1,7 +1,6 @@
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.interpolate import PchipInterpolator
-from scipy.ndimage import maximum_filter1d
 
 from ._recording import Recording, RecordingError, without_stale_rows
 from ._sampling import noise_level
@@ -93,7 +92,7 @@ def resample(
     at = np.minimum(time, end)
 
     def between(values: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray, "new joints"]:
-        return PchipInterpolator(fresh.time, values, axis=0)(at)
+        return scipy.interpolate.PchipInterpolator(fresh.time, values, axis=0)(at)
 
     return Recording(
         time,
@@ -199,7 +198,7 @@ def _time_passed(
     squared = np.maximum(np.sum(between**2, axis=1), np.finfo(np.float64).tiny)
     passed = np.sum(np.diff(scaled, axis=0) * between, axis=1) / squared
     # Where the arm sets off or stops, smoothing makes a velocity of one that is not there yet.
-    steady = squared > 0.25 * maximum_filter1d(squared, 2 * spacing + 1)
+    steady = squared > 0.25 * scipy.ndimage.maximum_filter1d(squared, 2 * spacing + 1)
     return passed, np.where(steady, np.sqrt(2.0 / squared), np.inf)
 
 

@@ -1,7 +1,7 @@
 import equinox as eqx
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.optimize import minimize_scalar
 
 
 class Reversal(eqx.Module):
@@ -134,7 +134,7 @@ def _fitted(
         misfit = design @ coefficients - (values - extreme)
         return float(misfit @ misfit), float(coefficients[0])
 
-    found = minimize_scalar(
+    found = scipy.optimize.minimize_scalar(
         lambda instant: fit(instant)[0],
         bounds=(time[first], time[last]) if first < last else (near[0], near[-1]),
         method="bounded",

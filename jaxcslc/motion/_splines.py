@@ -2,9 +2,8 @@ from itertools import pairwise
 
 import equinox as eqx
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.interpolate import CubicHermiteSpline
-from scipy.linalg import solve_banded
 
 from ._sampling import noise_level
 from ._sections import find_reversals
@@ -195,7 +194,7 @@ def _average(
     axis = x - start.time + np.repeat(behind, counts + 2)
 
     slopes = _clamped_slopes(axis, y, firsts, lasts, start.velocity, end.velocity)
-    splines = CubicHermiteSpline(axis, y, slopes)
+    splines = scipy.interpolate.CubicHermiteSpline(axis, y, slopes)
     # A hair before its end a spline is itself; at its end, the piece to the next one has begun.
     within = np.minimum(time[inside] - start.time, duration * (1.0 - 1e-12))
     at = within + behind[:, None]
@@ -228,7 +227,7 @@ def _clamped_slopes(
         bands[1, ends], right[ends] = 1.0, slope
         bands[0, (ends + 1)[ends + 1 < x.size]] = 0.0
         bands[2, (ends - 1)[ends > 0]] = 0.0
-    return solve_banded((1, 1), bands, right)
+    return scipy.linalg.solve_banded((1, 1), bands, right)
 
 
 def _open_end(

@@ -1,7 +1,7 @@
 import equinox as eqx
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import minimize_scalar
 
 from ._masks import friction_thresholds
 
@@ -188,7 +188,7 @@ def _ramp(
     if not np.isfinite(misfits[best]):
         return _Ramp()
     around = (grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)])
-    finer = minimize_scalar(misfit, bounds=around, method="bounded")
+    finer = scipy.optimize.minimize_scalar(misfit, bounds=around, method="bounded")
     gamma = float(np.exp(finer.x if finer.fun < misfits[best] else grid[best]))
     coefficients, covariance, _ = _fitted(bins, gamma)
     excess, deviation = float(coefficients[2]), float(np.sqrt(covariance[2, 2]))

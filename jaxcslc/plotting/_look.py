@@ -1,5 +1,7 @@
 from typing import TYPE_CHECKING
 
+from .._extras import require
+
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,6 +25,5 @@ def new_figure(width: float, height: float) -> "Figure":
     >>> figure = new_figure(6.0, 4.0)
     >>> axes = figure.subplots()
     """
-    from matplotlib.figure import Figure  # takes 0.3 s, and most users of the package do not draw
-
-    return Figure(figsize=(width, height), layout="constrained")
+    matplotlib = require("matplotlib.figure", "plot")  # takes 0.3 s, and most users do not draw
+    return matplotlib.Figure(figsize=(width, height), layout="constrained")

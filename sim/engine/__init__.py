@@ -1,5 +1,4 @@
 from ._mjcf import mjcf as mjcf
-from ._mjx import perform_mjx as perform_mjx
 from ._plan import structure as structure
 from ._plant import Plant as Plant
 from ._simulate import (

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxcslc._extras import require
+
 from ..engine import Truth
 from ..machine import Load, Machine, MachineError
 from ._scene import Scene, holding
@@ -67,10 +69,8 @@ def film(
     path = Path(path)
     motions = [truths] if isinstance(truths, Truth) else list(truths)
     _check(path, motions, titles, speed, rate, size)
-    try:
-        import av  # of the study, not of the package
-    except ImportError as error:
-        raise MachineError("film: PyAV is missing; expected `pip install av`") from error
+    av = require("av", "film")
+    require("PIL", "film")
     pictures = Pictures(machine, motions, loads, titles, caption, size, view, floor)
     time = motions[0].time
     count = math.floor((time[-1] - time[0]) / speed * rate) + 1

@@ -4,6 +4,8 @@ from typing import Literal, NamedTuple
 
 from tqdm import tqdm
 
+from jaxcslc._extras import require
+
 from ..engine import SimulatedRecording, SimulationError, perform, structure, thread_count
 from ..machine import Machine, MachineError
 from ..trajectory import Trajectory
@@ -157,7 +159,8 @@ def _runner(
     backend: Backend, threads: int | None
 ) -> Callable[[list[Job], Callable[[int], object]], Sequence[SimulatedRecording | SimulationError]]:
     if backend == "mjx":
-        from ..engine import perform_mjx
+        require("mujoco.mjx", "mjx")
+        from ..engine._mjx import perform_mjx
 
         return lambda jobs, advanced: perform_mjx(
             [job.machine for job in jobs],

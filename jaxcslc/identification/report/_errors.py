@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..._extras import require
 from ...motion import Patterns
 from ...network import CSLC
 from ..solver import filled_up
@@ -86,7 +87,7 @@ class ErrorTable(eqx.Module):
 
     def to_pandas(self) -> Any:
         """`rows()` as a `pandas.DataFrame`, a column for each coefficient vector [N m]."""
-        import pandas
+        pandas = require("pandas", "tables")
 
         rows = self.rows()
         return pandas.DataFrame(

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._extras import require
 from ...motion import Patterns
 from ...network import CSLC
 from ..solver import factorise, filled_up
@@ -78,7 +79,7 @@ class Excitation(eqx.Module):
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, one row a coefficient: variance inflation and `weakest`."""
-        import pandas
+        pandas = require("pandas", "tables")
 
         return pandas.DataFrame(
             {

@@ -8,6 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import stdtrit
 
+from ..._extras import require
 from ._identification_document import arrays_from, document_of, read_document, write_document
 from ._solution import RESULTS
 from ._undetermined import describe
@@ -125,7 +126,7 @@ class Identification(eqx.Module):
 
         - `level`: of the interval, as for `confidence_interval`.
         """
-        import pandas  # takes longer to import than a fit takes
+        pandas = require("pandas", "tables")
 
         interval = self.confidence_interval(level)
         return pandas.DataFrame(

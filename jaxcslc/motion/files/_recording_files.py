@@ -1,22 +1,13 @@
 import os
 import tempfile
 from collections.abc import Iterable, Iterator
-from itertools import chain
 from pathlib import Path
 
 import equinox as eqx
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pacsv
-import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from .. import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
-from ._recording_tables import open_table
-
-
-ROW_GROUP = 1 << 16
-"""Rows of a Parquet row group: what its readers must be able to hold at a time."""
 
 
 class RecordingChunk(eqx.Module):
@@ -78,6 +69,8 @@ def load_recording(path: str | os.PathLike[str], joints: int | None = None) -> R
     ...     load_recording(path).torque[:, 0].tolist()
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     """
+    from ._recording_tables import open_table  # loads Arrow, which others need not wait for
+
     path = Path(path)
     columns, pieces = open_table(path)
     _check_joints(path, columns.joints, joints)
@@ -130,6 +123,8 @@ def iterate_recording(
     """
     if chunk_rows < 1:
         raise ValueError(f"chunks of {chunk_rows} rows; expected 1 or more")
+    from ._recording_tables import open_table  # loads Arrow, which others need not wait for
+
     path = Path(path)
     columns, pieces = open_table(path)
     _check_joints(path, columns.joints, joints)
@@ -192,6 +187,8 @@ def save_recording(
     ...     bool((load_recording(path).position[:, 0] == np.sin(time)).all())
     True
     """
+    from ._recording_tables import write_tables
+
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".csv", ".parquet"):
@@ -202,48 +199,20 @@ def save_recording(
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
             unfinished = Path(folder) / path.name
-            _write(parts, unfinished, path)
+            write_tables(map(_columns_of, parts), unfinished, path)
             unfinished.replace(path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _write(parts: Iterable[Recording | RecordingChunk], unfinished: Path, path: Path) -> None:
-    tables = map(_as_table, parts)
-    first = next(tables, None)
-    if first is None:
-        raise RecordingError(f"{path}: no parts of a recording to write; expected one or more")
-    with _writer(unfinished, first.schema) as writer:
-        for table in chain([first], tables):
-            if table.schema != first.schema:
-                raise RecordingError(
-                    f"{path}: parts of the recording differ in their columns; expected "
-                    f"{', '.join(first.schema.names)} in each"
-                )
-            if isinstance(writer, pq.ParquetWriter):
-                writer.write_table(table, row_group_size=ROW_GROUP)
-            else:
-                writer.write_table(table)
-
-
-def _writer(unfinished: Path, schema: pa.Schema) -> pq.ParquetWriter | pacsv.CSVWriter:
-    if unfinished.suffix.lower() == ".parquet":
-        # Measured values hardly ever repeat: a dictionary of them would only be dropped again.
-        return pq.ParquetWriter(unfinished, schema, use_dictionary=False)
-    return pacsv.CSVWriter(
-        unfinished, schema, write_options=pacsv.WriteOptions(quoting_header="none")
-    )
-
-
-def _as_table(part: Recording | RecordingChunk) -> pa.Table:
-    columns = as_columns(
+def _columns_of(part: Recording | RecordingChunk) -> dict[str, Float[np.ndarray, " rows"]]:
+    return as_columns(
         part.time,
         position=part.position,
         torque=part.torque,
         velocity=part.velocity,
         acceleration=part.acceleration,
     )
-    return pa.table({name: pa.array(values) for name, values in columns.items()})
 
 
 def _check_joints(path: Path, found: int, expected: int | None) -> None:

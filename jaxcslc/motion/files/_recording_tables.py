@@ -1,5 +1,6 @@
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,9 @@ from ._recording_columns import Columns, checked_columns
 
 READ_BYTES = 1 << 20
 """How much of a file is read at a time: enough for speed, little beside a chunk's arrays."""
+
+ROW_GROUP = 1 << 16
+"""Rows of a Parquet row group: what its readers must be able to hold at a time."""
 
 
 def open_table(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
@@ -50,6 +54,47 @@ def open_table(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {_one_line(error)}") from error
     return columns, _checked(path, pieces)
+
+
+def write_tables(
+    tables: Iterable[dict[str, Float[np.ndarray, " rows"]]], unfinished: Path, path: Path
+) -> None:
+    """Writes successive tables of columns into one file.
+
+    **Arguments**
+
+    - `tables`: of the same columns each.
+    - `unfinished`: the file to write, `.csv` or `.parquet`.
+    - `path`: what the file will be called, for messages.
+
+    **Raises**
+
+    - `RecordingError`: no tables, or tables that differ in their columns.
+    """
+    arrow = (pa.table({name: pa.array(v) for name, v in table.items()}) for table in tables)
+    first = next(arrow, None)
+    if first is None:
+        raise RecordingError(f"{path}: no parts of a recording to write; expected one or more")
+    with _writer(unfinished, first.schema) as writer:
+        for table in chain([first], arrow):
+            if table.schema != first.schema:
+                raise RecordingError(
+                    f"{path}: parts of the recording differ in their columns; expected "
+                    f"{', '.join(first.schema.names)} in each"
+                )
+            if isinstance(writer, pq.ParquetWriter):
+                writer.write_table(table, row_group_size=ROW_GROUP)
+            else:
+                writer.write_table(table)
+
+
+def _writer(unfinished: Path, schema: pa.Schema) -> pq.ParquetWriter | pacsv.CSVWriter:
+    if unfinished.suffix.lower() == ".parquet":
+        # Measured values hardly ever repeat: a dictionary of them would only be dropped again.
+        return pq.ParquetWriter(unfinished, schema, use_dictionary=False)
+    return pacsv.CSVWriter(
+        unfinished, schema, write_options=pacsv.WriteOptions(quoting_header="none")
+    )
 
 
 def _open_csv(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
