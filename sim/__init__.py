@@ -1,4 +1,4 @@
-from jaxcslc._extras import require
+from jaxcslc._environment import require
 
 
 require("mujoco", "sim")

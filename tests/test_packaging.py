@@ -19,7 +19,8 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).parents[1]
 
 # Who may import whom, by folder of `jaxcslc`. What a folder may import, whoever imports that folder
-# may import too. A folder that is not named here fails the test: decide where it stands.
+# may import too. A folder that is not named here fails the test: decide where it stands. Every
+# folder may import `_environment`, which imports nothing of ours.
 LAYERS = {
     "manipulator": set[str](),
     "derivation": {"manipulator"},
@@ -29,7 +30,7 @@ LAYERS = {
     "adaptive": {"network", "motion"},
     "plotting": set[str](),
     "identification": {"network", "motion", "inertia", "plotting"},
-    "training": {"adaptive", "identification"},
+    "training": {"adaptive"},
     "assessment": {"identification"},
     "control": {"network"},
     "export": {"identification"},
@@ -73,7 +74,11 @@ def forbidden_imports(source: str, package: str) -> list[str]:
 
     def is_forbidden(name: str) -> bool:
         top, second = (*name.split("."), "")[:2]
-        climbs = bool(folder) and house == top == "jaxcslc" and second not in below(folder)
+        climbs = (
+            bool(folder)
+            and house == top == "jaxcslc"
+            and second not in {*below(folder), "_environment"}
+        )
         return top in outside or climbs
 
     return [name for name in imported(source, package) if is_forbidden(name)]
@@ -100,17 +105,23 @@ def pins() -> dict[str, str]:
     return {canonicalize_name(name): version for name, version in named}
 
 
+def pyproject() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
 def requirements() -> list[Requirement]:
-    """Everything that pyproject.toml asks for: to run, to build, to check and to test."""
-    table: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    """Everything that pyproject.toml asks for: to run, with every extra, to build and to test."""
+    table = pyproject()
     groups = [
         line
         for group in table["dependency-groups"].values()
         for line in group
         if isinstance(line, str)  # the rest are tables that include another group
     ]
-    lines = [*table["build-system"]["requires"], *table["project"]["dependencies"], *groups]
-    return [Requirement(line) for line in lines]
+    project = table["project"]
+    extras = [line for lines in project["optional-dependencies"].values() for line in lines]
+    lines = [*table["build-system"]["requires"], *project["dependencies"], *extras, *groups]
+    return [r for r in map(Requirement, lines) if r.name != project["name"]]
 
 
 def closure(wanted: Iterable[Requirement]) -> set[str]:
@@ -218,6 +229,7 @@ def test_every_folder_has_its_layer() -> None:
     [
         ("jaxcslc.network", "from ..manipulator import Manipulator", True),
         ("jaxcslc.network", "from ._tables import Table", True),
+        ("jaxcslc.manipulator", "from .._environment import require", True),
         ("jaxcslc.identification", "from jaxcslc.derivation import derive", True),
         ("jaxcslc.derivation", "import sympy", True),
         ("jaxcslc", "from .cli import main", True),
@@ -261,12 +273,120 @@ def test_configuring_is_read_from_the_source(source: str, configures: bool) -> N
     assert configures_jax(source) is configures
 
 
+def distributions(lines: Iterable[str]) -> set[str]:
+    return {canonicalize_name(Requirement(line).name) for line in lines}
+
+
+def required_modules(source: str) -> Iterator[tuple[str, str]]:
+    """What `source` loads through `require(module, extra)`: the module and its extra."""
+    for node in ast.walk(ast.parse(source)):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id == "require"
+            and len(node.args) == 2
+        ):
+            module, extra = map(ast.literal_eval, node.args)
+            yield module, extra
+
+
+def type_checking_only(source: str) -> set[str]:
+    """Names that `source` imports for annotations alone, below `if TYPE_CHECKING:`."""
+    return {
+        name
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+        for name in imported(ast.unparse(ast.Module(node.body, [])), "")
+    }
+
+
+def test_every_dependency_is_imported_and_every_import_declared() -> None:
+    """The base by `import`; an extra's libraries by `require`, or by `sim`, which requires them."""
+    project = pyproject()["project"]
+    base = distributions(project["dependencies"])
+    extras = {
+        name: distributions(lines) for name, lines in project["optional-dependencies"].items()
+    }
+    of_module = importlib.metadata.packages_distributions()
+
+    def distribution(module: str) -> set[str]:
+        top, second = (*module.split("."), "")[:2]
+        # MuJoCo's package for GPUs installs into MuJoCo's folder.
+        if (top, second) == ("mujoco", "mjx"):
+            return {"mujoco-mjx"}
+        names = {canonicalize_name(name) for name in of_module.get(top, ())}
+        return {"mujoco"} if any(name.startswith("mujoco-core") for name in names) else names
+
+    wrong: list[str] = []
+    used: set[str] = set()
+    for package in ("jaxcslc", "sim"):
+        allowed = base.union(*(extras[e] for e in ("sim", "mjx", "film") if package == "sim"))
+        for path in sources(ROOT / package):
+            source = path.read_text()
+            for module, extra in required_modules(source):
+                names = distribution(module)
+                used |= names
+                if not names <= extras[extra]:
+                    wrong.append(f"{path.relative_to(ROOT)}: {module} is not in {extra}")
+            hints = type_checking_only(source)
+            for module in set(imported(source, package_of(path))) - hints:
+                top = module.split(".")[0]
+                if top in sys.stdlib_module_names or top in ("jaxcslc", "sim"):
+                    continue
+                names = distribution(module)
+                used |= names
+                if not names & allowed:
+                    wrong.append(f"{path.relative_to(ROOT)}: {module} is not declared")
+    assert wrong == []
+    ours = canonicalize_name(project["name"])
+    asked = base.union(*extras.values()) - {ours}
+    # jax brings jaxlib; sympy finds python-flint by itself, cvxpy finds clarabel.
+    assert asked - used <= {"python-flint", "clarabel"}
+
+
+# What needs an extra, and the extra. The conic solver has two libraries: either may be missing.
+NEEDS_AN_EXTRA = {
+    "jaxcslc.puma560().to_pandas()": ("pandas", "tables"),
+    "jaxcslc.load_robot('tests/data/puma560.xml')": ("mujoco", "urdf"),
+    "import sim": ("mujoco", "sim"),
+    "from jaxcslc.plotting import _look; _look.new_figure(3, 2)": ("matplotlib.figure", "plot"),
+    "from jaxcslc.inertia import _semidefinite as s; s._conic_solver()": ("clarabel", "inertia"),
+    "del sys.modules['clarabel']; s._conic_solver()": ("cvxpy", "inertia"),
+}
+
+
+def test_a_missing_extra_is_named_with_the_command_that_installs_it() -> None:
+    """With the libraries out of reach, in a process of its own; the package imports without."""
+    program = (
+        "import sys\n"
+        "missing = ('pandas', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel')\n"
+        "sys.modules.update(dict.fromkeys(missing))\n"
+        "import jaxcslc\n"
+        f"for code in {list(NEEDS_AN_EXTRA)!r}:\n"
+        "    try:\n"
+        "        exec(code)\n"
+        "    except ImportError as error:\n"
+        "        print(error)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert run.stdout.splitlines() == [
+        f"{module} is not installed: pip install 'jaxcslc[{extra}]'"
+        for module, extra in NEEDS_AN_EXTRA.values()
+    ]
+
+
 def test_importing_the_library_leaves_everything_as_it_was() -> None:
-    """No output, no change of JAX's configuration, no simulator."""
+    """No output, no change of JAX's configuration, nothing heavy that most users do not need."""
     program = (
         "import jax; before = dict(jax.config.values); import jaxcslc, sys; "
         "assert dict(jax.config.values) == before; "
-        "assert not {'sim', 'mujoco', 'matplotlib.pyplot', 'cvxpy', 'tomlkit'} & sys.modules.keys()"
+        "heavy = {'sim', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel', 'pandas', 'tomlkit', "
+        "'sympy', 'optimistix', 'scipy.interpolate', 'scipy.optimize', 'scipy.signal', "
+        "'scipy.special', 'tqdm', 'typer', 'jaxcslc.adaptive', 'jaxcslc.training'}; "
+        "assert not heavy & sys.modules.keys(), heavy & sys.modules.keys(); "
+        "assert jaxcslc.training.train and jaxcslc.adaptive.AdaptiveNetwork"
     )
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", program], cwd=ROOT, capture_output=True, text=True

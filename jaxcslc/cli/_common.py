@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from .._extras import MissingExtraError
+from .._environment import MissingExtraError
 from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560
 from ..motion import RecordingError
 from ..network import CSLC, derive

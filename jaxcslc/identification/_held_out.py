@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from .._extras import require
+from .._environment import require
 from ..motion import Patterns
 from ..network import CSLC
 from ._settings import Settings

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .._extras import require
+from .._environment import require
 from ..inertia import Fitted, NearestBodies, bodies_of, constrained, link_of
 from ..manipulator import LinkParameters
 from ..motion import Patterns

@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._extras import require
+from .._environment import require, require_float64
 from ..motion import Derivatives, Patterns, Preparation, Recording, zero_phase
 from ..network import CSLC
 from ._candidates import Candidates
 from ._settings import Settings
-from .solver import require_float64
 
 
 # Fewer judged samples of a joint in one fold say little.

@@ -5,7 +5,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from ..motion import Patterns
@@ -109,6 +108,8 @@ def fit_slopes(
             f"{network.robot.name!r} has no static friction, whose slopes could be fitted;"
             ' give its robot the friction term "static"'
         )
+    import optimistix as optx  # loads when a fit needs it
+
     solver = dataclasses.replace(solver or LeastSquares(), errors="independent")
     joint_weights = solver.joint_weights
     if blocks is not None and not 2 <= blocks <= patterns.samples:
@@ -248,6 +249,8 @@ def _residuals(logs: Float[Array, " slopes"], problem: _Problem) -> Float[Array,
 
 
 def _search(problem: _Problem, logs: Array, max_steps: int) -> Any:
+    import optimistix as optx
+
     return optx.least_squares(
         _residuals,  # by name: a function made anew would be compiled anew
         optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),

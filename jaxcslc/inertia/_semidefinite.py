@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._extras import require
+from .._environment import require
 
 
 _UPPER = [(a, b) for a in range(4) for b in range(a, 4)]

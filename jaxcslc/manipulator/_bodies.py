@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from jaxtyping import Float
 
-from .._extras import require
+from .._environment import require
 from ._errors import RobotError
 from ._joint import JointKind
 from ._link_parameters import LinkParameters

@@ -3,7 +3,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .._extras import require
+from .._environment import require
 from ._errors import RobotError
 from ._friction import (
     FRICTION_TERMS,

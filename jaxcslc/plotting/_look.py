@@ -1,6 +1,6 @@
 from typing import TYPE_CHECKING
 
-from .._extras import require
+from .._environment import require
 
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 from tqdm import tqdm
 
+from .._environment import require_float64
 from ..adaptive import AdaptiveNetwork
-from ..identification.solver import require_float64
 from ._checkpoint import Checkpoint
 from ._epoch import Record, State, epoch
 from ._examples import Examples

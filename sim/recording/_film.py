@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc._extras import require
+from jaxcslc._environment import require
 
 from ..engine import Truth
 from ..machine import Load, Machine, MachineError
@@ -54,7 +54,8 @@ def film(
 
     **Raises**
 
-    - `MachineError`: PyAV, Pillow or OpenGL is missing; truths, titles or numbers that do not fit.
+    - `ImportError`: PyAV or Pillow is missing, with the command that installs them.
+    - `MachineError`: OpenGL is missing; truths, titles or numbers that do not fit.
 
     ```python
     >>> import sim

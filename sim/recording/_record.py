@@ -4,7 +4,7 @@ from typing import Literal, NamedTuple
 
 from tqdm import tqdm
 
-from jaxcslc._extras import require
+from jaxcslc._environment import require
 
 from ..engine import SimulatedRecording, SimulationError, perform, structure, thread_count
 from ..machine import Machine, MachineError

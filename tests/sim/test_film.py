@@ -108,5 +108,5 @@ def test_films_that_cannot_be_made_are_refused(tmp_path: Path):
 def test_a_film_needs_pyav(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     _, truth = sim.simulate(sim.puma560(), sim.training(samples=5))
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(sim.MachineError, match="PyAV is missing"):
+    with pytest.raises(ImportError, match=r"av is not installed: pip install 'jaxcslc\[film\]'"):
         sim.film(tmp_path / "arm.mp4", sim.puma560(), truth)

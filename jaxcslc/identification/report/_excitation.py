@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._extras import require
+from ..._environment import require
 from ...motion import Patterns
 from ...network import CSLC
 from ..solver import factorise, filled_up

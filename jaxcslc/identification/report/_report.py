@@ -5,6 +5,7 @@ from typing import Any
 
 from jaxtyping import Array, Float
 
+from ..._environment import require
 from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import HeldOut
@@ -82,7 +83,7 @@ class Report:
 
         - `level`: of the confidence intervals.
         """
-        import pandas
+        pandas = require("pandas", "tables")
 
         return pandas.DataFrame(self.rows(level)).set_index("name").rename_axis("coefficient")
 

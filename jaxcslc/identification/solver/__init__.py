@@ -1,7 +1,6 @@
 from ._compiled import (
     filled_up as filled_up,
     regressor_of as regressor_of,
-    require_float64 as require_float64,
 )
 from ._correlated import ERRORS as ERRORS, Errors as Errors, effective_counts as effective_counts
 from ._equations import Equations as Equations, equations_of as equations_of

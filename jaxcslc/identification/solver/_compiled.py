@@ -1,5 +1,4 @@
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -35,12 +34,3 @@ def regressor_of(network: CSLC, patterns: Patterns) -> Float[Array, "samples joi
 @eqx.filter_jit
 def _regressor(network: CSLC, q: Array, qd: Array, qdd: Array) -> Array:
     return network.regressor(q, qd, qdd)
-
-
-def require_float64(*arrays: Array | np.ndarray) -> None:
-    """**Raises** `ValueError` unless JAX computes in float64 and the arrays are in it."""
-    if not jax.config.read("jax_enable_x64") or any(x.dtype != np.float64 for x in arrays):
-        raise ValueError(
-            "identification needs float64: switch it on in the program's first lines with"
-            " jax.config.update('jax_enable_x64', True)"
-        )

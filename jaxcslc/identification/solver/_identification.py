@@ -4,11 +4,11 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
-from scipy.special import stdtrit
 
-from ..._extras import require
+from ..._environment import require
 from ._identification_document import arrays_from, document_of, read_document, write_document
 from ._solution import RESULTS
 from ._undetermined import describe
@@ -114,7 +114,7 @@ class Identification(eqx.Module):
         """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level is {level}; expected more than 0 and less than 1")
-        quantile = float(stdtrit(float(self.degrees_of_freedom), 0.5 + 0.5 * level))
+        quantile = float(scipy.special.stdtrit(float(self.degrees_of_freedom), 0.5 + 0.5 * level))
         half = quantile * np.asarray(self.standard_error)
         k = np.asarray(self.k)
         return np.stack([k - half, k + half], axis=-1)

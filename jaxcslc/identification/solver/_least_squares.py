@@ -8,9 +8,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from ..._environment import require_float64
 from ...motion import Patterns
 from ...network import CSLC
-from ._compiled import filled_up, regressor_of, require_float64
+from ._compiled import filled_up, regressor_of
 from ._correlated import ERRORS, Errors
 from ._equations import Equations, equations_of
 from ._factors import JointFactors, factorise

@@ -1,7 +1,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.linalg
+import scipy
 from jaxtyping import Float
 
 

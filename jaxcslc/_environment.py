@@ -1,15 +1,12 @@
 import importlib
 from types import ModuleType
 
+import jax
+import numpy as np
+
 
 class MissingExtraError(ImportError):
-    """A library that an extra of the package installs is needed and is not installed.
-
-    >>> raise MissingExtraError("cvxpy is not installed: pip install 'jaxcslc[inertia]'")
-    Traceback (most recent call last):
-    ...
-    jaxcslc._extras.MissingExtraError: cvxpy is not installed: pip install 'jaxcslc[inertia]'
-    """
+    """A library that an extra of the package installs is needed and is not installed."""
 
 
 def require(module: str, extra: str) -> ModuleType:
@@ -28,10 +25,10 @@ def require(module: str, extra: str) -> ModuleType:
 
     >>> require("math", "sim").sqrt(4.0)
     2.0
-    >>> require("no_such_library", "sim")
+    >>> require("missing_library", "sim")
     Traceback (most recent call last):
     ...
-    jaxcslc._extras.MissingExtraError: no_such_library is not installed: pip install 'jaxcslc[sim]'
+    jaxcslc._environment.MissingExtraError: missing_library is not installed: pip install ...
     """
     try:
         return importlib.import_module(module)
@@ -42,3 +39,19 @@ def require(module: str, extra: str) -> ModuleType:
         raise MissingExtraError(
             f"{module} is not installed: pip install 'jaxcslc[{extra}]'", name=error.name
         ) from None
+
+
+def require_float64(*arrays: jax.Array | np.ndarray) -> None:
+    """Check that JAX computes in float64, as identification needs.
+
+    **Arguments**
+
+    - `arrays`: what is computed with, of any shapes.
+
+    **Raises** `ValueError` unless float64 is switched on and the arrays are in it.
+    """
+    if not jax.config.read("jax_enable_x64") or any(x.dtype != np.float64 for x in arrays):
+        raise ValueError(
+            "identification needs float64: switch it on in the program's first lines with"
+            " jax.config.update('jax_enable_x64', True)"
+        )
