@@ -1,5 +1,4 @@
-"""Two checks of computed torque for `control_study.py`: its ideal case, and that it stays within
-bounds on random motions. Not a program of its own."""
+"""Two checks of computed torque: its ideal case, and its bounds on random motions."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -35,8 +34,10 @@ STEEPEST = 15 / 8  # of minimum jerk's rate
 
 
 class ExactState(NamedTuple):
+    """The last reading, and the controller's state."""
+
     before: Float[Array, " joints"]
-    own: Any
+    controller: Any
 
 
 class ExactLoop(eqx.Module):
@@ -52,8 +53,8 @@ class ExactLoop(eqx.Module):
         self, state: ExactState, reference: Reference, q: Array, interval: float
     ) -> tuple[Array, ExactState]:
         qd = (q - state.before) / interval
-        torque, own = self.controller.step(state.own, reference, q, qd, interval)
-        return torque, ExactState(q, own)
+        torque, inner = self.controller.step(state.controller, reference, q, qd, interval)
+        return torque, ExactState(q, inner)
 
 
 def prescribed(
@@ -61,11 +62,11 @@ def prescribed(
 ) -> Float[np.ndarray, "samples joints"]:
     """e" + 2 ζ ω e' + ω² e = 0 from rest, every `FINE` seconds."""
     position, velocity = (float(gain) for gain in error_gains(frequency, damping))
-    onwards = expm(FINE * np.array([[0.0, 1.0], [-position, -velocity]]))
+    transition = expm(FINE * np.array([[0.0, 1.0], [-position, -velocity]]))
     state, response = np.array([1.0, 0.0]), np.empty(samples)
     for sample in range(samples):
         response[sample] = state[0]
-        state = onwards @ state
+        state = transition @ state
     return response[:, None] * error
 
 
@@ -89,8 +90,8 @@ def ideal_rows(network: jc.CSLC, frequency: float, damping: float) -> Rows:
         "ideal case", MEAN - SWING - FIRST, sim.Servo(loop, path, FINE), samples, FINE
     )
     _, truth = sim.simulate(machine, trajectory)
-    wanted = path.reference(truth.time[:, None], np.zeros(truth.position.shape)).q
-    error = wanted - truth.position
+    reference = path.reference(truth.time[:, None], np.zeros(truth.position.shape)).q
+    error = reference - truth.position
     off = np.abs(error - prescribed(frequency, damping, FIRST, samples)) / np.abs(FIRST)
     return [
         {
@@ -114,9 +115,9 @@ def random_motions(
         [sim.go_to(machine, motion, 1.0)[1].end for motion in range(machines * IN_TURN)]
     ).reshape(machines, IN_TURN, -1)
     rng = np.random.default_rng(count)
-    way = np.abs(np.diff(poses, axis=1, prepend=np.tile(start, (machines, 1, 1))))
-    part = rng.uniform(*PARTS, way.shape[:2])
-    durations = STEEPEST * np.max(way / TOP, axis=2) / part
+    distance = np.abs(np.diff(poses, axis=1, prepend=np.tile(start, (machines, 1, 1))))
+    part = rng.uniform(*PARTS, distance.shape[:2])
+    durations = STEEPEST * np.max(distance / TOP, axis=2) / part
     path = sim.ViaPoints(poses, durations, np.full(durations.shape, PAUSE))
     return path, path.arrivals[:, -1] + PAUSE
 
@@ -126,31 +127,31 @@ def stability_rows(
     machines: Sequence[sim.Machine],
     count: int,
     start: np.ndarray,
-    side_by_side: Callable[[Sequence[Any]], Any],
+    stacked: Callable[[Sequence[Any]], Any],
 ) -> Rows:
     """Whether torques and joints stay within bounds over many random motions.
 
     **Arguments**
 
-    - `cases`: for each name, what makes the loop of a machine of that number.
-    - `machines`: made use of in turn.
+    - `cases`: by name, a function from the number of a machine to its loop.
+    - `machines`: used in turn.
     - `count`: motions a case, rounded up to whole machines.
     - `start`: where all motions begin.
-    - `side_by_side`: joins loops.
+    - `stacked`: makes one loop of several.
     """
     path, needed = random_motions(machines[0], count, start)
-    which = [i % len(machines) for i in range(len(needed))]
-    used = [machines[i] for i in which]
+    numbers = [i % len(machines) for i in range(len(needed))]
+    used = [machines[i] for i in numbers]
     limit = np.array([machine.maximum_torque for machine in used])
     rows: Rows = []
     for name, loop_of in cases.items():
-        servo = sim.Servo(side_by_side([loop_of(i) for i in which]), path, per_machine=True)
+        servo = sim.Servo(stacked([loop_of(i) for i in numbers]), path, per_machine=True)
         samples = round(float(needed.max()) / servo.interval) + 1
         trajectory = sim.Trajectory(f"random motions, {name}", start, servo, samples)
         results = sim.close_loop(used, trajectory, list(range(len(used))), progress=True)
-        good = [each for each in results if not isinstance(each, sim.SimulationError)]
-        errors = [str(each) for each in results if isinstance(each, sim.SimulationError)]
-        ratio, room, off, saturated = [0.0], [np.inf], [0.0], [0.0]
+        good = [result for result in results if not isinstance(result, sim.SimulationError)]
+        errors = [str(result) for result in results if isinstance(result, sim.SimulationError)]
+        ratio, margin, off, saturated = [0.0], [np.inf], [0.0], [0.0]
         for i, result in enumerate(results):
             if isinstance(result, sim.SimulationError):
                 continue
@@ -158,10 +159,10 @@ def stability_rows(
             ratio.append(float(share.max()))
             saturated.append(float(np.mean(share > 0.999)))
             low, high = np.array(used[i].position_range).T
-            at = result.truth.position
-            room.append(float(np.minimum(at - low, high - at).min()))
+            q = result.truth.position
+            margin.append(float(np.minimum(q - low, high - q).min()))
             # A machine rests at its last pose until the last of all has come to rest.
-            off.append(float(np.abs(at[-1] - path.poses[i, -1]).max()))
+            off.append(float(np.abs(q[-1] - path.poses[i, -1]).max()))
         rows.append(
             {
                 "case": name,
@@ -170,7 +171,7 @@ def stability_rows(
                 "largest demand over limit": max(ratio),
                 "saturated [%]": 100 * float(np.sum(saturated)) / max(len(good), 1),
                 "machines that saturate": str(sum(share > 0 for share in saturated)),
-                "nearest to a range end [rad]": min(room),
+                "nearest to a range end [rad]": min(margin),
                 "largest error at rest [mrad]": 1e3 * max(off),
                 "errors": "; ".join(errors[:3]) or "none",
             }

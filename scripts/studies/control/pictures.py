@@ -23,37 +23,38 @@ def control_error_picture(
 ) -> Figure:
     """Errors of controllers with several coefficient sets, on several motions.
 
-    A panel a motion, a row a controller, and in it a lane a coefficient set: a dot for every seed
-    and a bar at their median, on one logarithmic axis for all panels. What knows no coefficients
-    is called `"none"` and drawn in grey.
+    A panel for each motion, a row for each controller, and in it a lane for each coefficient set: a
+    dot for every seed and a bar at their median, on one logarithmic axis for all panels. A
+    controller without a model has the set `"none"`, drawn in grey.
 
     **Arguments**
 
     - `panels`: errors (seeds,) of each coefficient set of each controller of each motion.
     - `columns`: panels side by side.
-    - `quantity`: what is drawn, with its unit.
+    - `quantity`: of the errors, with its unit.
 
     **Returns** a matplotlib figure.
     """
     controllers = list(dict.fromkeys(name for panel in panels.values() for name in panel))
     sets = list(
-        dict.fromkeys(name for panel in panels.values() for own in panel.values() for name in own)
+        dict.fromkeys(name for panel in panels.values() for row in panel.values() for name in row)
     )
-    known = [name for name in sets if name != "none"]
+    coloured = [name for name in sets if name != "none"]
     lines = -(-len(panels) // columns)
     figure = new_figure(1.6 + 3.2 * columns, 1.0 + lines * (0.6 + 0.42 * len(controllers)))
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     drawn = set[str]()
     for axes, (name, panel) in zip(grid.flat, panels.items(), strict=False):
         for row, controller in enumerate(controllers):
-            for own, errors in panel.get(controller, {}).items():
+            for coefficients, errors in panel.get(controller, {}).items():
                 height, colour = float(row), QUIET
-                if own in known:
-                    lane = known.index(own)
-                    height += _SHARE * ((lane + 0.5) / len(known) - 0.5)
+                label = None
+                if coefficients in coloured:
+                    lane = coloured.index(coefficients)
+                    height += _SHARE * ((lane + 0.5) / len(coloured) - 0.5)
                     colour = COLOURS[lane % len(COLOURS)]
-                label = own if own in known and own not in drawn else None
-                drawn.add(own)
+                    label = None if coefficients in drawn else coefficients
+                    drawn.add(coefficients)
                 axes.plot(
                     errors, np.full(errors.size, height), ".", color=colour, ms=3.5, alpha=0.5,
                     mew=0.0,
@@ -78,10 +79,10 @@ def control_error_picture(
     if title:
         figure.suptitle(title)
     handles = [h for axes in grid.flat for h in axes.get_legend_handles_labels()[0]]
-    words = [str(handle.get_label()) for handle in handles]
+    labels = [str(handle.get_label()) for handle in handles]
     if handles:
-        across = min(len(words), 2 + columns)
-        figure.legend(handles, words, loc="outside lower center", ncols=across, frameon=False)
+        across = min(len(labels), 2 + columns)
+        figure.legend(handles, labels, loc="outside lower center", ncols=across, frameon=False)
     return figure
 
 
@@ -92,16 +93,16 @@ def traced_path_picture(
     magnified: float,
     title: str | None = None,
 ) -> Figure:
-    """A path in its plane as the hand draws it, its departure from what was asked magnified.
+    """A path in its plane and the hand's path, its errors magnified.
 
     **Arguments**
 
     - `asked`: (samples, 2) the path in coordinates of its plane [mm].
-    - `errors`: (samples, 2) by how much the hand is off it, by controller [mm].
+    - `errors`: (samples, 2) of the hand in the plane, by controller [mm].
     - `magnified`: how many times larger errors are drawn.
 
-    **Returns** a matplotlib figure of one panel a controller, with what was asked in grey. Panels
-    have one scale.
+    **Returns** a matplotlib figure with a panel for each controller, the path in grey. Panels have
+    one scale.
     """
     columns = 2 if len(errors) > 1 else 1
     lines = -(-len(errors) // columns)
@@ -124,8 +125,8 @@ def traced_path_picture(
         axes.set_ylabel("in the plane [mm]")
     for axes in grid[-1]:
         axes.set_xlabel("in the plane [mm]")
-    said = f"departure from the path (grey) drawn {magnified:g} times"
-    figure.suptitle(f"{title}\n{said}" if title else said)
+    note = f"departure from the path (grey) drawn {magnified:g} times"
+    figure.suptitle(f"{title}\n{note}" if title else note)
     return figure
 
 
@@ -136,7 +137,7 @@ def joint_error_picture(
     title: str | None = None,
     unit: str = "mrad",
 ) -> Figure:
-    """Errors of every joint over time, one line a controller.
+    """Errors of every joint over time, one line for each controller.
 
     **Arguments**
 
@@ -144,7 +145,7 @@ def joint_error_picture(
     - `errors`: (samples, joints) by controller.
     - `unit`: of the errors.
 
-    **Returns** a matplotlib figure of one panel a joint.
+    **Returns** a matplotlib figure with a panel for each joint.
     """
     joints = next(iter(errors.values())).shape[1]
     columns = 2 if joints > 1 else 1
@@ -167,6 +168,6 @@ def joint_error_picture(
         axes.set_xlabel("time [s]")
     if title:
         figure.suptitle(title)
-    handles, words = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, words, loc="outside lower center", ncols=len(words), frameon=False)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure

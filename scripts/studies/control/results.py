@@ -1,4 +1,4 @@
-"""Tables and pictures of the rows of `control_study.py`. Not a program of its own."""
+"""Tables and pictures of the control study's rows."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.identification import text_table
 from jaxcslc.plotting import save_picture
 from scripts.studies.control.pictures import (
     control_error_picture,
@@ -18,7 +17,7 @@ from scripts.studies.control.pictures import (
 Rows = list[dict[str, Any]]
 
 HAND = "hand rms [mm]"
-WORDS = ("motion", "duration", "controller", "coefficients")
+CASE = ("motion", "duration", "controller", "coefficients")
 # What errors with CSLC coefficients are divided by: another controller or other coefficients.
 OTHERS = {
     "Ar+LS": ("computed torque", "Ar+LS"),
@@ -33,44 +32,45 @@ SHOWN = ("PID, thesis", "Ar+LS", "truth")  # beside CSLC, in pictures of one mac
 MAGNIFIED = 20.0
 
 
-def chosen(rows: Rows, *words: Any) -> dict[int, dict[str, Any]]:
+def rows_of(rows: Rows, *case: Any) -> dict[int, dict[str, Any]]:
     """The rows of a motion, its duration, a controller and coefficients, by seed."""
     return {
         row["seed"]: row
         for row in rows
-        if "failed" not in row and tuple(row[key] for key in WORDS) == words
+        if "failed" not in row and tuple(row[key] for key in CASE) == case
     }
 
 
 def motions_of(rows: Rows) -> list[tuple[str, float]]:
     """Motions with their durations, slow ones first."""
-    found = {(row["motion"], row["duration"]) for row in rows}
-    return sorted(found, key=lambda each: (each[0] == "circle", -each[1]))
+    motions = {(row["motion"], row["duration"]) for row in rows}
+    return sorted(motions, key=lambda motion: (motion[0] == "circle", -motion[1]))
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:
+    """Median, and the 5 and 95 % quantiles."""
     low, middle, high = np.quantile(np.asarray(values), [0.05, 0.5, 0.95])
     return {"median": float(middle), "5 %": float(low), "95 %": float(high)}
 
 
 def summary_rows(rows: Rows) -> Rows:
     """Medians over seeds of every figure, and the spread of the flange's."""
-    cases = dict.fromkeys(tuple(row[key] for key in WORDS) for row in rows)
+    cases = dict.fromkeys(tuple(row[key] for key in CASE) for row in rows)
     out: Rows = []
-    for words in cases:
-        own = list(chosen(rows, *words).values())
-        if not own:
+    for case in cases:
+        good = list(rows_of(rows, *case).values())
+        if not good:
             continue
-        tried = sum(tuple(row[key] for key in WORDS) == words for row in rows)
-        ends = spread([row[HAND] for row in own])
-        others = [key for key in own[0] if key not in (*WORDS, "seed", "trace", HAND)]
+        tried = sum(tuple(row[key] for key in CASE) == case for row in rows)
+        ends = spread([row[HAND] for row in good])
+        others = [key for key in good[0] if key not in (*CASE, "seed", "trace", HAND)]
         out.append(
             {
-                **dict(zip(WORDS, words, strict=True)),
-                "seeds": len(own),
-                "failed": tried - len(own),
+                **dict(zip(CASE, case, strict=True)),
+                "seeds": len(good),
+                "failed": tried - len(good),
                 **{f"hand rms, {key} [mm]": value for key, value in ends.items()},
-                **{key: float(np.median([row[key] for row in own])) for key in others},
+                **{key: float(np.median([row[key] for row in good])) for key in others},
             }
         )
     return out
@@ -82,28 +82,20 @@ def ratio_rows(rows: Rows) -> Rows:
     for over, other in OTHERS.items():
         together: list[float] = []
         for motion, duration in motions_of(rows):
-            above = chosen(rows, motion, duration, "computed torque", "CSLC")
-            below = chosen(rows, motion, duration, *other)
+            above = rows_of(rows, motion, duration, "computed torque", "CSLC")
+            below = rows_of(rows, motion, duration, *other)
             ratios = [
                 above[seed][HAND] / below[seed][HAND]
                 for seed in sorted(above.keys() & below.keys())
             ]
             together += ratios
             if ratios:
-                words = {"CSLC over": over, "motion": motion, "duration": f"{duration:g} s"}
-                out.append({**words, "seeds": len(ratios), **spread(ratios)})
+                labels = {"CSLC over": over, "motion": motion, "duration": f"{duration:g} s"}
+                out.append({**labels, "seeds": len(ratios), **spread(ratios)})
         if together:
-            words = {"CSLC over": over, "motion": "all", "duration": "all"}
-            out.append({**words, "seeds": len(together), **spread(together)})
+            labels = {"CSLC over": over, "motion": "all", "duration": "all"}
+            out.append({**labels, "seeds": len(together), **spread(together)})
     return out
-
-
-def table(rows: Rows, columns: Sequence[str]) -> str:
-    def cell(value: Any) -> str:
-        return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-    left = [name for name in columns if isinstance(rows[0][name], str)]
-    return text_table(columns, [[cell(row[name]) for name in columns] for row in rows], left=left)
 
 
 def draw(
@@ -114,15 +106,15 @@ def draw(
     centre: Sequence[float],
     normal: Sequence[float],
 ) -> None:
-    """The pictures that the rows suffice for."""
+    """Writes the pictures that the rows suffice for."""
     panels: dict[str, dict[str, dict[str, np.ndarray]]] = {}
     for motion, duration in motions_of(rows):
         panel = panels.setdefault(f"{motion}, {duration:g} s", {})
         for controller in controllers:
             for name in ("none", *sets):
-                own = chosen(rows, motion, duration, controller, name)
-                if own:
-                    errors = np.array([row[HAND] for row in own.values()])
+                by_seed = rows_of(rows, motion, duration, controller, name)
+                if by_seed:
+                    errors = np.array([row[HAND] for row in by_seed.values()])
                     panel.setdefault(controller, {})[name] = errors
     durations = sorted({row["duration"] for row in rows})
     picture = control_error_picture(
@@ -154,11 +146,11 @@ def draw(
 
 
 def traces_of(rows: Rows, motion: str, duration: float) -> dict[str, dict[str, np.ndarray]]:
-    """What the first machine did under some of the controllers."""
-    found: dict[str, dict[str, np.ndarray]] = {}
+    """The first machine's motion under some of the controllers."""
+    traces: dict[str, dict[str, np.ndarray]] = {}
     shown = {name: OTHERS[name] for name in SHOWN} | {"CSLC": ("computed torque", "CSLC")}
-    for label, words in shown.items():
-        row = chosen(rows, motion, duration, *words).get(0)
+    for label, case in shown.items():
+        row = rows_of(rows, motion, duration, *case).get(0)
         if row is not None:
-            found[label] = {key: np.array(values) for key, values in row["trace"].items()}
-    return found
+            traces[label] = {key: np.array(values) for key, values in row["trace"].items()}
+    return traces

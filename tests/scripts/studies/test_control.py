@@ -1,56 +1,46 @@
 """The control study with two machines and one short motion, its pictures, and its two checks."""
 
 import csv
-import importlib
 import json
 import types
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 import jaxcslc as jc
+from scripts.studies.control import checks, coefficients, study
 from scripts.studies.control.pictures import (
     control_error_picture,
     joint_error_picture,
     traced_path_picture,
 )
+from scripts.studies.truth import published_coefficients, true_coefficients
 
 
 FEW = ["--seeds", "2", "--durations", "0.6", "--controllers", "PID", "computed torque"]
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.studies.control.study")
-
-
 @pytest.fixture
-def known(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Coefficients without an identification: how often they were asked for, with how many seeds.
+def stored(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Coefficient sets without an identification; holds the numbers of seeds of all calls.
 
-    CSLC is 1 % off the truth, and Ar+LS what it is."""
+    CSLC is 1 % off the truth, and Ar+LS is the published set.
+    """
     asked: list[int] = []
 
-    def coefficients(network: jc.CSLC, seeds: int, samples: int) -> dict[str, np.ndarray]:
+    def sets(network: jc.CSLC, seeds: int, samples: int) -> dict[str, np.ndarray]:
         asked.append(seeds)
-        machines = [script.machine_of(seed) for seed in range(seeds)]
         true = np.stack(
-            [
-                network.coefficients_from(each.links, viscous=each.viscous, dry=each.dry)
-                for each in machines
-            ]
+            [true_coefficients(network, coefficients.machine_of(seed)) for seed in range(seeds)]
         )
-        book = jc.puma560()
-        assert book.links is not None
-        published = network.coefficients_from(book.links, viscous=book.viscous, dry=book.dry)
+        published = published_coefficients(network)
         other = np.tile(published, (seeds, 1))
         vectors = (true, 1.01 * true, other, other, 0.9 * true)
-        return dict(zip(script.SETS, vectors, strict=True))
+        return dict(zip(coefficients.SETS, vectors, strict=True))
 
-    monkeypatch.setattr(script, "coefficients", coefficients)
+    monkeypatch.setattr(coefficients, "coefficient_sets", sets)
     return asked
 
 
@@ -60,12 +50,12 @@ def table(path: Path) -> list[dict[str, str]]:
 
 
 def test_the_study_writes_tables_and_pictures_and_goes_on(
-    script: ModuleType, known: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stored: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert script.main([*FEW, "-o", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "2 machines, natural frequency 20 rad/s" in said
-    assert "with CSLC coefficients, over that with others" in said
+    assert study.main([*FEW, "-o", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "2 machines, natural frequency 20 rad/s" in printed
+    assert "with CSLC coefficients, over that with others" in printed
     summary = table(tmp_path / "summary.csv")
     cases = {(row["motion"], row["controller"], row["coefficients"]) for row in summary}
     assert len(cases) == len(summary) == 2 * (1 + 5)
@@ -90,42 +80,41 @@ def test_the_study_writes_tables_and_pictures_and_goes_on(
     kept = (tmp_path / "rows.jsonl").read_text("utf-8")
     lines = kept.splitlines(keepends=True)
     (tmp_path / "rows.jsonl").write_text("".join(lines[:-11]) + lines[-11][:40], "utf-8")
-    assert script.main([*FEW, "-o", str(tmp_path)]) == 0
-    assert known == [2], "coefficients were identified again"
+    assert study.main([*FEW, "-o", str(tmp_path)]) == 0
+    assert stored == [2], "coefficients were identified again"
 
     def rounded(text: str) -> set[tuple[Any, ...]]:
         rows = map(json.loads, text.splitlines())
-        return {(*map(str, list(row.values())[:5]), round(row["hand rms [mm]"], 6)) for row in rows}
+        return {
+            (*map(str, list(row.values())[1:6]), round(row["hand rms [mm]"], 6)) for row in rows
+        }
 
     assert rounded((tmp_path / "rows.jsonl").read_text("utf-8")) == rounded(kept)
     done = (tmp_path / "rows.jsonl").read_text("utf-8")
-    assert script.main([*FEW, "-o", str(tmp_path)]) == 0
+    assert study.main([*FEW, "-o", str(tmp_path)]) == 0
     assert (tmp_path / "rows.jsonl").read_text("utf-8") == done
     capsys.readouterr()
 
 
 def test_the_ideal_case_is_the_response_of_the_gains(
-    script: ModuleType,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    checks = importlib.import_module("scripts.studies.control.checks")
     monkeypatch.setattr(checks, "FINE", 2e-4)
     monkeypatch.setattr(checks, "WATCHED", 0.3)
-    assert script.main(["--ideal", "-o", str(tmp_path)]) == 0
+    assert study.main(["--ideal", "-o", str(tmp_path)]) == 0
     assert "largest deviation" in capsys.readouterr().out
     for row in table(tmp_path / "ideal.csv"):
         assert float(row["largest deviation [% of first]"]) < 1.0
 
 
 def test_random_motions_stay_within_bounds(
-    script: ModuleType, known: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stored: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    checks = importlib.import_module("scripts.studies.control.checks")
     monkeypatch.setattr(checks, "IN_TURN", 1)
-    monkeypatch.setattr(script, "STEADY", [("computed torque", "30 % wrong")])
-    assert script.main(["--stability", "2", "--seeds", "2", "-o", str(tmp_path)]) == 0
+    monkeypatch.setattr(study, "STABILITY_CASES", [("computed torque", "30 % wrong")])
+    assert study.main(["--stability", "2", "--seeds", "2", "-o", str(tmp_path)]) == 0
     (row,) = table(tmp_path / "stability.csv")
     assert row["motions"] == row["without error"] == "2" and row["errors"] == "none"
     assert float(row["largest demand over limit"]) <= 1.0
@@ -133,33 +122,33 @@ def test_random_motions_stay_within_bounds(
 
 
 def test_identified_coefficients_are_of_each_machine_and_kept(
-    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = jc.Settings(threshold_fraction=0.03, cutoff=8.0, joint_weights="residual")
     chosen = types.SimpleNamespace(settings=settings)  # choosing them takes a while
     monkeypatch.setattr(jc, "choose_settings", lambda network, recording: chosen)
     network = jc.derive(jc.puma560())
-    vectors = script.kept_coefficients(network, 1, 1500, tmp_path / "kept.npz")
-    assert tuple(vectors) == script.SETS
-    true, cslc, regressed, published, wrong = (vectors[name][0] for name in script.SETS)
+    vectors = coefficients.stored_coefficient_sets(network, 1, 1500, tmp_path / "kept.npz")
+    assert tuple(vectors) == coefficients.SETS
+    true, cslc, regressed, published, wrong = (vectors[name][0] for name in coefficients.SETS)
     off = np.abs(wrong / true - 1.0)
     assert np.allclose(off, 0.3)
     rigid = slice(0, network.size - 12)
     assert np.array_equal(regressed[rigid], published[rigid])
     heavy = np.abs(true) > 5.0  # N m of gravity, dry friction
     assert np.all(np.abs(cslc[heavy] / true[heavy] - 1.0) < 0.2)
-    monkeypatch.delattr(script, "coefficients")
-    again = script.kept_coefficients(network, 1, 1500, tmp_path / "kept.npz")
-    assert all(np.array_equal(again[name], vectors[name]) for name in script.SETS)
+    monkeypatch.delattr(coefficients, "coefficient_sets")
+    again = coefficients.stored_coefficient_sets(network, 1, 1500, tmp_path / "kept.npz")
+    assert all(np.array_equal(again[name], vectors[name]) for name in coefficients.SETS)
 
 
-def test_bad_options(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_options(capsys: pytest.CaptureFixture[str]) -> None:
     for option in (
         ["--seeds", "0"], ["--durations", "0.01"], ["--controllers", "guess"],
         ["--stability", "0"], ["--damping", "-1"], ["--corner", "0"],
     ):  # fmt: skip
         with pytest.raises(SystemExit):
-            script.main(option)
+            study.main(option)
         assert "error: " in capsys.readouterr().err
 
 
