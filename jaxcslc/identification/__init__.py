@@ -7,6 +7,12 @@ from ._held_out import (
 from ._identify import identify as identify
 from ._identify_payload import identify_payload as identify_payload
 from ._offline import fit_payload as fit_payload
+from ._output_error import (
+    MotionWindows as MotionWindows,
+    WindowFit as WindowFit,
+    fit_windows as fit_windows,
+    motion_windows as motion_windows,
+)
 from ._payload_fit import PHYSICAL as PHYSICAL, PayloadFit as PayloadFit
 from ._physical_parameters import (
     POSSIBILITY as POSSIBILITY,

@@ -1,0 +1,1 @@
+"""Friction re-identified after bearings are cleaned."""

@@ -1,1 +1,0 @@
-"""Friction re-identified after it has fallen."""

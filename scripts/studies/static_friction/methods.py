@@ -1,0 +1,101 @@
+"""Methods that identify static friction from a training recording."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+import jaxcslc as jc
+from jaxcslc.identification import fit_windows, motion_windows
+from jaxcslc.motion import choose_spacing
+
+
+CUTOFF = 15.0  # Hz
+SLOWEST = 5e-3  # rad/s, of smoothed motion; slower joints may be at rest
+_MARGIN = 2  # samples on either side of a reversal
+_LENGTH = 100  # samples of a window, at most
+_BLOCKS = 30  # stretches of time, within which residuals are correlated
+# Windows start from static friction of a tenth of dry friction, gone to exp(-3) at a tenth of the
+# greatest speed.
+_START = 0.1
+METHODS = ("masked", "all pairs", "moving pairs", "away from reversals", "windows")
+
+_SELECTIONS: dict[str, dict[str, Any]] = {
+    "all pairs": {"thresholds": 0.0},
+    "moving pairs": {"thresholds": SLOWEST},
+    "away from reversals": {"thresholds": SLOWEST, "reversal_margin": _MARGIN},
+}
+
+
+class Model(NamedTuple):
+    """A network with identified coefficients, and its static friction with standard errors."""
+
+    network: jc.CSLC
+    k: Float[np.ndarray, " coefficients"]
+    magnitude: Float[np.ndarray, " joints"] | None = None
+    magnitude_error: Float[np.ndarray, " joints"] | None = None
+    slope: Float[np.ndarray, " joints"] | None = None
+    slope_error: Float[np.ndarray, " joints"] | None = None
+
+
+class Identifier:
+    """Identifies a robot with and without static friction, all recordings alike."""
+
+    def __init__(self, robot: jc.Manipulator, resolution: Float[np.ndarray, " joints"]) -> None:
+        self.without_static = jc.derive(robot)
+        self.network = jc.derive(robot.with_friction("viscous", "dry", "static"))
+        self._resolution = resolution
+        self._spacing: tuple[int, ...] | None = None
+
+    def models(self, recording: jc.Recording, methods: Sequence[str]) -> dict[str, Model]:
+        """The model that each method identifies from a training recording."""
+        if self._spacing is None:
+            self._spacing = choose_spacing(
+                recording.time, recording.position, resolution=self._resolution
+            )
+        splines = jc.AveragedSplines(self._spacing)
+        trim = max(self._spacing)
+
+        def prepared(**options: Any) -> jc.Patterns:
+            return jc.prepare(
+                recording, smoothing=splines, torque_alignment="mean", trim=trim, **options
+            )
+
+        solver = jc.LeastSquares(joint_weights="residual", errors="independent", cutoff=CUTOFF)
+        masked = solver.fit(self.without_static, prepared(threshold_fraction=0.01))
+        models: dict[str, Model] = {}
+        for method in methods:
+            if method == "masked":
+                models[method] = Model(self.without_static, np.asarray(masked.k))
+            elif method == "windows":
+                models[method] = self._windows(recording, splines, trim, np.asarray(masked.k))
+            else:
+                models[method] = self._slopes(prepared(**_SELECTIONS[method]))
+        return models
+
+    def _slopes(self, patterns: jc.Patterns) -> Model:
+        solver = jc.LeastSquares(errors="independent")
+        fit = jc.fit_slopes(self.network, patterns, solver=solver, blocks=_BLOCKS)
+        k, error = np.asarray(fit.fit.k), np.asarray(fit.fit.standard_error)
+        static = self.network.layout.of("static")
+        slopes = np.asarray(fit.slopes), np.asarray(fit.slope_error)
+        return Model(fit.network, k, k[static], error[static], *slopes)
+
+    def _windows(
+        self,
+        recording: jc.Recording,
+        splines: jc.AveragedSplines,
+        trim: int,
+        masked: Float[np.ndarray, " coefficients"],
+    ) -> Model:
+        q, qd, _ = splines.smooth(recording.time, recording.position)
+        windows = motion_windows(qd, length=_LENGTH, slowest=SLOWEST, trim=trim)
+        dry = masked[self.without_static.layout.of("dry")]
+        start = self.network.with_static_slopes(3.0 / (_START * np.max(np.abs(qd), axis=0)))
+        fit = fit_windows(
+            start, np.concatenate([masked, _START * np.abs(dry)]), recording, windows, (q, qd)
+        )
+        static = self.network.layout.of("static")
+        network = self.network.with_static_slopes(fit.slopes)
+        return Model(network, fit.k, fit.k[static], fit.error[static], fit.slopes, fit.slope_error)
