@@ -40,22 +40,32 @@ class Model(NamedTuple):
 
 
 class Identifier:
-    """Identifies a robot with and without static friction, all recordings alike."""
+    """Identifies a robot with and without static friction, all recordings alike.
 
-    def __init__(self, robot: jc.Manipulator, resolution: Float[np.ndarray, " joints"]) -> None:
+    **Attributes**
+
+    - `spacing`: of averaged splines; selected on the first recording, if it is None.
+    """
+
+    def __init__(
+        self,
+        robot: jc.Manipulator,
+        resolution: Float[np.ndarray, " joints"],
+        spacing: tuple[int, ...] | None = None,
+    ) -> None:
         self.without_static = jc.derive(robot)
         self.network = jc.derive(robot.with_friction("viscous", "dry", "static"))
         self._resolution = resolution
-        self._spacing: tuple[int, ...] | None = None
+        self.spacing = spacing
 
     def models(self, recording: jc.Recording, methods: Sequence[str]) -> dict[str, Model]:
         """The model that each method identifies from a training recording."""
-        if self._spacing is None:
-            self._spacing = choose_spacing(
+        if self.spacing is None:
+            self.spacing = choose_spacing(
                 recording.time, recording.position, resolution=self._resolution
             )
-        splines = jc.AveragedSplines(self._spacing)
-        trim = max(self._spacing)
+        splines = jc.AveragedSplines(self.spacing)
+        trim = max(self.spacing)
 
         def prepared(**options: Any) -> jc.Patterns:
             return jc.prepare(

@@ -94,7 +94,8 @@ def epsilon(network: jc.CSLC, k: np.ndarray, patterns: jc.Patterns) -> float:
 def make_rows(options: argparse.Namespace, machine: sim.Machine, rows: Rows) -> None:
     """Makes every missing row, seed by seed."""
     trajectories = (sim.training(samples=options.samples), sim.comparison())
-    identifier = Identifier(jc.puma560(), np.array(machine.encoder_resolution))
+    spacing = next((tuple(row["spacing"]) for row in rows.all()), None)
+    identifier = Identifier(jc.puma560(), np.array(machine.encoder_resolution), spacing)
     for seed in tqdm(range(options.seeds), desc="seeds", disable=None):
         missing = [method for method in options.methods if (seed, method) not in rows]
         if not missing:
@@ -107,7 +108,7 @@ def make_rows(options: argparse.Namespace, machine: sim.Machine, rows: Rows) -> 
         patterns = moving_patterns(performed)
         for method, model in identifier.models(trained.recording, missing).items():
             row = row_of(identifier, machine, model, patterns)
-            rows.add({"seed": seed, "method": method, **row})
+            rows.add({"seed": seed, "method": method, "spacing": identifier.spacing, **row})
             tqdm.write(f"seed {seed}, {method}: epsilon {row['epsilon']:.4f} N m", sys.stderr)
 
 
@@ -146,7 +147,8 @@ def study(options: argparse.Namespace) -> int:
     kind = "encoders" if options.encoders else "exact positions"
     print(f"{options.seeds} seeds, {kind}")
     print(summary(rows, options.methods, machine.joint_count))
-    write_csv(options.output / "seeds.csv", rows)
+    without_spacing = [{k: v for k, v in row.items() if k != "spacing"} for row in rows]
+    write_csv(options.output / "seeds.csv", without_spacing)
     picture = static_friction_picture(
         rows,
         options.methods,
