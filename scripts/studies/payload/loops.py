@@ -1,4 +1,4 @@
-"""Feedback loops of the payload study: several robots' in one, and one that is told its payload."""
+"""Feedback loops of the payload study: several robots in one, and a known payload."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,18 +12,18 @@ from jaxcslc import CSLC, LinkParameters
 from jaxcslc.control import ComputedTorque, Loop, LoopState, Reference
 
 
-class Team(eqx.Module):
+class LoopBatch(eqx.Module):
     """Loops of several robots, alike but for their arrays, as one of (robots, joints).
 
-    One after the other on purpose: under `vmap` every robot's `PayloadEstimator` would do at each
-    sample what it is to do at every tenth.
+    They are computed one after the other: under `vmap` every robot's `PayloadEstimator` would do at
+    each sample what it does at every tenth.
     """
 
     loops: Any
     """One loop, whose arrays have a first axis of robots."""
 
     @classmethod
-    def of(cls, loops: Sequence[Any]) -> "Team":
+    def of(cls, loops: Sequence[Any]) -> "LoopBatch":
         def stacked(*leaves: Any) -> Any:
             return jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0]
 
@@ -31,10 +31,11 @@ class Team(eqx.Module):
 
     def begin(self, q: Float[Array, "robots joints"]) -> Any:
         """Each robot's state."""
-        arrays, rest = eqx.partition(self.loops, eqx.is_array)
+        arrays, static = eqx.partition(self.loops, eqx.is_array)
 
-        def one(own: Any) -> Any:
-            return eqx.combine(own[0], rest).begin(own[1])
+        def one(robot: Any) -> Any:
+            loop, q = robot
+            return eqx.combine(loop, static).begin(q)
 
         return jax.lax.map(one, (arrays, q))
 
@@ -42,16 +43,17 @@ class Team(eqx.Module):
         self, state: Any, reference: Reference, q: Float[Array, "robots joints"], interval: float
     ) -> tuple[Float[Array, "robots joints"], Any]:
         """Each robot's torque and state."""
-        arrays, rest = eqx.partition(self.loops, eqx.is_array)
+        arrays, static = eqx.partition(self.loops, eqx.is_array)
 
-        def one(own: Any) -> Any:
-            return eqx.combine(own[0], rest).step(*own[1:], interval)
+        def one(robot: Any) -> Any:
+            loop, *inputs = robot
+            return eqx.combine(loop, static).step(*inputs, interval)
 
         return jax.lax.map(one, (arrays, state, reference, q))
 
 
-class Told(eqx.Module):
-    """Computed torque that is told when it carries which body."""
+class KnownPayloadLoop(eqx.Module):
+    """Computed torque with a known payload from one time to another."""
 
     loop: Loop
     body: Float[Array, "10"]
@@ -66,7 +68,7 @@ class Told(eqx.Module):
         body: LinkParameters | None = None,
         start: float = 0.0,
         stop: float = 0.0,
-    ) -> "Told":
+    ) -> "KnownPayloadLoop":
         """From the arm's controller, and the arm's network with payload."""
         k = jnp.concatenate([controller.k, jnp.zeros(10)])
         links = [LinkParameters(0.0, jnp.zeros(3), jnp.zeros((3, 3)))] * network.joint_count
@@ -89,7 +91,7 @@ class Told(eqx.Module):
         interval: float,
     ) -> tuple[Float[Array, " joints"], tuple[Float[Array, ""], LoopState]]:
         """As `Loop.step`."""
-        clock, own = state
+        clock, inner = state
         carrying = (clock > self.start - 0.5 * interval) & (clock < self.stop - 0.5 * interval)
         controller = self.loop.controller
         assert isinstance(controller, ComputedTorque)
@@ -97,5 +99,5 @@ class Told(eqx.Module):
             jnp.where(carrying, self.body, 0.0)
         )
         loop = Loop(controller.with_coefficients(k), self.loop.filter)
-        torque, own = loop.step(own, reference, q, interval)
-        return torque, (clock + interval, own)
+        torque, inner = loop.step(inner, reference, q, interval)
+        return torque, (clock + interval, inner)

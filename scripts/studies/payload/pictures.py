@@ -14,13 +14,13 @@ from scripts.studies.figures import QUIET
 
 _SIGMAS = 1.96  # of a 95 % band
 _CARRIED = "0.9"
-_LABEL = 1.7  # room that a name in a legend takes [inches]
-# How far beyond the truth the axes reach; bands of what is hardly known go on beyond.
-_MASS_ROOM, _ERROR_ROOM, _CENTRE_ROOM = 0.25, 3.0, 0.05  # parts and 0.1 kg; %; m
+_LABEL = 1.7  # width of a name in a legend [inches]
+# How far beyond the truth the axes reach; wide bands are cut off.
+_MASS_MARGIN, _ERROR_MARGIN, _CENTRE_MARGIN = 0.25, 3.0, 0.05  # parts and 0.1 kg; %; m
 
 
 class PayloadCurve(NamedTuple):
-    """What was thought of a payload over time, and what it was."""
+    """The estimates of a payload over time, and the true payload."""
 
     time: Float[np.ndarray, " samples"]
     """[s]."""
@@ -38,7 +38,7 @@ class PayloadCurve(NamedTuple):
     """Its standard error [m]; may be infinite."""
 
     carrying: Bool[np.ndarray, " samples"]
-    """Whether there was thought to be a payload."""
+    """Whether a payload was detected."""
 
     true_mass: float
     """[kg]."""
@@ -52,8 +52,8 @@ class PayloadCurve(NamedTuple):
     placed: float
     """When it was put down [s]."""
 
-    found: tuple[float, ...] = ()
-    """When picking up or putting down was noticed [s]."""
+    detected: tuple[float, ...] = ()
+    """When picking up or putting down was detected [s]."""
 
 
 class Spread(NamedTuple):
@@ -67,9 +67,9 @@ class Spread(NamedTuple):
 def payload_picture(curves: Mapping[str, PayloadCurve], *, title: str | None = None) -> Figure:
     """Estimates of a payload's mass and centre of gravity with their 95 % bands, over time.
 
-    One column a payload: the mass, its error while something is carried and thought to be, and the
-    centre's three coordinates while something is thought to be carried. Grey is when it was
-    carried, dotted lines are when picking up and putting down were noticed.
+    A column for each payload: the mass, its error while a payload is carried and detected, and the
+    centre's three coordinates while one is detected. The payload is carried in the grey stretch,
+    dotted lines are at the detection of picking up and putting down.
 
     **Arguments**
 
@@ -88,17 +88,17 @@ def payload_picture(curves: Mapping[str, PayloadCurve], *, title: str | None = N
     for column, (name, curve) in zip(grid.T, curves.items(), strict=True):
         for axes in column:
             axes.axvspan(curve.picked, curve.placed, color=_CARRIED, lw=0, label="carried")
-            for time in curve.found:
-                axes.axvline(time, color=QUIET, ls=":", lw=1.2, label="noticed")
+            for time in curve.detected:
+                axes.axvline(time, color=QUIET, ls=":", lw=1.2, label="detected")
             axes.grid(alpha=0.25)
             axes.margins(x=0.01)
         column[0].set_title(name)
         column[-1].set_xlabel("time [s]")
         _columns(column, curve)
-    for axes, words in zip(
+    for axes, label in zip(
         grid[:, 0], ("mass [kg]", "error of the mass [%]", "centre of gravity [mm]"), strict=True
     ):
-        axes.set_ylabel(words)
+        axes.set_ylabel(label)
     _finish(figure, title)
     return figure
 
@@ -110,14 +110,14 @@ def _columns(column: np.ndarray, curve: PayloadCurve) -> None:
     truth = np.where(inside, curve.true_mass, 0.0)
     mass.step(curve.time, truth, where="post", color=QUIET, lw=1.0, label="truth")
     _band(mass, curve.time, curve.mass, curve.mass_error, 0, "mass")
-    room = _MASS_ROOM * curve.true_mass + 0.1
-    mass.set_ylim(-room, curve.true_mass + room)
-    off.set_ylim(-_ERROR_ROOM, _ERROR_ROOM)
+    margin = _MASS_MARGIN * curve.true_mass + 0.1
+    mass.set_ylim(-margin, curve.true_mass + margin)
+    off.set_ylim(-_ERROR_MARGIN, _ERROR_MARGIN)
     off.axhline(0.0, color=QUIET, lw=1.0)
     low, high = np.min(curve.true_centre), np.max(curve.true_centre)
-    centre.set_ylim(1e3 * (low - _CENTRE_ROOM), 1e3 * (high + _CENTRE_ROOM))
+    centre.set_ylim(1e3 * (low - _CENTRE_MARGIN), 1e3 * (high + _CENTRE_MARGIN))
     if not curve.true_mass:
-        off.text(0.5, 0.6, "nothing to find", transform=off.transAxes, ha="center")
+        off.text(0.5, 0.6, "no payload", transform=off.transAxes, ha="center")
     else:
         percent = 100.0 / curve.true_mass * np.where(inside & curve.carrying, 1.0, np.nan)
         error = percent * (curve.mass - curve.true_mass)
@@ -139,15 +139,15 @@ def hand_error_picture(
     placed: float,
     title: str | None = None,
 ) -> Figure:
-    """How far the hand was from where it should have been, in several ways to control it.
+    """Distance of the hand from its reference under several methods.
 
-    Lines are medians over the runs, bands from the lower to the higher quantile. One column a
+    Lines are medians over the runs, bands from the lower to the higher quantile. A column for each
     payload; the axes of errors are logarithmic.
 
     **Arguments**
 
     - `time`: (samples,) [s].
-    - `errors`: by the names of the payload and of the way [mm].
+    - `errors`: by the names of the payload and of the method [mm].
     - `picked`, `placed`: when the payload was picked up and put down [s].
 
     **Returns** a matplotlib figure.
@@ -160,13 +160,13 @@ def hand_error_picture(
         raise ValueError("no errors; expected those of one payload or more")
     figure = new_figure(1.2 + 3.0 * len(errors), 3.6)
     grid = figure.subplots(1, len(errors), sharey=True, squeeze=False)
-    for axes, (name, ways) in zip(grid[0], errors.items(), strict=True):
+    for axes, (name, methods) in zip(grid[0], errors.items(), strict=True):
         axes.axvspan(picked, placed, color=_CARRIED, lw=0, label="carried")
-        for place, (way, spread) in enumerate(ways.items()):
-            look: dict[str, Any] = {"color": COLOURS[place % len(COLOURS)]}
+        for number, (method, spread) in enumerate(methods.items()):
+            look: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)]}
             axes.fill_between(time, spread.low, spread.high, alpha=0.25, lw=0, **look)
-            style = STYLES[place % len(STYLES)]
-            axes.plot(time, spread.middle, ls=style, lw=1.2, label=way, **look)
+            style = STYLES[number % len(STYLES)]
+            axes.plot(time, spread.middle, ls=style, lw=1.2, label=method, **look)
         axes.set_yscale("log")
         axes.set_title(name)
         axes.set_xlabel("time [s]")
@@ -186,16 +186,16 @@ def _band(
 
 
 def _finish(figure: Figure, title: str | None) -> None:
-    """A legend below of everything that has a name, once."""
-    found: dict[str, Any] = {}
+    """A title, and a legend below with each label once."""
+    handles: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
+            handles.setdefault(label, handle)
     figure.legend(
-        list(found.values()),
-        list(found),
+        list(handles.values()),
+        list(handles),
         loc="outside lower center",
-        ncols=min(len(found), int(figure.get_figwidth() / _LABEL)),
+        ncols=min(len(handles), int(figure.get_figwidth() / _LABEL)),
         frameon=False,
     )
     if title:

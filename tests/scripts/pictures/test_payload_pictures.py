@@ -1,4 +1,4 @@
-"""Pictures of a payload that is learnt: axes with units, and the data drawn are the data given."""
+"""Pictures of a payload that is learnt: axes with units, and the data drawn are the data passed."""
 
 import numpy as np
 import pytest
@@ -58,14 +58,14 @@ def test_payload() -> None:
     assert {axes.get_xlabel() for axes in grid[-1]} == {"time [s]"}
     assert_allclose(line(grid[0, 1], "mass")[1], curve(2.0).mass)
     shown = np.isfinite(line(grid[1, 1], "mass")[1])
-    # While it is carried, and thought to be.
+    # While it is carried and detected.
     assert_allclose(TIME[shown], TIME[(TIME > 1.5) & (TIME < 3.0)])
     assert_allclose(line(grid[1, 1], "mass")[1][shown], 1.0)
     height = line(grid[2, 1], "z of the centre")[1]
     assert_allclose(height[curve(2.0).carrying], 100.0)
     assert np.all(np.isnan(height[~curve(2.0).carrying]))
     assert not np.isfinite(line(grid[2, 0], "z of the centre")[1]).any()
-    assert {"carried", "noticed", "truth", "mass"} <= set(words(figure))
+    assert {"carried", "detected", "truth", "mass"} <= set(words(figure))
     assert len(words(figure)) == len(set(words(figure)))
 
 

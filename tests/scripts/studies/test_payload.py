@@ -1,9 +1,8 @@
 """A payload picked up, carried and put down: the task, the loops that do it, and a small run."""
 
 import csv
-import importlib
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -15,91 +14,84 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 import sim
 from jaxcslc.control import PID, ComputedTorque, Loop, Reference
+from scripts.studies.payload import study, task as tasks
+from scripts.studies.payload.arms import METHODS
+from scripts.studies.payload.errors import estimate_errors
+from scripts.studies.payload.loops import KnownPayloadLoop, LoopBatch
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.studies.payload.study")
-
-
-@pytest.fixture(scope="module")
-def runs() -> ModuleType:
-    return importlib.import_module("scripts.studies.payload.runs")
-
-
-@pytest.fixture(scope="module")
-def loops() -> ModuleType:
-    return importlib.import_module("scripts.studies.payload.loops")
-
-
-def test_a_team_does_what_its_members_do(loops: ModuleType, rng: np.random.Generator) -> None:
+def test_a_batch_does_what_its_loops_do(rng: np.random.Generator) -> None:
     members = [Loop(PID(2, position_gain=gain, velocity_gain=1.0)) for gain in (10.0, 20.0)]
-    team, q, near = loops.Team.of(members), *rng.normal(size=(2, 2, 2))
-    state = team.begin(jnp.asarray(q))
-    torque, _ = team.step(state, Reference.rest(near), jnp.asarray(q), 0.002)
-    for i, own in enumerate(members):
-        alone, _ = own.step(own.begin(q[i]), Reference.rest(near[i]), q[i], 0.002)
+    batch, q, near = LoopBatch.of(members), *rng.normal(size=(2, 2, 2))
+    state = batch.begin(jnp.asarray(q))
+    torque, _ = batch.step(state, Reference.rest(near), jnp.asarray(q), 0.002)
+    for i, loop in enumerate(members):
+        alone, _ = loop.step(loop.begin(q[i]), Reference.rest(near[i]), q[i], 0.002)
         assert_allclose(torque[i], alone)
 
 
-def test_it_is_told_the_payload_while_it_is_there(
-    loops: ModuleType, puma: jc.CSLC, puma_k: jax.Array
-) -> None:
+def test_the_payload_is_known_while_it_is_there(puma: jc.CSLC, puma_k: jax.Array) -> None:
     """Against the controller of an arm that has it for ever, and of one that never has."""
     network, controller = puma.with_payload(), ComputedTorque(puma, puma_k, 20.0)
     body = jc.LinkParameters(2.0, np.array([0.02, -0.03, 0.1]), 0.005 * np.eye(3))
-    told = loops.Told.of(controller, network, body, 0.002, 0.004)
+    known = KnownPayloadLoop.of(controller, network, body, 0.002, 0.004)
     q, near = jnp.asarray(np.linspace(-1.0, 1.0, 6)), Reference.rest(np.linspace(-0.9, 1.0, 6))
     nothing = jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
     loaded = network.coefficients_from([nothing] * 6, payload=body)
     ten = loaded[network.layout.payload]
     whole = controller.with_network(network, jnp.concatenate([puma_k, ten]))
-    state, others = told.begin(q), [Loop(each) for each in (controller, whole)]
-    states = [each.begin(q) for each in others]
+    state, others = known.begin(q), [Loop(one) for one in (controller, whole)]
+    states = [loop.begin(q) for loop in others]
     for carries in (0, 1, 0):
-        torque, state = told.step(state, near, q, 0.002)
-        each = [loop.step(own, near, q, 0.002) for loop, own in zip(others, states, strict=True)]
-        states = [own for _, own in each]
-        assert_allclose(torque, each[carries][0], rtol=1e-9)
-        assert not np.allclose(torque, each[1 - carries][0], rtol=1e-3)
+        torque, state = known.step(state, near, q, 0.002)
+        steps = [loop.step(old, near, q, 0.002) for loop, old in zip(others, states, strict=True)]
+        states = [new for _, new in steps]
+        assert_allclose(torque, steps[carries][0], rtol=1e-9)
+        assert not np.allclose(torque, steps[1 - carries][0], rtol=1e-3)
 
 
-def test_it_stands_while_it_picks_up_and_puts_down(runs: ModuleType) -> None:
-    task = runs.Task(1.0, 1.1)
-    at = np.array([[task.picked], [task.placed], [task.departed], [task.arrived]])
-    wanted = task.path.reference(at, np.broadcast_to(runs.START, (4, 6)))
+def test_it_stands_while_it_picks_up_and_puts_down() -> None:
+    task = tasks.Task(1.0, 1.1)
+    times = np.array([[task.picked], [task.placed], [task.departed], [task.arrived]])
+    wanted = task.path.reference(times, np.broadcast_to(tasks.START, (4, 6)))
     assert_allclose(wanted.qd, 0.0, atol=1e-9)
-    assert_allclose(wanted.q, np.stack([runs.PICK, runs.PLACE, runs.PICK, runs.PLACE]))
+    assert_allclose(wanted.q, np.stack([tasks.PICK, tasks.PLACE, tasks.PICK, tasks.PLACE]))
     (load,) = task.loads
     assert (load.start, load.stop) == (task.picked, task.placed)
-    assert not runs.Task(0.0, 1.1).loads
+    assert not tasks.Task(0.0, 1.1).loads
     low, high = np.array(sim.puma560().position_range).T
-    for pose in (runs.START, runs.PICK, *runs.VIA, runs.PLACE):
+    for pose in (tasks.START, tasks.PICK, *tasks.VIA, tasks.PLACE):
         assert np.all((low < pose) & (pose < high))
 
 
-def test_moments_count_motion_alone(runs: ModuleType) -> None:
-    task = runs.Task(1.0, 1.1)
-    found = {name: round(float(task.time[at] - task.departed), 3) for name, at in
-             task.moments.items()}  # fmt: skip
+def test_moments_count_motion_alone() -> None:
+    task = tasks.Task(1.0, 1.1)
+    moments = {
+        name: round(float(task.time[sample] - task.departed), 3)
+        for name, sample in task.moments.items()
+    }
     # It stays 0.1 s at the first via point, which it reaches after 1.1 s.
-    assert_allclose([found[name] for name in ("0.5 s", "1 s", "2 s")], [0.5, 1.0, 2.1], atol=0.003)
+    assert_allclose(
+        [moments[name] for name in ("0.5 s", "1 s", "2 s")], [0.5, 1.0, 2.1], atol=0.003
+    )
     assert task.time[task.moments["end"]] < task.placed
 
 
-def test_judged_against_the_truth(runs: ModuleType) -> None:
+def test_estimates_against_the_truth() -> None:
     wide = np.array([1e-3, 2e-3, 3e-3])
     off = np.array([0.0, 3e-3, -1e-3])
-    found = runs.judged("end", 2.0, 1.98, 0.03, off, wide)
-    assert found["mass error [%], end"] == pytest.approx(-1.0)
-    assert (found["mass held, end"], found["centre held, end"]) == (1.0, pytest.approx(2 / 3))
-    assert found["centre error [mm], end"] == pytest.approx(np.sqrt(10.0))
-    unknown = runs.judged("end", 2.0, np.nan, 0.03, np.full(3, np.nan), wide)
+    errors = estimate_errors("end", 2.0, 1.98, 0.03, off, wide)
+    assert errors["mass error [%], end"] == pytest.approx(-1.0)
+    assert (errors["mass covered, end"], errors["centre covered, end"]) == (
+        1.0,
+        pytest.approx(2 / 3),
+    )
+    assert errors["centre error [mm], end"] == pytest.approx(np.sqrt(10.0))
+    unknown = estimate_errors("end", 2.0, np.nan, 0.03, np.full(3, np.nan), wide)
     assert all(np.isnan(value) for value in unknown.values())
 
 
 def test_a_small_run(
-    script: ModuleType,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -107,8 +99,8 @@ def test_a_small_run(
     # To choose among settings is the part of `choose_settings`, and takes its time.
     chosen = jc.Settings(jc.AveragedSplines(13), torque_alignment="mean", cutoff=8.0)
     monkeypatch.setattr(jc, "choose_settings", lambda *_, **__: SimpleNamespace(settings=chosen))
-    given = ["--seeds", "1", "--masses", "2", "--cases", "encoders", "-o", str(tmp_path)]
-    assert script.main([*given, "--no-film"]) == 0
+    options = ["--seeds", "1", "--masses", "2", "--cases", "encoders", "-o", str(tmp_path)]
+    assert study.main([*options, "--no-film"]) == 0
     assert "1 arms: median" in capsys.readouterr().out
     with (tmp_path / "seeds.csv").open() as file:
         (row,) = list(csv.DictReader(file))
@@ -117,40 +109,38 @@ def test_a_small_run(
     for moment in ("1 s", "2 s", "end", "off-line"):
         assert abs(float(row[f"mass error [%], {moment}"])) < 2.0
         assert float(row[f"centre error [mm], {moment}"]) < 5.0
-    place = {way: float(row[f"place [mm], {way}"]) for way in script.WAYS}
+    place = {method: float(row[f"place [mm], {method}"]) for method in METHODS}
     assert place["not learnt"] > 5.0 * place["learnt"]
     assert place["learnt"] < 1.5 * place["known"] + 0.1
     for name in ("payload", "hand"):
         assert (tmp_path / f"encoders_{name}.png").read_bytes()[:4] == b"\x89PNG"
 
-    # What was kept is not done again, and a film that cannot be made is a line, no failure.
+    # What is finished is not done again, and a film that cannot be made is a line, no failure.
     def impossible(*_: object) -> None:
         raise sim.MachineError("film: no OpenGL")
 
     kept = (tmp_path / "rows.jsonl").read_text()
     (tmp_path / "rows.jsonl").write_text(kept + '{"case": "encoders", "half')
-    monkeypatch.setattr(script, "film", impossible)
-    assert script.main(given) == 0
+    monkeypatch.setattr(study, "film", impossible)
+    assert study.main(options) == 0
     assert "no film: film: no OpenGL\n" in capsys.readouterr().err
     assert (tmp_path / "rows.jsonl").read_text().startswith(kept)
 
 
-def test_bad_options(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = [["--seeds", "0"], ["--frequency", "0"], ["--masses", "-1"], ["--cases", "none"]]
     (tmp_path / "rows.jsonl").write_text("no row\n")
     for option in (*wrong, ["-o", str(tmp_path)]):
         with pytest.raises(SystemExit):
-            script.main(option)
+            study.main(option)
         assert "error: " in capsys.readouterr().err
 
 
-def test_loops_differ_in_nothing_but_arrays(loops: ModuleType, puma: jc.CSLC) -> None:
+def test_loops_differ_in_nothing_but_arrays(puma: jc.CSLC) -> None:
     """So that a program that was compiled for one payload does for the others."""
     controller, network = ComputedTorque(puma, jnp.zeros(puma.size), 20.0), puma.with_payload()
-    told = [loops.Told.of(controller, network, None, stop) for stop in (1.0, 2.0)]
-    rest = [
-        jax.tree_util.tree_leaves(eqx.filter(each, eqx.is_array, inverse=True)) for each in told
+    known = [KnownPayloadLoop.of(controller, network, None, stop) for stop in (1.0, 2.0)]
+    static = [
+        jax.tree_util.tree_leaves(eqx.filter(loop, eqx.is_array, inverse=True)) for loop in known
     ]
-    assert rest[0] == rest[1]
+    assert static[0] == static[1]

@@ -1,0 +1,111 @@
+"""Tables of the payload study."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxcslc.identification import text_table
+from scripts.studies.payload.arms import LEARNT, METHODS, NOT_LEARNT
+from scripts.studies.payload.task import CASES, MOMENTS
+from scripts.studies.tables import median_text
+
+
+_HAND = {
+    "carrying": "carrying",
+    "last leg": "on the last leg",
+    "arrival": "arriving",
+    "place": "at the place",
+}
+
+
+class Tables:
+    """The rows of all seeds as tables."""
+
+    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        self.rows = rows
+        self.pairs = list(dict.fromkeys((row["case"], row["mass"]) for row in rows))
+
+    def of(self, case: str, mass: float, name: str) -> list[float]:
+        """One number of each seed."""
+        selected = [row for row in self.rows if (row["case"], row["mass"]) == (case, mass)]
+        return [float(row[name]) for row in selected]
+
+    def estimates(self) -> str:
+        """Errors of the estimates, and their intervals."""
+        cells: list[list[str]] = []
+        for case, mass in self.pairs:
+            for moment in (*(f"{t:g} s" for t in MOMENTS), "end", "off-line") if mass else ():
+                cells.append([CASES[case].description, f"{mass:g}", moment])
+                for name in ("mass", "centre"):
+                    unit = "%" if name == "mass" else "mm"
+                    off, half, covered = (
+                        np.array(self.of(case, mass, f"{name} {figure}, {moment}"))
+                        for figure in (f"error [{unit}]", f"interval [{unit}]", "covered")
+                    )
+                    if name == "mass":
+                        cells[-1].append(f"{np.isfinite(off).sum()}/{len(off)}")
+                    off, some = np.abs(off), np.isfinite(off).any()
+                    cells[-1] += [
+                        median_text(off),
+                        f"{np.nanmax(off):.3g}" if some else "-",
+                        f"{np.nanmedian(half):.2g}" if some else "-",
+                        f"{np.nanmean(covered):.0%}" if some else "-",
+                    ]
+        header = [
+            "case",
+            "kg",
+            "after",
+            "estimated",
+            "mass error [%]",
+            "worst",
+            "95 % ±",
+            "covered",
+        ]
+        header += ["centre error [mm]", "worst", "95 % ±", "covered"]
+        return text_table(header, cells, left=("after",))
+
+    def moments(self) -> str:
+        """When picking up and putting down were detected, and false alarms."""
+        cells: list[list[str]] = []
+        for case, mass in self.pairs:
+            up, down = (
+                self.of(case, mass, name) if mass else [] for name in ("picked up", "put down")
+            )
+            cells.append(
+                [
+                    CASES[case].description,
+                    f"{mass:g}",
+                    *(
+                        text
+                        for times in (up, down)
+                        for text in (f"{np.isfinite(times).sum()}/{len(times)}", median_text(times))
+                    ),
+                    f"{sum(self.of(case, mass, 'false alarms')):g}",
+                    f"{min(self.of(case, mass, 'least eigenvalue')):.2g}",
+                ]
+            )
+        header = ["case", "kg", "up", "after [s]", "down", "after [s]", "false", "least eigenvalue"]
+        return text_table(header, cells)
+
+    def hand(self) -> str:
+        """Errors of the hand by method, and their ratio without and with learning."""
+        cells: list[list[str]] = []
+        for case, mass in self.pairs:
+            for key, name in _HAND.items():
+                mm = {
+                    method: np.array(self.of(case, mass, f"{key} [mm], {method}"))
+                    for method in (METHODS if mass else (LEARNT,))
+                }
+                ratio = mm[NOT_LEARNT] / mm[LEARNT] if mass else np.empty(0)
+                cells.append(
+                    [
+                        CASES[case].description,
+                        f"{mass:g}",
+                        name,
+                        *(median_text(mm[method]) if method in mm else "-" for method in METHODS),
+                        median_text(ratio),
+                    ]
+                )
+        header = ["case", "kg", "error of the hand [mm]", *METHODS, "not learnt / learnt"]
+        return text_table(header, cells, left=("error of the hand [mm]",))
