@@ -1,6 +1,6 @@
-"""Networks other than the CSLC, and their training, for `generalisation_study.py`.
+"""Sigmoidal and radial basis networks, and their training, all seeds at once.
 
-In Equinox and Optax, all seeds at once; see there for what is done and why.
+In Equinox and Optax; `study.py` describes the methods.
 """
 
 import argparse
@@ -70,15 +70,15 @@ class Radial(eqx.Module):
 
 
 class Part(eqx.Module):
-    """Some patterns: standardised inputs, torques [N m], which pairs of pattern and joint count."""
+    """Some patterns: standardised inputs, torques [N m], mask of pairs of pattern and joint."""
 
     x: Float[Array, "*seeds samples inputs"]
     torque: Float[Array, "*seeds samples joints"]
-    counts: Bool[Array, "*seeds samples joints"]
+    mask: Bool[Array, "*seeds samples joints"]
 
 
 class Data(eqx.Module):
-    """What networks of every seed see; all arrays have a leading axis of seeds."""
+    """Patterns of every seed; all arrays have a leading axis of seeds."""
 
     training: Part
     stop: Part
@@ -93,17 +93,17 @@ class Data(eqx.Module):
 
 
 @jax.jit
-def epsilon(error: Array, counts: Array) -> Array:
+def epsilon(error: Array, mask: Array) -> Array:
     """ε of one seed [N m] (7.5), as `jaxcslc.compare` has it; NaN of no patterns."""
-    of_pattern = jnp.sum(counts, axis=1)
-    square = jnp.sum(jnp.where(counts, error, 0.0) ** 2, axis=1) / jnp.maximum(of_pattern, 1)
+    of_pattern = jnp.sum(mask, axis=1)
+    square = jnp.sum(jnp.where(mask, error, 0.0) ** 2, axis=1) / jnp.maximum(of_pattern, 1)
     return 0.5 * jnp.sum(jnp.sqrt(square)) / jnp.sum(of_pattern > 0)
 
 
-def loss(network: Any, x: Array, target: Array, counts: Array) -> Array:
-    """Mean square of standardised errors over pairs that count."""
-    error = jnp.where(counts, jax.vmap(network)(x) - target, 0.0)
-    return jnp.sum(error**2) / jnp.sum(counts)
+def loss(network: Any, x: Array, target: Array, mask: Array) -> Array:
+    """Mean square of standardised errors over the pairs of a mask."""
+    error = jnp.where(mask, jax.vmap(network)(x) - target, 0.0)
+    return jnp.sum(error**2) / jnp.sum(mask)
 
 
 def start_radial(data: Data, hidden: int, key: Array) -> Radial:
@@ -133,16 +133,16 @@ def start_radial(data: Data, hidden: int, key: Array) -> Radial:
         columns = jax.vmap(basis)(x).astype(float)
         columns = jnp.concatenate([columns, jnp.ones((len(x), 1))], axis=1)
 
-        def one(t: Array, counts: Array) -> Array:
-            rows = jnp.where(counts[:, None], columns, 0.0)
-            penalty = ridge * jnp.sum(counts) * jnp.eye(hidden + 1).at[-1, -1].set(1e-12)
+        def one(t: Array, mask: Array) -> Array:
+            rows = jnp.where(mask[:, None], columns, 0.0)
+            penalty = ridge * jnp.sum(mask) * jnp.eye(hidden + 1).at[-1, -1].set(1e-12)
             return jnp.linalg.solve(rows.T @ rows + penalty, rows.T @ t)
 
-        found = jax.vmap(one, in_axes=1)(target.astype(float), data.training.counts)
-        output = (found[:, :-1].astype(x.dtype), found[:, -1].astype(x.dtype))
+        weights = jax.vmap(one, in_axes=1)(target.astype(float), data.training.mask)
+        output = (weights[:, :-1].astype(x.dtype), weights[:, -1].astype(x.dtype))
         network = eqx.tree_at(lambda n: (n.output, n.bias), network, output)
         error = data.stop.torque - data.torque_of(network, data.stop.x)
-        return network, epsilon(error, data.stop.counts)
+        return network, epsilon(error, data.stop.mask)
 
     overlaps, ridges = jnp.meshgrid(
         jnp.log(jnp.array([1.0, 2.0, 4.0, 8.0], x.dtype)), jnp.array([1e-9, 1e-7, 1e-5, 1e-3])
@@ -152,7 +152,7 @@ def start_radial(data: Data, hidden: int, key: Array) -> Radial:
 
 
 class Progress(eqx.Module):
-    """Where the training of one seed is."""
+    """The state of one seed's training."""
 
     network: Any
     optimiser: Any
@@ -181,9 +181,11 @@ def epochs(
         target = (part.torque - data.mean[None]) / data.scale[None]
         batches = len(part.x) // batch
 
-        def step(carry: Any, some: Array) -> tuple[Any, None]:
+        def step(carry: Any, batch_rows: Array) -> tuple[Any, None]:
             network, state = carry
-            slope = eqx.filter_grad(loss)(network, part.x[some], target[some], part.counts[some])
+            slope = eqx.filter_grad(loss)(
+                network, part.x[batch_rows], target[batch_rows], part.mask[batch_rows]
+            )
             slope = jax.tree.map(jnp.multiply, slope, mask)
             change, state = optimiser.update(slope, state)
             return (optax.apply_updates(network, change), state), None
@@ -194,10 +196,10 @@ def epochs(
                 step, (now.network, now.optimiser), order.reshape(batches, batch)
             )
             error = data.stop.torque - data.torque_of(network, data.stop.x)
-            found = epsilon(error, data.stop.counts)
-            better = found < now.least
+            stop_error = epsilon(error, data.stop.mask)
+            better = stop_error < now.least
             best = jax.tree.map(lambda a, b: jnp.where(better, a, b), network, now.best)
-            return Progress(network, state, best, jnp.minimum(found, now.least)), None
+            return Progress(network, state, best, jnp.minimum(stop_error, now.least)), None
 
         return jax.lax.scan(epoch, progress, keys)[0]
 
@@ -205,20 +207,20 @@ def epochs(
 
 
 def trained(
-    network: Any, data: Data, mask: Any, given: argparse.Namespace, rate: float, bar: Any
+    network: Any, data: Data, mask: Any, options: argparse.Namespace, rate: float, bar: Any
 ) -> tuple[Any, Any]:
     """The networks of all seeds at their least stop-set error, and after the last epoch."""
     seeds, samples = data.training.x.shape[:2]
-    batch = min(given.batch, samples)
-    optimiser = optimiser_of(rate, given.epochs * (samples // batch))
+    batch = min(options.batch, samples)
+    optimiser = optimiser_of(rate, options.epochs * (samples // batch))
     least = errors(network, data)["stop"]
     now = Progress(network, eqx.filter_vmap(optimiser.init)(network), network, least)
-    keys = jax.random.split(jax.random.key(1), (seeds, given.epochs))
-    each = max(given.epochs // CHUNKS, 1)
-    for first in range(0, given.epochs, each):
-        some = keys[:, first : first + each]
-        now = jax.block_until_ready(epochs(now, data, mask, some, optimiser, batch))
-        bar.update(some.shape[1])
+    keys = jax.random.split(jax.random.key(1), (seeds, options.epochs))
+    chunk = max(options.epochs // CHUNKS, 1)
+    for first in range(0, options.epochs, chunk):
+        part = keys[:, first : first + chunk]
+        now = jax.block_until_ready(epochs(now, data, mask, part, optimiser, batch))
+        bar.update(part.shape[1])
     return now.best, now.network
 
 
@@ -229,7 +231,7 @@ def errors(network: Any, data: Data) -> dict[str, Array]:
     def of_one(network: Any, data: Data) -> dict[str, Array]:
         parts = {name: getattr(data, name) for name in PARTS}
         return {
-            name: epsilon(part.torque - data.torque_of(network, part.x), part.counts)
+            name: epsilon(part.torque - data.torque_of(network, part.x), part.mask)
             for name, part in parts.items()
         }
 
@@ -240,7 +242,7 @@ def errors(network: Any, data: Data) -> dict[str, Array]:
 def cost_of(sizes: tuple[int, ...]) -> Callable[..., Array]:
     """A sigmoidal network's training-set error by its flat weights; one function for one shape."""
     _, unravel = ravel_pytree(Sigmoidal(sizes, jax.random.key(0)))
-    return lambda weights, x, target, counts: loss(unravel(weights), x, target, counts)
+    return lambda weights, x, target, mask: loss(unravel(weights), x, target, mask)
 
 
 def of_seed(tree: Any, seed: int) -> Any:
@@ -249,7 +251,7 @@ def of_seed(tree: Any, seed: int) -> Any:
 
 
 def stacked(trees: Sequence[Any]) -> Any:
-    """The seeds' parts together."""
+    """The seeds' parts as one, with a leading axis of seeds."""
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *trees)
 
 
@@ -272,15 +274,15 @@ def pruned(
     for seed in range(len(data.mean)):
         one = of_seed(data, seed)
         target = (one.training.torque - one.mean[None]) / one.scale[None]
-        found = prune(
+        result = prune(
             cost_of(sizes),
             flat(network, seed),
             ends,
             tolerance=tolerance,
-            args=(one.training.x, target, one.training.counts),
+            args=(one.training.x, target, one.training.mask),
         )
-        weights.append(unravel(jnp.asarray(found.weights.astype(np.float32))))
-        masks.append(unravel(jnp.asarray(found.kept.astype(np.float32))))
+        weights.append(unravel(jnp.asarray(result.weights.astype(np.float32))))
+        masks.append(unravel(jnp.asarray(result.kept.astype(np.float32))))
     return stacked(weights), stacked(masks)
 
 

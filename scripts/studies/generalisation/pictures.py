@@ -22,21 +22,21 @@ _MARKERS = ("o", "s", "P", "D", "^", "v")
 
 def generalisation_picture(
     families: Mapping[str, Family],
-    yardstick: Mapping[str, Family],
+    references: Mapping[str, Family],
     *,
     title: str | None = None,
     unit: str = "N m",
 ) -> Figure:
-    """Errors of networks of several sizes where they were trained, and where they were not (4.3).
+    """Errors of networks of several sizes on training and comparison patterns (4.3).
 
-    One panel for the patterns trained on and one for the comparison recording, on the same axes.
+    One panel for the training patterns and one for the comparison recording, on the same axes.
     Markers are at medians over seeds, bars reach from the lower to the upper quartile.
 
     **Arguments**
 
     - `families`: by name, (sizes,) numbers of weights, (sizes, seeds) ε of the training patterns
       and (sizes, seeds) ε of the comparison recording.
-    - `yardstick`: what the others are measured by, drawn in black with a line through the median.
+    - `references`: drawn in black with a line through the median.
     - `unit`: of ε.
 
     **Returns** a matplotlib figure.
@@ -58,7 +58,7 @@ def generalisation_picture(
                 label=name,
                 **look,
             )
-        for i, (name, family) in enumerate(yardstick.items()):
+        for i, (name, family) in enumerate(references.items()):
             middle, reach = _spread(family[errors])
             for height in middle:
                 axes.axhline(float(height), color=QUIET, lw=0.9, ls="--", zorder=0.5)

@@ -1,10 +1,9 @@
 """The study of generalisation: its networks, its figures of merit, and a tiny run."""
 
+import argparse
 import csv
-import importlib
 import json
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -17,28 +16,20 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
 from jaxcslc.training import LinkEnds
-
-
-@pytest.fixture(scope="module")
-def networks() -> ModuleType:
-    return importlib.import_module("scripts.studies.generalisation.networks")
-
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.studies.generalisation.study")
+from scripts.studies.generalisation import networks, study
+from scripts.studies.generalisation.patterns import in_range, stop_set
 
 
 @pytest.fixture
-def data(networks: ModuleType, rng: np.random.Generator) -> Any:
+def data(rng: np.random.Generator) -> Any:
     """Two seeds' patterns of a smooth function of 3 inputs with 2 outputs."""
 
     def part(samples: int) -> Any:
         x = rng.normal(size=(2, samples, 3))
         torque = np.stack([np.sin(x[..., 0]), x[..., 1] * x[..., 2]], axis=-1)
-        counts = rng.random(torque.shape) < 0.8
+        mask = rng.random(torque.shape) < 0.8
         return networks.Part(
-            jnp.asarray(x, "float32"), jnp.asarray(5 + 2 * torque, "float32"), jnp.asarray(counts)
+            jnp.asarray(x, "float32"), jnp.asarray(5 + 2 * torque, "float32"), jnp.asarray(mask)
         )
 
     ones = jnp.ones((2, 2), "float32")
@@ -53,20 +44,20 @@ class Silent:
 
 
 def test_epsilon_is_that_of_compare(
-    networks: ModuleType, puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator
+    puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator
 ) -> None:
     q, qd, qdd = rng.normal(size=(3, 20, 6))
-    counts = rng.random((20, 6)) < 0.4
+    mask = rng.random((20, 6)) < 0.4
     patterns = jc.Patterns(
-        np.arange(20.0), q, qd, qdd, rng.normal(size=(20, 6)), counts, np.ones((20, 6), bool)
+        np.arange(20.0), q, qd, qdd, rng.normal(size=(20, 6)), mask, np.ones((20, 6), bool)
     )
     expected = jc.compare(puma, patterns, {"k": puma_k}).epsilon[0]
     error = jc.identification.torque_errors(puma, patterns, puma_k)
-    assert_allclose(networks.epsilon(error, jnp.asarray(counts)), expected, rtol=1e-12)
+    assert_allclose(networks.epsilon(error, jnp.asarray(mask)), expected, rtol=1e-12)
     assert np.isnan(networks.epsilon(error, jnp.zeros((20, 6), bool)))
 
 
-def test_order_of_the_worked_example(networks: ModuleType) -> None:
+def test_order_of_the_worked_example() -> None:
     """Fig. 4.2-1: hidden nodes of order 2, 3, 3 and 2; outputs of order 6 and 9."""
     hidden = {3: (0, 1), 4: (0, 1, 2), 5: (0, 1, 2), 6: (1, 2)}
     outputs = {7: (3, 4), 8: (3, 5, 6)}
@@ -83,7 +74,7 @@ def test_order_of_the_worked_example(networks: ModuleType) -> None:
 
 @pytest.mark.parametrize(("hidden", "order"), [((5,), 4 * 6), ((5, 7), 4 * 6 * 8)])
 def test_order_counts_biases_and_only_links_that_are_left(
-    networks: ModuleType, hidden: tuple[int, ...], order: int
+    hidden: tuple[int, ...], order: int
 ) -> None:
     network = networks.Sigmoidal((3, *hidden, 2), jax.random.key(0))
     ends = network.link_ends()
@@ -94,7 +85,7 @@ def test_order_counts_biases_and_only_links_that_are_left(
     assert networks.order_of(ends, np.zeros_like(kept)) == 0
 
 
-def test_link_ends_are_in_the_order_of_the_flat_weights(networks: ModuleType) -> None:
+def test_link_ends_are_in_the_order_of_the_flat_weights() -> None:
     """A weight matters to its output alone, and not at all while its source gives nothing."""
     network = networks.Sigmoidal((3, 4, 2), jax.random.key(1))
     flat, unravel = ravel_pytree(network)
@@ -106,7 +97,7 @@ def test_link_ends_are_in_the_order_of_the_flat_weights(networks: ModuleType) ->
     assert_array_equal(slope[1] == 0, (ends.target == 8) | (ends.source == 1))
 
 
-def test_gaussians_by_differences(networks: ModuleType, rng: np.random.Generator) -> None:
+def test_gaussians_by_differences(rng: np.random.Generator) -> None:
     parts = [rng.normal(size=shape) for shape in ((5, 3), (5,), (2, 5), (2,))]
     network = networks.Radial(*(jnp.asarray(part) for part in parts))
     x = rng.normal(size=3)
@@ -116,40 +107,38 @@ def test_gaussians_by_differences(networks: ModuleType, rng: np.random.Generator
     assert_allclose(network(jnp.asarray(x)), expected, rtol=1e-10)
 
 
-def test_radial_networks_start_with_outputs_solved_for(networks: ModuleType, data: Any) -> None:
+def test_radial_networks_start_with_outputs_solved_for(data: Any) -> None:
     start = eqx.filter_jit(eqx.filter_vmap(lambda d, k: networks.start_radial(d, 20, k)))
     network = start(data, jax.random.split(jax.random.key(0), 2))
     one, first = networks.of_seed(network, 0), networks.of_seed(data, 0)
     part = first.training
     target = (part.torque - first.mean[None]) / first.scale[None]
-    slope = eqx.filter_grad(networks.loss)(one, part.x, target, part.counts)
+    slope = eqx.filter_grad(networks.loss)(one, part.x, target, part.mask)
     none = eqx.tree_at(lambda n: n.output, one, jnp.zeros_like(one.output))
-    unsolved = eqx.filter_grad(networks.loss)(none, part.x, target, part.counts)
+    unsolved = eqx.filter_grad(networks.loss)(none, part.x, target, part.mask)
     assert np.abs(slope.output).max() < 0.02 * np.abs(unsolved.output).max()
     assert np.abs(slope.bias).max() < 1e-4
 
 
-def test_the_stop_set_chooses_the_epoch(
-    script: ModuleType, networks: ModuleType, data: Any
-) -> None:
-    given = script.argparse.Namespace(epochs=30, batch=20)
+def test_the_stop_set_chooses_the_epoch(data: Any) -> None:
+    options = argparse.Namespace(epochs=30, batch=20)
     start = eqx.filter_vmap(lambda key: networks.Sigmoidal((3, 8, 2), key))
     network = start(jax.random.split(jax.random.key(0), 2))
     ones = jax.tree.map(jnp.ones_like, network)
-    best, last = networks.trained(network, data, ones, given, 0.1, Silent())
+    best, last = networks.trained(network, data, ones, options, 0.1, Silent())
     before, at_best, at_last = (networks.errors(n, data) for n in (network, best, last))
     assert np.all(at_best["stop"] <= jnp.minimum(before["stop"], at_last["stop"]))
     assert np.all(at_last["training"] < 0.5 * before["training"])
 
 
-def test_what_is_pruned_stays_pruned(script: ModuleType, networks: ModuleType, data: Any) -> None:
-    given = script.argparse.Namespace(epochs=30, batch=20)
+def test_what_is_pruned_stays_pruned(data: Any) -> None:
+    options = argparse.Namespace(epochs=30, batch=20)
     start = eqx.filter_vmap(lambda key: networks.Sigmoidal((3, 8, 2), key))
     network = start(jax.random.split(jax.random.key(0), 2))
     ones = jax.tree.map(jnp.ones_like, network)
-    network, _ = networks.trained(network, data, ones, given, 0.1, Silent())
+    network, _ = networks.trained(network, data, ones, options, 0.1, Silent())
     left, kept = networks.pruned(network, data, (3, 8, 2), 0.1)
-    _, last = networks.trained(left, data, kept, given, 0.1, Silent())
+    _, last = networks.trained(left, data, kept, options, 0.1, Silent())
     for seed in range(2):
         mask = networks.flat(kept, seed) > 0
         assert 0 < np.sum(~mask) < mask.size
@@ -160,15 +149,15 @@ def test_what_is_pruned_stays_pruned(script: ModuleType, networks: ModuleType, d
     assert np.all(networks.flat(again, 0)[networks.flat(kept, 0) == 0] == 0)
 
 
-def test_stop_sets_are_stretches_from_all_over(script: ModuleType) -> None:
-    chosen = [script.stop_set(1003, seed) for seed in range(6)]
-    assert {int(one.sum()) for one in chosen} == {200}
-    groups = np.stack(chosen)[:, :1000].reshape(6, 4, 250)
+def test_stop_sets_are_stretches_from_all_over() -> None:
+    sets = [stop_set(1003, seed) for seed in range(6)]
+    assert {int(one.sum()) for one in sets} == {200}
+    groups = np.stack(sets)[:, :1000].reshape(6, 4, 250)
     assert np.all(groups.sum(axis=2) == 50)
-    assert len({one.tobytes() for one in chosen}) > 1
+    assert len({one.tobytes() for one in sets}) > 1
 
 
-def test_in_range_is_every_input_for_itself(script: ModuleType) -> None:
+def test_in_range_is_every_input_for_itself() -> None:
     def patterns(q: list[float], qd: list[float]) -> jc.Patterns:
         still, every = np.zeros((len(q), 1)), np.ones((len(q), 1), bool)
         motion = (np.array(q)[:, None], np.array(qd)[:, None])
@@ -176,21 +165,20 @@ def test_in_range_is_every_input_for_itself(script: ModuleType) -> None:
             np.arange(float(len(q))), motion[0], motion[1], still, still, every, every
         )
 
-    known = patterns([0.0, 1.0, 9.0], [5.0, 0.0, 9.0])
-    asked = patterns([0.5, 1.0, 1.1, 0.5], [0.0, 5.0, 1.0, -0.1])
-    found = script.in_range(asked, known, np.array([True, True, False]))
-    assert_array_equal(found, [True, True, False, False])
+    training = patterns([0.0, 1.0, 9.0], [5.0, 0.0, 9.0])
+    judged = patterns([0.5, 1.0, 1.1, 0.5], [0.0, 5.0, 1.0, -0.1])
+    inside = in_range(judged, training, np.array([True, True, False]))
+    assert_array_equal(inside, [True, True, False, False])
 
 
 def test_a_tiny_run_and_its_repetition(
-    script: ModuleType,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = tmp_path / "study"
     arguments = ["--quick", "-o", str(folder), "--tolerance", "0.1"]
-    assert script.main(arguments) == 0
+    assert study.main(arguments) == 0
     printed = capsys.readouterr().out
     assert f"wrote generalisation.csv and generalisation.png into {folder}" in printed
     written = (folder / "generalisation.csv").read_text(encoding="utf-8")
@@ -206,31 +194,31 @@ def test_a_tiny_run_and_its_repetition(
     assert (folder / "generalisation.png").stat().st_size > 10_000
 
     # What was cut off is made again; what is finished is not.
-    kept = (folder / "rows.jsonl").read_text(encoding="utf-8").splitlines()
-    (folder / "rows.jsonl").write_text("\n".join([*kept[:2], kept[2][:50]]) + "\n")
+    lines = (folder / "rows.jsonl").read_text(encoding="utf-8").splitlines()
+    (folder / "rows.jsonl").write_text("\n".join([*lines[:2], lines[2][:50]]))
     made: list[str] = []
 
     def remember(kind: Any, *_: Any) -> dict[str, Any]:
         made.append(kind.name)
-        row = json.loads(kept[2])
-        del row["options"]
+        row = json.loads(lines[2])
+        del row["made_of"]
         return row
 
-    monkeypatch.setattr(script, "train", remember)
-    assert script.main(arguments) == 0
+    monkeypatch.setattr(study, "train", remember)
+    assert study.main(arguments) == 0
     assert made == [names[4]]
     assert (folder / "generalisation.csv").read_text(encoding="utf-8") == written
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(script, "study", interrupt)
-    assert script.main(arguments) == 130
+    monkeypatch.setattr(study, "make_rows", interrupt)
+    assert study.main(arguments) == 130
     assert "interrupted; the same command goes on from" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--seeds", "0"], "--seeds is 0; expected 1 or more"),
         (["--samples", "100"], "--samples is 100; expected 600 or more"),
@@ -239,8 +227,8 @@ def test_a_tiny_run_and_its_repetition(
     ],
 )
 def test_wrong_options(
-    script: ModuleType, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
-        script.main(arguments)
-    assert said in capsys.readouterr().err
+        study.main(arguments)
+    assert message in capsys.readouterr().err
