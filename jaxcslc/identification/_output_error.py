@@ -162,7 +162,7 @@ def fit_windows(
     damping, settled, number = _FIRST_DAMPING, False, 0
     while number < rounds and not settled:
         number += 1
-        change, moves = _step(system, damping)
+        change, moves = _step(system, jnp.asarray(damping))
         trial = equations(theta + change, states + moves)
         if float(trial.cost) <= float(system.cost):  # and not NaN
             settled = float(system.cost) - float(trial.cost) < 1e-5 * float(trial.cost)
@@ -199,7 +199,7 @@ class _System(NamedTuple):
 
 
 @jax.jit
-def _step(system: _System, damping: float) -> tuple[Array, Array]:
+def _step(system: _System, damping: Float[Array, ""]) -> tuple[Array, Array]:
     """Levenberg and Marquardt's step of unknowns and states."""
     normal = jnp.sum(system.normal, axis=0)
     size = jnp.sqrt(jnp.diag(normal))

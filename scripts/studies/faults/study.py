@@ -1,16 +1,17 @@
-"""Faults in the loop: how soon each is found and named, and how soon the arm is at rest.
+"""Faults in the loop: how soon the guard detects them, and how soon the arm is at rest.
 
-Simulated PUMA 560s, a specimen a seed, with all disturbances of Section 7.2, follow a path under
-computed torque with coefficients that are some percent off, watched by `jaxcslc.control.Guard`.
-Every kind of fault happens at every joint, at several moments of the motion; and nothing happens at
-all, over longer paths. A line a kind:
+Simulated PUMA 560s, a specimen for each seed, with all disturbances of Section 7.2, follow a path
+under computed torque with coefficients that are some percent off, watched by
+`jaxcslc.control.Guard`.
+Every kind of fault happens at every joint, at several moments of the motion; longer paths without
+a fault show false alarms. A line for each kind:
 
-- **named**: of so many runs, those in which this joint and this fault were found, and nothing else;
-- **found after**: from the beginning of the fault [ms];
-- **off by**: how far the joint then was from its path [mrad], which for a stuck encoder is what
-  counts: a joint that hardly moves, or a drive that hardly pushes, tells nothing;
-- **at rest after**: from the beginning of the fault until no joint moves faster than 0.02 rad/s any
-  more [s].
+- **named**: of all runs, those in which this joint and this fault were detected, and nothing else;
+- **detected after**: from the beginning of the fault [ms];
+- **off by**: distance of the joint from its path at that time [mrad]. It matters most for a stuck
+  encoder: a joint that hardly moves, or a drive without torque, shows no fault;
+- **at rest after**: from the beginning of the fault until all joints are slower than 0.02 rad/s
+  [s].
 
 Runs that leave a joint's range count as not named.
 """
@@ -18,7 +19,6 @@ Runs that leave a joint's range count as not named.
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -32,6 +32,8 @@ import jaxcslc as jc
 import sim
 from jaxcslc.control import FAULTS, ComputedTorque, Guard, Loop
 from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from scripts.studies import command
+from scripts.studies.truth import true_coefficients
 
 
 jax.config.update("jax_enable_x64", True)
@@ -39,12 +41,12 @@ jax.config.update("jax_enable_x64", True)
 _START = np.array([0.0, -1.2, 0.6, 0.3, 0.5, 0.2])
 _REACH = np.array([0.8, 0.5, 0.5, 0.9, 0.9, 1.2])
 _STILL = 0.02  # rad/s
-_WATCHED = 1.4  # from a fault on [s]
+_DURATION = 1.4  # from a fault on [s]
 _MOMENTS = (0.25, 0.5, 0.8, 1.35)  # of faults [s]: on the way to the first pose, and to the second
 
 
 def path(poses: int, seed: int) -> sim.ViaPoints:
-    """From pose to pose, a second each."""
+    """From pose to pose, a second for each."""
     rng = np.random.default_rng(seed)
     return sim.ViaPoints(
         _START + rng.uniform(-1, 1, (poses, 6)) * _REACH, np.full(poses, 1.0), np.full(poses, 0.1)
@@ -52,18 +54,11 @@ def path(poses: int, seed: int) -> sim.ViaPoints:
 
 
 def guards(machines: Sequence[sim.Machine], error: float) -> Guard:
-    """One a machine, with the coefficients of a fit that is `error` times off at most."""
+    """A guard for each machine, with coefficients that are wrong by a part of `error` at most."""
     network = jc.derive(jc.puma560())
     rng = np.random.default_rng(0)
-    known = np.stack(
-        [
-            np.asarray(
-                network.coefficients_from(machine.links, viscous=machine.viscous, dry=machine.dry)
-            )
-            for machine in machines
-        ]
-    )
-    known = known * (1 + error * rng.uniform(-1, 1, known.shape))
+    true = np.stack([np.asarray(true_coefficients(network, machine)) for machine in machines])
+    wrong = true * (1 + error * rng.uniform(-1, 1, true.shape))
     limit = np.array(machines[0].maximum_torque)
 
     def one(k: Array) -> Guard:
@@ -72,51 +67,52 @@ def guards(machines: Sequence[sim.Machine], error: float) -> Guard:
         )
         return Guard(Loop(controller), network, k, torque_limit=limit)
 
-    return eqx.filter_vmap(one)(jnp.asarray(known))
+    return eqx.filter_vmap(one)(jnp.asarray(wrong))
 
 
 def run(
     machines: Sequence[sim.Machine],
-    watched: Guard,
-    way: sim.ViaPoints,
+    guard: Guard,
+    along: sim.ViaPoints,
     samples: int,
     fault: sim.Fault | None,
 ) -> list[sim.ClosedLoop | sim.SimulationError]:
+    """All machines along a path, side by side."""
     trajectory = sim.Trajectory(
         "guarded",
         _START,
-        sim.Servo(watched, way, per_machine=True),
+        sim.Servo(guard, along, per_machine=True),
         samples,
         faults=() if fault is None else (fault,),
     )
 
-    def seen(state: Any) -> dict[str, Array]:
+    def alarms(state: Any) -> dict[str, Array]:
         return {"fault": state.loop.fault, "found": state.loop.found}
 
-    return sim.close_loop(machines, trajectory, list(range(len(machines))), observe=seen)
+    return sim.close_loop(machines, trajectory, list(range(len(machines))), observe=alarms)
 
 
-def judged(
-    result: sim.ClosedLoop | sim.SimulationError, fault: sim.Fault, way: sim.ViaPoints
+def row_of(
+    result: sim.ClosedLoop | sim.SimulationError, fault: sim.Fault, along: sim.ViaPoints
 ) -> dict[str, Any]:
-    """One run's row."""
+    """The row of one run."""
     assert fault.joint is not None
     joint = fault.joint - 1
     row: dict[str, Any] = {"fault": fault.kind, "joint": fault.joint, "begins_s": fault.start}
     if isinstance(result, sim.SimulationError):
         return row | {"named": False, "what": str(result)}
-    codes, found = result.observed["fault"][-1], result.observed["found"][-1]
+    codes, detected = result.observed["fault"][-1], result.observed["found"][-1]
     what = ", ".join(f"joint {j + 1}: {FAULTS[c]}" for j, c in enumerate(codes) if c)
     row |= {"named": what == f"joint {fault.joint}: {fault.kind}", "what": what or "nothing"}
     if not row["named"]:
         return row
-    when = float(found[joint])
-    at = int(np.searchsorted(result.truth.time, when))
-    wanted = way.reference(np.array([when]), result.recording.position[0]).q
-    off = result.truth.position[at, joint] - wanted[joint]
+    when = float(detected[joint])
+    sample = int(np.searchsorted(result.truth.time, when))
+    reference = along.reference(np.array([when]), result.recording.position[0]).q
+    off = result.truth.position[sample, joint] - reference[joint]
     fast = np.flatnonzero(np.max(np.abs(result.truth.velocity), axis=1) > _STILL)
     return row | {
-        "found_after_ms": 1e3 * (when - fault.start),
+        "detected_after_ms": 1e3 * (when - fault.start),
         "off_by_mrad": 1e3 * abs(float(off)),
         "at_rest_after_s": float(result.truth.time[fast[-1]]) - fault.start,
     }
@@ -132,73 +128,91 @@ def spread(values: Sequence[float], digits: str) -> str:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=20, help="machines, side by side")
-    parser.add_argument("--moments", type=int, default=len(_MOMENTS), help="of each fault")
-    parser.add_argument("--healthy", type=int, default=10, help="paths of eight poses, no fault")
-    parser.add_argument("--joints", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6])
-    parser.add_argument("--error", type=float, default=0.05, help="of coefficients, at most")
-    parser.add_argument("-o", "--output", type=Path, default=Path("build/fault_study"))
-    options = parser.parse_args(arguments)
-    if options.seeds < 1:
-        parser.error(f"--seeds is {options.seeds}; expected 1 or more")
-    if not 1 <= options.moments <= len(_MOMENTS):
-        parser.error(f"--moments is {options.moments}; expected 1 to {len(_MOMENTS)}")
-    if not set(options.joints) <= set(range(1, 7)):
-        parser.error(f"--joints are {options.joints}; expected some of 1 to 6")
-    machines = [sim.disturbed(sim.specimen(sim.puma560(), seed)) for seed in range(options.seeds)]
-    watched = guards(machines, options.error)
-
+def count_alarms(machines: Sequence[sim.Machine], guard: Guard, paths: int) -> int:
+    """Runs that alarm, or fail, on paths of eight poses without a fault."""
     alarms = 0
-    for seed in tqdm(range(options.healthy), desc="healthy", disable=None):
-        for result in run(machines, watched, path(8, 100 + seed), 4400, None):
-            ok = isinstance(result, sim.ClosedLoop) and not result.observed["fault"].any()
-            alarms += not ok
-    cases = [
+    for seed in tqdm(range(paths), desc="healthy", disable=None):
+        for result in run(machines, guard, path(8, 100 + seed), 4400, None):
+            healthy = isinstance(result, sim.ClosedLoop) and not result.observed["fault"].any()
+            alarms += not healthy
+    return alarms
+
+
+def fault_rows(
+    machines: Sequence[sim.Machine], guard: Guard, joints: Sequence[int], moments: int
+) -> list[dict[str, Any]]:
+    """A row for each fault of each machine."""
+    faults = [
         sim.Fault(kind, joint, start=moment)
         for kind in FAULTS[1:]
-        for joint in options.joints
-        for moment in _MOMENTS[: options.moments]
+        for joint in joints
+        for moment in _MOMENTS[:moments]
     ]
     rows: list[dict[str, Any]] = []
-    for fault in tqdm(cases, desc="faults", disable=None):
-        samples = round((fault.start + _WATCHED) / 0.002)
-        way = path(4, fault.joint or 0)
-        results = run(machines, watched, way, samples, fault)
-        rows += [{"seed": i} | judged(result, fault, way) for i, result in enumerate(results)]
+    for fault in tqdm(faults, desc="faults", disable=None):
+        samples = round((fault.start + _DURATION) / 0.002)
+        along = path(4, fault.joint or 0)
+        results = run(machines, guard, along, samples, fault)
+        rows += [{"seed": i} | row_of(result, fault, along) for i, result in enumerate(results)]
+    return rows
 
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """A line for each kind of fault."""
     lines: list[list[str]] = []
     for kind in FAULTS[1:]:
-        own = [row for row in rows if row["fault"] == kind]
-        good = [row for row in own if row["named"]]
+        of_kind = [row for row in rows if row["fault"] == kind]
+        named = [row for row in of_kind if row["named"]]
         lines.append(
             [
                 kind,
-                f"{len(good)} of {len(own)}",
-                spread([row["found_after_ms"] for row in good], ".0f"),
-                spread([row["off_by_mrad"] for row in good], ".1f"),
-                spread([row["at_rest_after_s"] for row in good], ".2f"),
+                f"{len(named)} of {len(of_kind)}",
+                spread([row["detected_after_ms"] for row in named], ".0f"),
+                spread([row["off_by_mrad"] for row in named], ".1f"),
+                spread([row["at_rest_after_s"] for row in named], ".2f"),
             ]
         )
-        for row in own:
-            if not row["named"]:
-                print(f"{kind}, joint {row['joint']}: {row['what']}", file=sys.stderr)
-    heads = ["fault", "named", "found after [ms]", "off by [mrad]", "at rest after [s]"]
-    print(text_table(heads, lines, left=("fault",)))
+    header = ["fault", "named", "detected after [ms]", "off by [mrad]", "at rest after [s]"]
+    return text_table(header, lines, left=("fault",))
+
+
+def study(options: argparse.Namespace) -> int:
+    """Runs all machines with and without faults, prints the table and writes the file."""
+    machines = [sim.disturbed(sim.specimen(sim.puma560(), seed)) for seed in range(options.seeds)]
+    guard = guards(machines, options.error)
+    alarms = count_alarms(machines, guard, options.healthy)
+    rows = fault_rows(machines, guard, options.joints, options.moments)
+    for row in rows:
+        if not row["named"]:
+            print(f"{row['fault']}, joint {row['joint']}: {row['what']}", file=sys.stderr)
+    print(table(rows))
     print("median / 95th percentile / worst")
-    motions = 8 * options.healthy * options.seeds
-    print(
-        f"healthy: {alarms} of {options.healthy * options.seeds} runs alarmed ({motions} motions)"
-    )
+    runs = options.healthy * options.seeds
+    print(f"healthy: {alarms} of {runs} runs alarmed ({8 * runs} motions)")
     names = ["seed", "fault", "joint", "begins_s", "named", "what"]
-    names += ["found_after_ms", "off_by_mrad", "at_rest_after_s"]
+    names += ["detected_after_ms", "off_by_mrad", "at_rest_after_s"]
     with all_or_nothing(options.output) as folder:
         write_csv(
             folder / "faults.csv", [{name: row.get(name, "") for name in names} for row in rows]
         )
     print(f"wrote {options.output / 'faults.csv'}")
     return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "fault_study")
+    parser.add_argument("--seeds", type=int, default=20, help="machines, side by side")
+    parser.add_argument("--moments", type=int, default=len(_MOMENTS), help="of each fault")
+    parser.add_argument("--healthy", type=int, default=10, help="paths of eight poses, no fault")
+    parser.add_argument("--joints", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6])
+    parser.add_argument("--error", type=float, default=0.05, help="of coefficients, at most")
+    options = parser.parse_args(argv)
+    command.require_least(parser, options, seeds=1, healthy=0)
+    if not 1 <= options.moments <= len(_MOMENTS):
+        parser.error(f"--moments is {options.moments}; expected 1 to {len(_MOMENTS)}")
+    if not set(options.joints) <= set(range(1, 7)):
+        parser.error(f"--joints are {options.joints}; expected some of 1 to 6")
+    return command.run(parser, lambda: study(options))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Does a motor give what is demanded of it? The experiment of 7.2.3, on two simulated machines.
+"""Does a motor deliver the demanded torque? The experiment of 7.2.3, on two simulated machines.
 
 One PUMA 560 whose motors are linear, and one whose limit of linearity lies within the experiment's
 range. On the first the heaviest weight's measurement lies on the line through the others, as in
@@ -8,7 +8,7 @@ Fig. 7.2-2; on the second it lies above.
 import argparse
 import dataclasses
 import math
-from pathlib import Path
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -17,6 +17,7 @@ from tqdm import tqdm
 import sim
 from jaxcslc.identification import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
+from scripts.studies import command
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
 
 
@@ -34,66 +35,55 @@ def limited(machine: sim.Machine, limit: float) -> sim.Machine:
     )
 
 
-def table(found: sim.MotorLinearity) -> str:
-    """Measurements beside the line, and what they say."""
+def table(result: sim.MotorLinearity) -> str:
+    """Measurements beside the line through all but the heaviest."""
     lines = ["mass [kg]  mean torque [N m]  above the line [N m]"]
-    for mass, torque, residual in zip(found.mass, found.torque, found.residual, strict=True):
+    for mass, torque, residual in zip(result.mass, result.torque, result.residual, strict=True):
         lines.append(f"{mass:9.2f}  {torque:17.3f}  {residual:20.3f}")
     lines.append(
-        f"line through all but the heaviest: {found.intercept:.3f} N m + {found.slope:.4f} N m/kg,"
-        f" scatter {found.scatter:.3f} N m"
+        f"line through all but the heaviest: {result.intercept:.3f} N m"
+        f" + {result.slope:.4f} N m/kg, scatter {result.scatter:.3f} N m"
     )
-    lines.append(f"the heaviest lies {found.excess:+.3f} N m from it")
+    lines.append(f"the heaviest lies {result.excess:+.3f} N m from it")
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("build/motor_linearity"))
-    parser.add_argument("--seed", type=int, default=1, help="of encoders and starts")
-    parser.add_argument(
-        "--limit", type=float, default=70.0, help="of linearity of the second machine [N m]"
-    )
-    parser.add_argument(
-        "--masses",
-        type=float,
-        nargs="+",
-        default=[0, 0, 0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5],
-        help="suspended weights, one measurement each [kg]",
-    )
-    parser.add_argument("--period", type=float, default=2.0, help="of an oscillation [s]")
-    parser.add_argument("--swings", type=int, default=3, help="whole oscillations averaged")
-    options = parser.parse_args(arguments)
+def rows(result: sim.MotorLinearity) -> list[dict[str, float]]:
+    """A row for each measurement."""
+    return [
+        {"mass": float(mass), "mean_torque": float(torque), "above_line": float(residual)}
+        for mass, torque, residual in zip(result.mass, result.torque, result.residual, strict=True)
+    ]
 
-    try:
-        machines = {"linear": sim.puma560(), "limited": limited(sim.puma560(), options.limit)}
-        results = {
-            name: sim.motor_linearity(
-                machine,
-                joint=_JOINT,
-                masses=options.masses,
-                period=options.period,
-                swings=options.swings,
-                seed=options.seed,
-                progress=lambda masses, name=name: tqdm(
-                    masses, desc=f"{name} machine", unit="weight", disable=None
-                ),
-            )
-            for name, machine in machines.items()
-        }
-    except sim.MachineError as error:
-        parser.error(str(error))
 
-    for name, found in results.items():
+def study(options: argparse.Namespace) -> int:
+    """Measures both machines, prints the tables and writes tables and pictures."""
+    machines = {"linear": sim.puma560(), "limited": limited(sim.puma560(), options.limit)}
+    results = {
+        name: sim.motor_linearity(
+            machine,
+            joint=_JOINT,
+            masses=options.masses,
+            period=options.period,
+            swings=options.swings,
+            seed=options.seed,
+            progress=lambda masses, name=name: tqdm(
+                masses, desc=f"{name} machine", unit="weight", disable=None
+            ),
+        )
+        for name, machine in machines.items()
+    }
+    for name, result in results.items():
         limit = machines[name].linear_torque[_JOINT - 1]
-        said = "none" if math.isinf(limit) else f"{limit:g} N m"
-        print(f"\n{name} machine, limit of linearity of joint {_JOINT}: {said}\n{table(found)}")
+        limit_text = "none" if math.isinf(limit) else f"{limit:g} N m"
+        print(f"\n{name} machine, limit of linearity of joint {_JOINT}: {limit_text}")
+        print(table(result))
     with all_or_nothing(options.output) as folder:
-        for name, found in results.items():
-            write_csv(folder / f"{name}.csv", rows(found))
+        for name, result in results.items():
+            write_csv(folder / f"{name}.csv", rows(result))
             figure = motor_response_picture(
-                found.mass,
-                found.torque,
+                result.mass,
+                result.torque,
                 title=f"PUMA 560, joint {_JOINT}, {name} machine: weights on the flange",
             )
             save_picture(figure, folder / f"{name}.png")
@@ -110,12 +100,23 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def rows(found: sim.MotorLinearity) -> list[dict[str, float]]:
-    """One a measurement."""
-    return [
-        {"mass": float(mass), "mean_torque": float(torque), "above_line": float(residual)}
-        for mass, torque, residual in zip(found.mass, found.torque, found.residual, strict=True)
-    ]
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "motor_linearity")
+    parser.add_argument("--seed", type=int, default=1, help="of encoders and starts")
+    parser.add_argument(
+        "--limit", type=float, default=70.0, help="of linearity of the second machine [N m]"
+    )
+    parser.add_argument(
+        "--masses",
+        type=float,
+        nargs="+",
+        default=[0, 0, 0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5],
+        help="suspended weights, one for each measurement [kg]",
+    )
+    parser.add_argument("--period", type=float, default=2.0, help="of an oscillation [s]")
+    parser.add_argument("--swings", type=int, default=3, help="whole oscillations averaged")
+    options = parser.parse_args(argv)
+    return command.run(parser, lambda: study(options))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
 
 def motor_curve_picture(
     demanded: Float[np.ndarray, " samples"],
-    given: Float[np.ndarray, " samples"],
+    torque: Float[np.ndarray, " samples"],
     *,
     limit: float,
     title: str | None = None,
@@ -20,16 +20,15 @@ def motor_curve_picture(
 
     **Arguments**
 
-    - `demanded`: (samples,) ascending; power expressed as the torque that it would give if the
-      motor were linear.
-    - `given`: (samples,) the torque that it gives.
+    - `demanded`: (samples,) ascending; power as the torque that a linear motor would deliver.
+    - `torque`: (samples,) that it delivers.
     - `limit`: of linearity, in demanded torque.
 
     **Returns** a matplotlib figure.
     """
     axes = single_axes(title)
     axes.plot(demanded, demanded, color=QUIET, ls="--", lw=1.0, label="linear motor")
-    axes.plot(demanded, given, color=COLOURS[1], lw=2.0, label="motor")
+    axes.plot(demanded, torque, color=COLOURS[1], lw=2.0, label="motor")
     axes.axvline(limit, color=COLOURS[0], ls=":", lw=1.5)
     axes.annotate(
         f"limit of linearity\n{limit:.3g} {unit}",
@@ -40,7 +39,7 @@ def motor_curve_picture(
         va="bottom",
     )
     axes.set_xlabel(f"demanded torque [{unit}]")
-    axes.set_ylabel(f"torque given [{unit}]")
+    axes.set_ylabel(f"torque delivered [{unit}]")
     axes.margins(x=0.0)
     axes.set_ylim(bottom=0.0)
     legend_below(axes)

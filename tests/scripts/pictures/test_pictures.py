@@ -89,7 +89,7 @@ def test_motor_curve() -> None:
     given = np.minimum(demanded, 60)
     figure = motor_curve_picture(demanded, given, limit=60.0)
     (axes,) = figure.axes
-    assert labels(figure) == [("demanded torque [N m]", "torque given [N m]")]
+    assert labels(figure) == [("demanded torque [N m]", "torque delivered [N m]")]
     assert_allclose(line(axes, "motor"), [demanded, given])
     assert_allclose(line(axes, "linear motor"), [demanded, demanded])
     assert "limit of linearity\n60 N m" in words(figure)

@@ -1,50 +1,45 @@
 """The study of coverage: what it counts, and a tiny run."""
 
 import csv
-import importlib
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.studies.coverage.study")
+from scripts.studies.coverage import study
 
 
-def test_counts_what_was_held(script: ModuleType) -> None:
-    held = np.array([[True, True], [True, False]])
+def test_counts_what_was_covered() -> None:
+    covered = np.array([[True, True], [True, False]])
     estimate = np.array([[1.0, 2.0], [3.0, 2.5]])
-    coverage = script.Coverage("torque noise", "correlated", held, np.ones((2, 2)), estimate)
+    coverage = study.Coverage("torque noise", "correlated", covered, np.ones((2, 2)), estimate)
     assert coverage.row()[1:4] == ["0.7500", "0.750", "0.500 to 1.000"]
     rows = coverage.rows(("a", "b"), np.array([2.0, 2.0]))
     assert [row["coverage"] for row in rows] == [1.0, 0.5]
     assert rows[0]["mean error / standard deviation"] == 0.0
 
 
-def test_a_tiny_run(script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    script.main(["--recordings", "3", "-o", str(tmp_path / "study")])
+def test_a_tiny_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert study.main(["--recordings", "3", "-o", str(tmp_path / "study")]) == 0
     printed = capsys.readouterr().out
     assert "encoders, correlated errors" in printed
     with (tmp_path / "study" / "coverage.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * 2 * 43
-    # Three recordings of 43 coefficients; intervals that never held would be wrong by a factor.
+    # Three recordings of 43 coefficients; intervals that never cover would be wrong by a factor.
     assert np.mean([float(row["coverage"]) for row in rows]) > 0.8
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         (["--recordings", "1"], "--recordings is 1; expected 2 or more"),
         (["--level", "1"], "--level is 1.0; expected more than 0 and less than 1"),
     ],
 )
 def test_wrong_options(
-    script: ModuleType, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     with pytest.raises(SystemExit):
-        script.main(arguments)
-    assert words in capsys.readouterr().err
+        study.main(arguments)
+    assert message in capsys.readouterr().err
