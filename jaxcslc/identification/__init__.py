@@ -22,8 +22,8 @@ from ._physical_parameters import (
 from ._refinement import Refinement as Refinement, refine_thresholds as refine_thresholds
 from ._reidentification import reidentify as reidentify
 from ._selection import Selection as Selection, Trial as Trial, choose_settings as choose_settings
-from ._settings import Settings as Settings
-from ._settings_document import (
+from ._settings import (
+    Settings as Settings,
     settings_document as settings_document,
     settings_from as settings_from,
 )

@@ -175,15 +175,15 @@ def cross_validated_error(
     >>> cross_validated_error(network, patterns, folds=4).beyond_chance
     ()
     """
-    given = Settings() if settings is None else settings
+    solver = (Settings() if settings is None else settings).solver
     samples = patterns.q.shape[0]
     if not 2 <= folds <= samples:
         raise ValueError(f"{folds} folds of {samples} samples; expected from 2 to {samples}")
     regressor = np.asarray(regressor_of(network, patterns))
     torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
     fold = np.arange(samples) * folds // samples
-    held_out = given.solver.held_out_errors(network, patterns, fold)
-    fit = dataclasses.replace(given, errors="independent").fit(network, patterns)
+    held_out = solver.held_out_errors(network, patterns, fold)
+    fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
     judged = _judged(training, mask, held_out, mask, int(fit.rank))
     return dataclasses.replace(judged, source="cross-validation", units=network.robot.torque_units)

@@ -108,13 +108,14 @@ def refine_thresholds(
     >>> static = 0.1 * np.sign(qd) * np.exp(-np.abs(qd) / 0.2)
     >>> recording = jc.Recording(t[:, 0], 1e-4 * np.round(q / 1e-4), torque + static)
     >>> refined = refine_thresholds(network, recording)
-    >>> bool(0.5 < refined.settings.thresholds[0] < 1.3)
+    >>> bool(0.5 < refined.rounds[-1][0] < 1.3)
     True
     """
     if rounds < 1:
         raise ValueError(f"{rounds} rounds; expected 1 or more")
-    given = Settings() if settings is None else settings
-    current = dataclasses.replace(given, threshold_fraction=fraction, thresholds=None)
+    if settings is None:
+        settings = Settings()
+    current = settings.with_options(threshold_fraction=fraction, thresholds=None)
     patterns = current.patterns(recording)
     minimum = friction_thresholds(np.asarray(patterns.qd), fraction)
     fit = current.fit(network, patterns)
@@ -123,7 +124,7 @@ def refine_thresholds(
     while True:
         static = _static_friction(network, patterns, fit, minimum)
         tried.append(static.thresholds)
-        current = dataclasses.replace(current, thresholds=tuple(static.thresholds.tolist()))
+        current = current.with_options(thresholds=tuple(static.thresholds.tolist()))
         patterns = current.patterns(recording)
         fit = current.fit(network, patterns)
         before, after = tried[-2:]

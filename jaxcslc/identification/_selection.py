@@ -1,23 +1,17 @@
 import dataclasses
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from .._environment import require, require_float64
-from ..motion import Derivatives, Patterns, Preparation, Recording, zero_phase
+from ..motion import Derivatives, Preparation, Recording, Sampling
 from ..network import CSLC
 from ._candidates import Candidates
+from ._scoring import Scoring
+from ._search import CoordinateSearch
 from ._settings import Settings
-
-
-# Fewer judged samples of a joint in one fold say little.
-_FEWEST = 20
-# The search goes over all kinds of settings this often at most; two rounds are the rule.
-_ROUNDS = 4
-# Kinds of settings with no more candidates than this are tried in full, longer ones climbed along.
-_ALL = 5
+from .solver import regressor_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +43,7 @@ class Selection:
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.identification import Trial
-    >>> narrow, wide = (jc.Settings(smoothing=jc.AveragedSplines(j)) for j in (9, 17))
+    >>> narrow, wide = (jc.Settings(jc.Preparation(jc.AveragedSplines(j))) for j in (9, 17))
     >>> trials = (Trial(narrow, np.array([0.3]), 0.3), Trial(wide, np.array([0.2]), 0.2))
     >>> jc.Selection(wide, trials).best.score
     0.2
@@ -100,7 +94,7 @@ def choose_settings(
     """Chooses smoothing, masks and fit by cross-validation on one recording.
 
     The recording is cut into `folds` stretches of equal length. Each candidate is fitted to all
-    but one of them and foretells the torque of that one from its own smoothed motion, for each in
+    but one of them and predicts the torque of that one from its own smoothed motion, for each in
     turn: noise that a smoothing leaves in the accelerations and motion that it takes out of them
     both show as torque error. To make the errors of different candidates comparable,
 
@@ -115,9 +109,9 @@ def choose_settings(
     - the score is the geometric mean over stretches and joints, so that neither a strong joint
       nor one odd stretch decides, and units do not matter.
 
-    The search takes one kind of setting after the other, in large steps and then in small ones,
-    and goes round again until nothing improves: some thirty trials instead of the full product.
-    It is deterministic.
+    The search takes one option after the other, in large steps and then in small ones, and goes
+    round again until nothing improves; then it tries the other families of smoothings: some forty
+    trials instead of the full product. It is deterministic.
 
     (On the simulated PUMA 560, with 12 training recordings that differ by their encoders' phases,
     what it chose came within 11 % of the error that static friction leaves to the true
@@ -127,7 +121,7 @@ def choose_settings(
 
     - `network`: n joints, p coefficients.
     - `recording`: of n joints.
-    - `candidates`: what to choose among; by default `Candidates.suited_to(recording)`.
+    - `candidates`: what to choose among; by default `Candidates.suited_to(recording, network)`.
     - `backlash`: leave out the pairs that may be in backlash, in fits and in judging.
     - `folds`: how many stretches.
     - `gap`: how far inside its stretch a sample must be to be judged [s]; by default half a
@@ -148,7 +142,7 @@ def choose_settings(
     >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
     >>> recording = jc.Recording(t[:, 0], 1e-4 * np.round(q / 1e-4), torque)
     >>> choice = jc.choose_settings(network, recording)
-    >>> choice.settings.torque_alignment
+    >>> choice.settings.preparation.torque_alignment
     'sample'
     """
     if recording.joints != network.joint_count:
@@ -157,196 +151,77 @@ def choose_settings(
             f" {network.joint_count}"
         )
     require_float64(recording.position, recording.torque)
-    among = Candidates.suited_to(recording) if candidates is None else candidates
-    kinds = [getattr(among, field.name) for field in dataclasses.fields(among)]
-    smoothed: dict[int, Derivatives] = {}
-
-    def motion(number: int) -> Derivatives:
-        if number not in smoothed:
-            smoothed[number] = Preparation(among.smoothings[number]).derivatives(recording)
-        return smoothed[number]
-
-    # The same ends are cut off for all, so that all are fitted and judged on the same samples.
-    trim = max(
-        Settings(smoothing=smoothing, torque_lag=lag).trimmed(recording)
-        for smoothing in among.smoothings
-        for lag in among.torque_lags
-    )
-    start = (min(3, len(kinds[0]) // 2), 0, *(len(kind) // 2 for kind in kinds[2:4]), 0, 0)
-    strictest = Settings(
-        smoothing=among.smoothings[start[0]],
-        threshold_fraction=max(among.threshold_fractions),
-        backlash=backlash,
-        trim=trim,
-    )
-    strict = strictest.preparation.patterns(recording, motion(start[0]))
-    course = _course(network, recording, strict, among, folds=folds, gap=gap)
-    trials: dict[_Place, Trial] = {}
-
-    def score(place: _Place) -> float:
-        if place not in trials:
-            smoothing, alignment, lag, fraction, cutoff, weights = (
-                kind[number] for kind, number in zip(kinds, place, strict=True)
-            )
-            settings = Settings(
-                smoothing=smoothing,
-                torque_alignment=alignment,
-                torque_lag=lag,
-                threshold_fraction=fraction,
-                backlash=backlash,
-                cutoff=cutoff,
-                joint_weights=weights,
-            )
-            same = dataclasses.replace(settings.preparation, trim=trim)
-            patterns = same.patterns(recording, motion(place[0]))
-            errors = _held_out(network, patterns, course, settings)
-            trials[place] = Trial(settings, *_summary(errors, course))
-        return trials[place].score
-
-    best = _search([len(kind) for kind in kinds], start, score)
-    return Selection(trials[best].settings, tuple(trials.values()))
-
-
-@dataclasses.dataclass(frozen=True)
-class _Course:
-    """What all trials have in common: folds, and which pairs are judged and how."""
-
-    folds: int
-    fold: Int[np.ndarray, " samples"]
-    mask: Bool[np.ndarray, "samples joints"]
-    judged: Bool[np.ndarray, "samples joints"]
-    interval: float
-    low_pass: float | None
-
-
-def _course(
-    network: CSLC,
-    recording: Recording,
-    strictest: Patterns,
-    among: Candidates,
-    *,
-    folds: int,
-    gap: float | None,
-) -> _Course:
-    mask = np.asarray(strictest.mask)
-    samples = len(mask)
-    most = samples // (2 * _FEWEST)
-    if not 2 <= folds <= most:
-        raise ValueError(
-            f"{folds} folds of {samples} samples; expected from 2 to {most}, so that there is"
-            " something to judge in each"
-        )
-    length = -(-samples // folds)
-    interval = float(np.median(np.diff(recording.time)))
-    cutoffs = sorted(cutoff for cutoff in among.cutoffs if cutoff is not None)
-    if gap is None:
-        slowest = 0.5 / (cutoffs[0] * interval) if cutoffs else 0.0
-        margin = min(int(np.ceil(slowest)), length // 8)
-    else:
-        margin = int(np.ceil(gap / interval)) if 0.0 <= gap < length * interval else -1
-    if not 0 <= 2 * margin < length:
-        raise ValueError(
-            f"a gap of {gap} s at both ends of a stretch of {length * interval:.3g} s; expected at"
-            " least 0 and less than half the stretch"
-        )
-    fold, within = np.divmod(np.arange(samples), length)
-    inside = (within >= margin) & (within < length - margin)
-    judged = mask & inside[:, None]
-    enough = _by_fold(judged, fold, folds) >= _FEWEST
-    if not np.any(enough):
-        raise ValueError(
-            f"no joint counts in {_FEWEST} samples of any of {folds} stretches; expected more"
-            " motion, fewer folds or lower threshold fractions"
-        )
-    return _Course(
-        folds=folds,
-        fold=fold,
-        mask=mask,
-        judged=judged & enough[fold],
-        interval=interval,
-        low_pass=cutoffs[(len(cutoffs) - 1) // 2] if cutoffs else None,
+    if candidates is None:
+        candidates = Candidates.suited_to(recording, network)
+    trials = _Trials(network, recording, candidates, backlash=backlash, folds=folds, gap=gap)
+    search = CoordinateSearch(trials.score)
+    best = search.run(trials.start, candidates.families(), candidates.options())
+    chosen_on = Sampling.of(recording)
+    return Selection(
+        dataclasses.replace(best, chosen_on=chosen_on), tuple(trials.by_settings.values())
     )
 
 
-def _by_fold(
-    values: Float[np.ndarray, "samples joints"] | Bool[np.ndarray, "samples joints"],
-    fold: Int[np.ndarray, " samples"],
-    folds: int,
-) -> Float[np.ndarray, "folds joints"]:
-    return np.stack([values[fold == number].sum(axis=0, dtype=float) for number in range(folds)])
+class _Trials:
+    """Fits and judges candidates on one recording; smooths once for each smoothing."""
 
-
-def _held_out(
-    network: CSLC, patterns: Patterns, course: _Course, settings: Settings
-) -> Float[np.ndarray, "samples joints"]:
-    """Torque error of every sample under coefficients fitted without its stretch."""
-    error = settings.solver.held_out_errors(network, patterns, course.fold)
-    if settings.torque_alignment == "mean":
-        return error
-    # A torque averaged over two samples has less noise: that must not speak for averaging it.
-    return 0.5 * (error + np.concatenate([error[:1], error[:-1]]))
-
-
-def _summary(
-    error: Float[np.ndarray, "samples joints"], course: _Course
-) -> tuple[Float[np.ndarray, " joints"], float]:
-    """Errors of joints, and the score."""
-    whole, cells = _root_mean_squares(error, course.judged, course)
-    score = float(np.mean(np.log(cells)))
-    if course.low_pass is not None:
-        slow = zero_phase(
-            np.where(course.mask, error, 0.0), course.interval, cutoff=course.low_pass
+    def __init__(
+        self,
+        network: CSLC,
+        recording: Recording,
+        candidates: Candidates,
+        *,
+        backlash: bool,
+        folds: int,
+        gap: float | None,
+    ):
+        self.network = network
+        self.recording = recording
+        self.by_settings: dict[Settings, Trial] = {}
+        self._derivatives: dict[Preparation, Derivatives] = {}
+        self._regressor: tuple[Preparation, np.ndarray] | None = None
+        self.start = candidates.start().with_options(backlash=backlash)
+        # The same ends are cut off for all, so that all are fitted and judged on the same samples.
+        self.trim = max(
+            Preparation(smoothing, torque_lag=lag).trimmed(recording)
+            for smoothing in candidates.smoothings
+            for lag in candidates.torque_lags
         )
-        _, slow_cells = _root_mean_squares(slow, course.judged, course)
-        score = 0.5 * (score + float(np.mean(np.log(slow_cells))))
-    return whole, float(np.exp(score)) if np.isfinite(score) else np.inf
+        strictest = dataclasses.replace(
+            self.start.preparation,
+            torque_alignment="sample",
+            torque_lag=0.0,
+            threshold_fraction=max(candidates.threshold_fractions, key=np.mean),
+            trim=self.trim,
+        )
+        patterns = strictest.patterns(recording, self._motion(strictest))
+        self.scoring = Scoring.of(
+            recording, np.asarray(patterns.mask), candidates.cutoffs, folds=folds, gap=gap
+        )
+
+    def score(self, settings: Settings) -> float:
+        """Fits settings to all stretches but one, for each, and judges them there."""
+        preparation = dataclasses.replace(settings.preparation, trim=self.trim)
+        patterns = preparation.patterns(self.recording, self._motion(preparation))
+        motion = _motion_part(preparation)
+        if self._regressor is None or self._regressor[0] != motion:
+            self._regressor = motion, np.asarray(regressor_of(self.network, patterns))
+        error = settings.solver.held_out_errors(
+            self.network, patterns, self.scoring.fold, self._regressor[1]
+        )
+        if preparation.torque_alignment != "mean":
+            # A torque averaged over two samples has less noise: that must not speak for averaging.
+            error = 0.5 * (error + np.concatenate([error[:1], error[:-1]]))
+        self.by_settings[settings] = Trial(settings, *self.scoring.judged_errors(error))
+        return self.by_settings[settings].score
+
+    def _motion(self, preparation: Preparation) -> Derivatives:
+        motion = _motion_part(preparation)
+        if motion not in self._derivatives:
+            self._derivatives[motion] = motion.derivatives(self.recording)
+        return self._derivatives[motion]
 
 
-def _root_mean_squares(
-    error: Float[np.ndarray, "samples joints"],
-    judged: Bool[np.ndarray, "samples joints"],
-    course: _Course,
-) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " cells"]]:
-    """Of each joint, and of each joint in each fold where it is judged."""
-    squares = _by_fold(np.where(judged, error**2, 0.0), course.fold, course.folds)
-    counts = _by_fold(judged, course.fold, course.folds)
-    some = counts > 0
-    whole = np.sqrt(squares.sum(axis=0) / np.where(some.any(axis=0), counts.sum(axis=0), np.nan))
-    cells = np.sqrt(squares[some] / counts[some])
-    # A fold that is met exactly, as without any noise, must not outweigh all others.
-    return whole, np.maximum(cells, 1e-9 * np.max(cells))
-
-
-# A candidate by its numbers in the tuples of candidates.
-_Place = tuple[int, ...]
-
-
-def _search(sizes: Sequence[int], start: _Place, score: Callable[[_Place], float]) -> _Place:
-    """Improves one axis after the other until nothing improves."""
-    best = start
-    for _ in range(_ROUNDS):
-        before = best
-        for axis, size in enumerate(sizes):
-            if size <= _ALL:
-                best = _better(best, axis, range(size), score)
-                continue
-            for step in (2, 1):
-                while True:
-                    around = (best[axis] - step, best[axis] + step)
-                    better = _better(best, axis, [n for n in around if 0 <= n < size], score)
-                    if better == best:
-                        break
-                    best = better
-        if best == before:
-            break
-    return best
-
-
-def _better(
-    best: _Place, axis: int, numbers: Sequence[int], score: Callable[[_Place], float]
-) -> _Place:
-    """The best of some numbers on an axis; the place itself if none of them improves it."""
-    around = [(*best[:axis], n, *best[axis + 1 :]) for n in numbers]
-    better = min(around, key=score, default=best)
-    # Rounding alone, as between weights of a single joint, is no improvement.
-    return better if score(better) < (1.0 - 1e-6) * score(best) else best
+def _motion_part(preparation: Preparation) -> Preparation:
+    """What positions, velocities and accelerations depend on."""
+    return Preparation(preparation.smoothing, preparation.velocity)

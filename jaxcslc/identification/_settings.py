@@ -1,99 +1,117 @@
 import dataclasses
-from collections.abc import Sequence
-from typing import Literal
-
-import numpy as np
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from ..motion import (
-    AbstractSmoothing,
-    AveragedSplines,
     Patterns,
     Preparation,
     Recording,
-    TorqueAlignment,
+    Sampling,
+    smoothing_document,
+    smoothing_from,
+    uniform_interval,
 )
 from ..network import CSLC
 from ._reidentification import reidentify
-from .solver import ERRORS, LOSSES, Errors, Identification, LeastSquares, Loss, Previous
+from .solver import Identification, LeastSquares, Previous
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Everything that stands between a recording and its coefficients, in one place.
+    """Everything between a recording and its coefficients: a preparation and a solver.
 
-    The defaults do for a first look; `choose_settings` finds better ones from the recording. What
-    they mean is said where they are used, in `jaxcslc.motion.prepare` and in `LeastSquares`.
+    The defaults are those of `Preparation` and `LeastSquares`, and suit a first look;
+    `choose_settings` finds better ones by cross-validation within a recording.
 
     **Attributes**
 
-    - `smoothing`: how positions are smoothed and differentiated (thesis, Section 7.3).
-    - `torque_alignment`: which torque belongs to a sample (7.4).
-    - `torque_lag`: how much later than the positions the torques were measured, as by sensors
-      behind a filter of their own [s]. The torque of a sample is read so much later in the
-      recording, by linear interpolation.
-    - `threshold_fraction`: of each joint's greatest speed, below which static friction is taken
-      to matter (7.2.2).
-    - `thresholds`: speeds below which it is taken to matter, one for each joint [rad/s or m/s], in
-      place of `threshold_fraction`; or None. See `refine_thresholds`.
-    - `backlash`: leave out pairs that may be in backlash (Eqn. 2.5-7).
-    - `cutoff`: filter regressor and torque alike at this frequency and decimate [Hz]; or None.
-    - `joint_weights`: `"equal"` or `"residual"`.
-    - `loss`: `"squared"`, or, if some of the recording may be wrong, `"huber"` or `"bisquare"`.
-    - `errors`: what standard errors allow for, `"correlated"` or only `"independent"` noise.
-    - `trim`: samples to drop at both ends; by default as far as the smoothing sees one side only.
-
-    **Raises**
-
-    - `ValueError`: numbers that make no sense.
+    - `preparation`: smoothing, torque alignment and masks, from a recording to patterns.
+    - `solver`: weights, loss, errors and parallel filter, from patterns to coefficients.
+    - `chosen_on`: how the recording was sampled that the settings were chosen on, for `check`;
+      None for settings made by hand.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> print(jc.Settings(cutoff=15.0))
+    >>> print(jc.Settings(solver=jc.LeastSquares(cutoff=15.0)))
     averaged splines of 9 samples, velocities from positions, torque of 'sample', thresholds 3 % \
 of top speed, filtered alike at 15 Hz, joints weighted by residual
     >>> time = np.arange(400) * 0.01
     >>> recording = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
-    >>> jc.Settings(trim=10).patterns(recording).samples
+    >>> jc.Settings(jc.Preparation(trim=10)).patterns(recording).samples
     380
     """
 
-    smoothing: AbstractSmoothing = dataclasses.field(default_factory=AveragedSplines)
-    torque_alignment: TorqueAlignment = "sample"
-    torque_lag: float = 0.0
-    threshold_fraction: float = 0.03
-    backlash: bool = False
-    cutoff: float | None = None
-    joint_weights: Literal["equal", "residual"] = "residual"
-    trim: int | None = None
-    thresholds: tuple[float, ...] | None = None
-    loss: Loss = "squared"
-    errors: Errors = "correlated"
+    preparation: Preparation = dataclasses.field(default_factory=Preparation)
+    solver: LeastSquares = dataclasses.field(default_factory=LeastSquares)
+    chosen_on: Sampling | None = dataclasses.field(default=None, compare=False)
 
-    def __post_init__(self) -> None:
-        _ = self.preparation  # which checks its options
-        if self.joint_weights not in ("equal", "residual"):
+    def with_options(self, **options: Any) -> "Settings":
+        """The settings with some options of their preparation or solver changed.
+
+        **Arguments**
+
+        - `options`: by the names that `Preparation` and `LeastSquares` give them.
+
+        **Returns**
+
+        The new settings.
+
+        **Raises**
+
+        - `ValueError`: an option that neither has, or a wrong value.
+
+        >>> import jaxcslc as jc
+        >>> settings = jc.Settings().with_options(torque_alignment="mean", cutoff=15.0)
+        >>> settings.preparation.torque_alignment, settings.solver.cutoff
+        ('mean', 15.0)
+        """
+        of_preparation, of_solver = _names(Preparation), _names(LeastSquares)
+        if unknown := sorted(options.keys() - of_preparation - of_solver):
             raise ValueError(
-                f"joint weights are {self.joint_weights!r}; expected 'equal' or 'residual'"
+                f"settings: unknown entry {unknown[0]!r}; expected some of"
+                f" {', '.join(sorted(of_preparation | of_solver))}"
             )
-        if self.loss not in LOSSES:
-            raise ValueError(f"loss is {self.loss!r}; expected {', '.join(map(repr, LOSSES))}")
-        if self.errors not in ERRORS:
-            raise ValueError(
-                f"errors are {self.errors!r}; expected {' or '.join(map(repr, ERRORS))}"
-            )
-        if self.cutoff is not None and not 0.0 < self.cutoff < np.inf:
-            raise ValueError(f"cut-off is {self.cutoff} Hz; expected more than 0, or None")
+        return dataclasses.replace(
+            self,
+            preparation=dataclasses.replace(
+                self.preparation,
+                **{name: options[name] for name in options.keys() & of_preparation},
+            ),
+            solver=dataclasses.replace(
+                self.solver, **{name: options[name] for name in options.keys() & of_solver}
+            ),
+        )
+
+    def for_network(self, network: CSLC) -> "Settings":
+        """The settings with what depends on the network's terms spelled out.
+
+        **Arguments**
+
+        - `network`: that patterns will be fitted by.
+
+        **Returns**
+
+        The settings; joints with a term of static friction keep their slow pairs, unless
+        thresholds were set: see `Preparation.with_static_friction`.
+        """
+        return dataclasses.replace(
+            self, preparation=self.preparation.with_static_friction(static_friction_joints(network))
+        )
 
     def patterns(self, recording: Recording) -> Patterns:
         """What a fit sees of a recording under these settings.
 
-        **Raises** as `jaxcslc.motion.prepare`.
+        **Raises**
+
+        - `ValueError`: as `Preparation.patterns`.
         """
         return self.preparation.patterns(recording)
 
     def fit(self, network: CSLC, patterns: Patterns) -> Identification:
         """The direct solve under these settings.
 
-        **Raises** as `LeastSquares.fit`.
+        **Raises**
+
+        - `ValueError`, `RuntimeError`: as `LeastSquares.fit`.
         """
         return self.solver.fit(network, patterns)
 
@@ -102,32 +120,144 @@ of top speed, filtered alike at 15 Hz, joints weighted by residual
     ) -> Identification:
         """A part of the coefficients under these settings.
 
-        **Raises** as `reidentify`.
+        **Raises**
+
+        - `ValueError`, `RuntimeError`: as `reidentify`.
         """
         return reidentify(network, patterns, previous, groups=groups, solver=self.solver)
 
-    @property
-    def solver(self) -> LeastSquares:
-        """The solver with these options."""
-        return LeastSquares(
-            joint_weights=self.joint_weights, loss=self.loss, errors=self.errors, cutoff=self.cutoff
-        )
+    def check(self, recording: Recording) -> tuple[str, ...]:
+        """What speaks against applying these settings to a recording.
 
-    def trimmed(self, recording: Recording) -> int:
-        """How many samples `patterns` drops at both ends of a recording."""
-        return self.preparation.trimmed(recording)
+        A coarser encoder, another sampling rate or irregular time stamps call for another
+        smoothing: `Candidates.keeping` and `choose_settings` choose one for the recording.
 
-    @property
-    def preparation(self) -> Preparation:
-        """The part of the settings that makes patterns of a recording."""
-        names = (field.name for field in dataclasses.fields(Preparation))
-        return Preparation(**{name: getattr(self, name) for name in names if hasattr(self, name)})
+        **Arguments**
+
+        - `recording`: such as a validation recording, of as many joints as that which the
+          settings were chosen on.
+
+        **Returns**
+
+        Sentences with numbers, without the name of the recording; empty if nothing differs.
+
+        >>> import dataclasses, numpy as np, jaxcslc as jc
+        >>> time = np.arange(1000) * 0.002
+        >>> position = 1e-4 * np.round(np.sin(time)[:, None] / 1e-4)
+        >>> fine = jc.Recording(time, position, position)
+        >>> settings = dataclasses.replace(jc.Settings(), chosen_on=jc.motion.Sampling.of(fine))
+        >>> settings.check(fine)
+        ()
+        >>> settings.check(jc.Recording(time, 5e-4 * np.round(position / 5e-4), position))
+        ('joint 1: encoder steps of 0.0005, 5 times the 0.0001 that the settings were chosen for',)
+        """
+        sentences = self.preparation.check(recording, self.chosen_on)
+        if self.solver.cutoff is None:
+            return sentences
+        try:
+            interval = uniform_interval(recording.time)
+        except ValueError as error:
+            return (*sentences, f"the filter at {self.solver.cutoff:g} Hz cannot be used: {error}")
+        if self.solver.cutoff >= 0.5 / interval:
+            return (
+                *sentences,
+                f"the filter at {self.solver.cutoff:g} Hz cannot be used: expected less than half"
+                f" the sampling rate of {1.0 / interval:g} Hz",
+            )
+        return sentences
 
     def __str__(self) -> str:
-        parts = [
-            self.preparation.description,
-            "" if self.cutoff is None else f"filtered alike at {self.cutoff:g} Hz",
-            f"joints weighted {'equally' if self.joint_weights == 'equal' else 'by residual'}",
-            "" if self.loss == "squared" else f"loss of {self.loss!r}",
-        ]
-        return ", ".join(part for part in parts if part)
+        return f"{self.preparation.description}, {self.solver.description}"
+
+
+def static_friction_joints(network: CSLC) -> tuple[bool, ...]:
+    """True for each joint whose network has a term of static friction."""
+    return tuple("static" in kinds for kinds in network.robot.friction_per_joint)
+
+
+def settings_document(settings: Settings) -> dict[str, Any]:
+    """Settings as plain data, to be written and read again.
+
+    **Arguments**
+
+    - `settings`: with a smoothing of a registered class.
+
+    **Returns**
+
+    The entries `"preparation"`, `"solver"` and, if known, `"chosen_on"`.
+
+    **Raises**
+
+    - `ValueError`: a smoothing that has no name in a file.
+
+    >>> import jaxcslc as jc
+    >>> settings = jc.Settings(jc.Preparation(jc.Butterworth(20.0)), jc.LeastSquares(cutoff=15.0))
+    >>> settings_from(settings_document(settings)) == settings
+    True
+    """
+    preparation = _fields(settings.preparation)
+    preparation["smoothing"] = smoothing_document(settings.preparation.smoothing)
+    document = {"preparation": preparation, "solver": _fields(settings.solver)}
+    if settings.chosen_on is not None:
+        document["chosen_on"] = _fields(settings.chosen_on)
+    return document
+
+
+def settings_from(document: Mapping[str, Any]) -> Settings:
+    """Settings from what `settings_document` made, read from JSON or TOML.
+
+    **Arguments**
+
+    - `document`: a mapping with entries `"preparation"` and `"solver"`, or with their entries
+      side by side, as in files of earlier versions and in files written by hand.
+
+    **Returns**
+
+    The settings.
+
+    **Raises**
+
+    - `ValueError`: naming the entry that is unknown or wrong.
+
+    >>> settings_from({"cutoff": 8.0, "smoothing": {"method": "butterworth", "cutoff": 20.0}})
+    ... # doctest: +ELLIPSIS
+    Settings(preparation=Preparation(smoothing=Butterworth(cutoff=20.0, order=4), ...
+    """
+    entries = dict(document)
+    chosen_on = entries.pop("chosen_on", None)
+    options: dict[str, Any] = {}
+    for part in ("preparation", "solver"):
+        values = entries.pop(part, {})
+        if not isinstance(values, Mapping):
+            raise ValueError(f"settings, {part}: expected entries, got {values!r}")
+        options.update(values)
+    options.update(entries)
+    options = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in options.items()
+    }
+    if "smoothing" in options:
+        options["smoothing"] = smoothing_from(options["smoothing"])
+    try:
+        return dataclasses.replace(
+            Settings().with_options(**options),
+            chosen_on=None if chosen_on is None else _sampling(chosen_on),
+        )
+    except TypeError as error:
+        raise ValueError(f"settings: {error}") from None
+
+
+def _sampling(document: Mapping[str, Any]) -> Sampling:
+    return Sampling(
+        **{
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in document.items()
+        }
+    )
+
+
+def _names(kind: type) -> set[str]:
+    return {field.name for field in dataclasses.fields(kind)}
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}

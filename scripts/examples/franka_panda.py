@@ -173,11 +173,12 @@ def our_ways(
     settings = selection.settings
 
     # Prediction needs no torque: the positions of all of the recording go into it.
-    motion = settings.smoothing.smooth(target.time, target.position)
+    smoothing = settings.preparation.smoothing
+    motion = smoothing.smooth(target.time, target.position)
     torque = jax.jit(network.torque)
 
     def predict(k: jax.Array) -> Float[np.ndarray, "samples joints"]:
-        read = target.time - settings.torque_lag
+        read = target.time - settings.preparation.torque_lag
         predicted = np.asarray(torque(k, *motion))
         return np.stack([np.interp(read, target.time, x) for x in predicted.T], axis=1)
 
@@ -187,7 +188,7 @@ def our_ways(
         f" joints by residual to the power of {-power:g}": Way(
             patterns, partial(weighted_fit, network, cutoff=cutoff, power=power), predict
         )
-        for cutoff in dict.fromkeys((settings.cutoff, None))
+        for cutoff in dict.fromkeys((settings.solver.cutoff, None))
         for power in POWERS
     }
     return selection, ways

@@ -40,7 +40,8 @@ _FRICTION = {"fv": "viscous", "fc": "dry", "fo": "offset"}
 def settings() -> jc.Settings:
     """Those of the recording's other test, fixed before any body was looked at."""
     return jc.Settings(
-        smoothing=jc.AveragedSplines(97), threshold_fraction=0.0, torque_lag=0.003, cutoff=8.0
+        jc.Preparation(jc.AveragedSplines(97), threshold_fraction=0.0, torque_lag=0.003),
+        jc.LeastSquares(cutoff=8.0),
     )
 
 
@@ -48,7 +49,7 @@ def errors(
     network: jc.CSLC, target: Target, chosen: jc.Settings, k: Float[np.ndarray, " coefficients"]
 ) -> dict[str, Float[np.ndarray, " joints"]]:
     """Of the last third's torque, as `franka_panda.py` judges it [N m]."""
-    motion = chosen.smoothing.smooth(target.time, target.position)
+    motion = chosen.preparation.smoothing.smooth(target.time, target.position)
     predicted = np.asarray(jax.jit(network.torque)(k, *motion))
     read = target.time - chosen.torque_lag
     shifted = np.stack([np.interp(read, target.time, x) for x in predicted.T], axis=1)

@@ -133,7 +133,7 @@ class TestHeldOut:
             held = held_out_error(arm, ORDINARY.fit(arm, own), own, other)
             assert held.beyond_chance == () and held.warnings == ()
             assert 1.0 < held.limit[0] < 1.3
-        settings = jc.Settings(errors="independent")
+        settings = jc.Settings(solver=jc.LeastSquares(errors="independent"))
         assert cross_validated_error(arm, own, settings).beyond_chance == ()
 
     def test_limit_is_passed_by_chance_one_time_in_a_hundred(

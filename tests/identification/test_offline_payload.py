@@ -156,7 +156,10 @@ def test_of_a_simulated_arm(
     together: bool, puma: jc.CSLC, performed: tuple[jc.Recording, jc.Recording]
 ) -> None:
     """A body that the simulator fixed to the last link, from encoders' counts."""
-    settings = jc.Settings(torque_alignment="mean", cutoff=15.0, threshold_fraction=0.01)
+    settings = jc.Settings(
+        jc.Preparation(torque_alignment="mean", threshold_fraction=0.01),
+        jc.LeastSquares(cutoff=15.0),
+    )
     empty, full = (settings.patterns(recording) for recording in performed)
     other: dict[str, Any] = (
         {"unloaded": empty} if together else {"known": settings.fit(puma, empty)}

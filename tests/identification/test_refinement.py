@@ -16,7 +16,7 @@ INTERVAL = 0.002
 K = np.array([0.5, 0.3, -0.1, 0.4, 0.6])
 GAMMA, EXCESS = 0.15, 0.25
 RATES, SIZES = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
-SETTINGS = jc.Settings(smoothing=jc.AveragedSplines(17))
+SETTINGS = jc.Settings(jc.Preparation(jc.AveragedSplines(17)))
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +52,11 @@ def test_the_slope_that_was_put_in_is_found(pendulum: jc.CSLC, rng: np.random.Ge
     assert np.mean(slopes) == pytest.approx(GAMMA, rel=0.35)
     assert np.mean(excesses) == pytest.approx(EXCESS, rel=0.35)
     recording, refined = recordings[0], results[0]
-    thresholds = refined.settings.thresholds
-    assert thresholds is not None
+    thresholds = refined.settings.preparation.thresholds
+    assert isinstance(thresholds, tuple)
     assert 3.0 * GAMMA < thresholds[0] < 6.0 * GAMMA
     # Beyond it, friction is what the network knows; from one hundredth on, it was not.
-    start = dataclasses.replace(SETTINGS, threshold_fraction=0.01)
+    start = SETTINGS.with_options(threshold_fraction=0.01)
     first = start.fit(pendulum, start.patterns(recording))
     for group in ("viscous", "dry"):
         i = index_of(pendulum, group)
@@ -73,12 +73,12 @@ def test_what_is_returned_belongs_together(pendulum: jc.CSLC, rng: np.random.Gen
     np.testing.assert_allclose(
         np.asarray(refined.settings.fit(pendulum, again).k), np.asarray(refined.fit.k)
     )
-    assert refined.settings.thresholds == tuple(refined.rounds[-1].tolist())
+    assert refined.settings.preparation.thresholds == tuple(refined.rounds[-1].tolist())
     first = 0.01 * np.max(np.abs(np.asarray(refined.patterns.qd)))
     np.testing.assert_allclose(refined.rounds[0], first)
     # Nothing but the thresholds is changed.
-    kept = dataclasses.replace(
-        refined.settings, thresholds=None, threshold_fraction=SETTINGS.threshold_fraction
+    kept = refined.settings.with_options(
+        thresholds=None, threshold_fraction=SETTINGS.preparation.threshold_fraction
     )
     assert kept == SETTINGS
 
@@ -106,14 +106,13 @@ def test_a_simulated_machine_whose_slopes_are_known(puma: jc.CSLC, puma_k: jax.A
     slopes = tuple(2.0 * gamma for gamma in preset.static_velocity)
     machine = dataclasses.replace(preset, static_velocity=slopes)
     recording, _ = sim.simulate(machine, sim.training(), seed=3)
-    settings = jc.Settings(smoothing=jc.AveragedSplines(17), torque_alignment="mean")
+    settings = jc.Settings(jc.Preparation(jc.AveragedSplines(17), torque_alignment="mean"))
     refined = refine_thresholds(puma, recording, settings)
     assert refined.static_friction.found.tolist()[:5] == [True] * 5
     ends = 5.0 * np.array(slopes)
-    assert refined.settings.thresholds is not None
-    ratio = np.array(refined.settings.thresholds) / ends
+    ratio = refined.rounds[-1] / ends
     assert np.all((ratio[:5] > 0.5) & (ratio[:5] < 2.0))
-    start = dataclasses.replace(settings, threshold_fraction=0.01)
+    start = settings.with_options(threshold_fraction=0.01)
     first = start.fit(puma, start.patterns(recording))
     dry = [i for i, c in enumerate(puma.coefficients) if c.group == "dry"][:5]
     error, before = (np.abs(np.asarray(k - puma_k))[dry] for k in (refined.fit.k, first.k))
@@ -126,33 +125,32 @@ def test_a_simulated_machine_whose_slopes_are_known(puma: jc.CSLC, puma_k: jax.A
 def test_thresholds_take_the_place_of_the_fraction(
     pendulum: jc.CSLC, rng: np.random.Generator
 ) -> None:
-    settings = dataclasses.replace(SETTINGS, thresholds=(0.7,))
+    settings = SETTINGS.with_options(thresholds=(0.7,))
     patterns = settings.patterns(swing(pendulum, rng))
     assert np.array_equal(np.asarray(patterns.friction_mask), np.abs(np.asarray(patterns.qd)) > 0.7)
     assert "thresholds 0.7," in str(settings)
 
 
 def test_thresholds_and_savitzky_golay_in_a_file() -> None:
-    settings = jc.Settings(
-        smoothing=jc.motion.SavitzkyGolay(31, 4), thresholds=(0.1, 0.2), cutoff=8.0
-    )
+    preparation = jc.Preparation(jc.SavitzkyGolay(31, 4), thresholds=(0.1, 0.2))
+    settings = jc.Settings(preparation, jc.LeastSquares(cutoff=8.0))
     assert settings_from(json.loads(json.dumps(settings_document(settings)))) == settings
     assert str(settings).startswith("Savitzky-Golay of 31 samples and order 4,")
 
 
 def test_half_a_window_is_trimmed(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
-    settings = jc.Settings(smoothing=jc.motion.SavitzkyGolay(31))
-    assert settings.trimmed(swing(pendulum, rng)) == 15
+    settings = jc.Settings(jc.Preparation(jc.SavitzkyGolay(31)))
+    assert settings.preparation.trimmed(swing(pendulum, rng)) == 15
 
 
 @pytest.mark.parametrize("wrong", [-0.1, float("nan"), float("inf")])
 def test_thresholds_that_make_no_sense(wrong: float) -> None:
     with pytest.raises(ValueError, match="expected finite numbers, none below 0"):
-        jc.Settings(thresholds=(0.1, wrong))
+        jc.Preparation(thresholds=(0.1, wrong))
 
 
 def test_thresholds_of_another_number_of_joints(
     pendulum: jc.CSLC, rng: np.random.Generator
 ) -> None:
     with pytest.raises(ValueError, match="one for each of the 1 joints"):
-        jc.Settings(thresholds=(0.1, 0.2)).patterns(swing(pendulum, rng))
+        jc.Preparation(thresholds=(0.1, 0.2)).patterns(swing(pendulum, rng))

@@ -44,7 +44,7 @@ def moved(recording: jc.Recording, torque: np.ndarray) -> jc.Recording:
 
 
 def spacing_of(selection: jc.Selection) -> int:
-    smoothing = selection.settings.smoothing
+    smoothing = selection.settings.preparation.smoothing
     assert isinstance(smoothing, jc.AveragedSplines) and isinstance(smoothing.spacing, int)
     return smoothing.spacing
 
@@ -137,7 +137,7 @@ def test_finds_which_torque_belongs_to_a_sample(
     early = np.interp(recording.time + ahead * INTERVAL, recording.time, torque)[:, None]
     early = early + rng.normal(0.0, torque_noise, early.shape)
     selection = jc.choose_settings(pendulum, moved(recording, early))
-    assert selection.settings.torque_alignment == alignment
+    assert selection.settings.preparation.torque_alignment == alignment
 
 
 def test_finds_how_late_torques_were_measured(pendulum: jc.CSLC, rng: np.random.Generator):
@@ -149,9 +149,9 @@ def test_finds_how_late_torques_were_measured(pendulum: jc.CSLC, rng: np.random.
         torque_lags=tuple(INTERVAL * lag for lag in range(-2, 7)),
     )
     selection = jc.choose_settings(pendulum, moved(recording, late[:, None]), candidates)
-    assert selection.settings.torque_lag == pytest.approx(3 * INTERVAL)
+    assert selection.settings.preparation.torque_lag == pytest.approx(3 * INTERVAL)
     patterns = selection.settings.patterns(moved(recording, late[:, None]))
-    straight = jc.Settings(selection.settings.smoothing).patterns(recording)
+    straight = jc.Preparation(selection.settings.preparation.smoothing).patterns(recording)
     aligned = np.isin(np.asarray(straight.time), np.asarray(patterns.time))
     np.testing.assert_allclose(patterns.torque, straight.torque[aligned], atol=1e-9)
 
@@ -163,7 +163,7 @@ def test_leaves_out_more_slow_samples_where_static_friction_is_strong(
     qd = jc.AveragedSplines(9).smooth(recording.time, recording.position)[1]
     stuck = 3.0 * np.sign(qd) * np.exp(-np.abs(qd) / 0.15)
     sticky = jc.choose_settings(pendulum, moved(recording, recording.torque + stuck))
-    assert sticky.settings.threshold_fraction == 0.1
+    assert sticky.settings.preparation.threshold_fraction == 0.1
 
 
 def test_coefficients_are_recovered_under_the_chosen_settings(
@@ -204,7 +204,7 @@ def test_only_candidates_that_were_given_are_tried(pendulum: jc.CSLC, rng: np.ra
     )
     selection = jc.choose_settings(pendulum, swing(pendulum, rng), candidates)
     assert len(selection.trials) == 2
-    tried = [trial.settings.smoothing for trial in selection.trials]
+    tried = [trial.settings.preparation.smoothing for trial in selection.trials]
     assert all(smoothing in tried for smoothing in candidates.smoothings)
 
 
@@ -212,7 +212,7 @@ def test_uneven_time_is_no_reason_to_fail(pendulum: jc.CSLC, rng: np.random.Gene
     recording = swing(pendulum, rng)
     kept = rng.uniform(size=recording.samples) < 0.9
     selection = jc.choose_settings(pendulum, recording.rows(kept))
-    assert selection.settings.cutoff is None
+    assert selection.settings.solver.cutoff is None
 
 
 # What cannot be chosen
@@ -245,13 +245,13 @@ def test_refuses_a_joint_that_stands_still(pendulum: jc.CSLC):
     ("field", "value", "message"),
     [
         ("torque_alignment", "next", "torque alignment is 'next'"),
-        ("joint_weights", "heavy", "joint weights are 'heavy'"),
+        ("joint_weights", "heavy", "joint_weights is 'heavy'"),
         ("torque_lag", float("nan"), "torque lag is nan"),
         ("threshold_fraction", 1.0, "threshold fraction is 1.0"),
-        ("cutoff", 0.0, "cut-off is 0.0"),
+        ("cutoff", 0.0, "cutoff: expected more than 0 Hz"),
     ],
 )
 def test_settings_refuse_numbers_that_make_no_sense(field: str, value: Any, message: str):
     # Types are checked first where tests check them.
     with pytest.raises((ValueError, TypeError), match=f"{message}|type"):
-        jc.Settings(**{field: value})
+        jc.Settings().with_options(**{field: value})

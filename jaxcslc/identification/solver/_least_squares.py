@@ -213,13 +213,19 @@ class LeastSquares:
         return self._fit_folds(network, patterns, _host_regressor(network, patterns), fold)
 
     def held_out_errors(
-        self, network: CSLC, patterns: Patterns, fold: Int[np.ndarray, " samples"]
+        self,
+        network: CSLC,
+        patterns: Patterns,
+        fold: Int[np.ndarray, " samples"],
+        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
     ) -> Float[np.ndarray, "samples joints"]:
         """Torque error of each sample under the coefficients fitted without its fold.
 
         - `fold`: the fold of each sample, from 0.
+        - `regressor`: of the patterns' motion, if it is known already.
         """
-        regressor = _host_regressor(network, patterns)
+        if regressor is None:
+            regressor = _host_regressor(network, patterns)
         k = self._fit_folds(network, patterns, regressor, fold)
         return np.asarray(patterns.torque) - np.einsum("tjp,tp->tj", regressor, k[fold])
 
@@ -233,6 +239,20 @@ class LeastSquares:
         equations = equations_of(network, patterns, self.cutoff, regressor)
         factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
         return fit_without_each(network, factors, residual_weights=self.joint_weights == "residual")
+
+    @property
+    def description(self) -> str:
+        """The options that matter, in words."""
+        if isinstance(self.joint_weights, str):
+            weights = "equally" if self.joint_weights == "equal" else "by residual"
+        else:
+            weights = f"by {', '.join(f'{float(weight):g}' for weight in self.joint_weights)}"
+        parts = [
+            "" if self.cutoff is None else f"filtered alike at {self.cutoff:g} Hz",
+            f"joints weighted {weights}",
+            "" if self.loss == "squared" else f"loss of {self.loss!r}",
+        ]
+        return ", ".join(part for part in parts if part)
 
     @property
     def _passes_twice(self) -> bool:

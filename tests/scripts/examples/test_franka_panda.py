@@ -35,13 +35,11 @@ def test_raw_torque_of_the_last_third(script: ModuleType) -> None:
     target = script.Target.of(recording)
     training = script.resample(recording.rows(recording.time < target.until), script.PERIOD)
     settings = jc.Settings(
-        smoothing=jc.AveragedSplines(97),
-        threshold_fraction=0.0,
-        torque_lag=0.003,
-        cutoff=8.0,
+        jc.Preparation(jc.AveragedSplines(97), threshold_fraction=0.0, torque_lag=0.003),
+        jc.LeastSquares(cutoff=8.0),
     )
     fit = settings.fit(network, settings.patterns(training))
-    motion = settings.smoothing.smooth(target.time, target.position)
+    motion = settings.preparation.smoothing.smooth(target.time, target.position)
     predicted = np.asarray(network.torque(fit.k, *motion))
     errors = target.errors(predicted, target.judged)["raw"]
     assert int(fit.rank) == 64

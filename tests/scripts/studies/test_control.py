@@ -124,7 +124,7 @@ def test_random_motions_stay_within_bounds(
 def test_identified_coefficients_are_of_each_machine_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings = jc.Settings(threshold_fraction=0.03, cutoff=8.0, joint_weights="residual")
+    settings = jc.Settings(solver=jc.LeastSquares(cutoff=8.0))
     chosen = types.SimpleNamespace(settings=settings)  # choosing them takes a while
     monkeypatch.setattr(jc, "choose_settings", lambda network, recording: chosen)
     network = jc.derive(jc.puma560())

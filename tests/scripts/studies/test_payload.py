@@ -97,7 +97,9 @@ def test_a_small_run(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # To choose among settings is the part of `choose_settings`, and takes its time.
-    chosen = jc.Settings(jc.AveragedSplines(13), torque_alignment="mean", cutoff=8.0)
+    chosen = jc.Settings(
+        jc.Preparation(jc.AveragedSplines(13), torque_alignment="mean"), jc.LeastSquares(cutoff=8.0)
+    )
     monkeypatch.setattr(jc, "choose_settings", lambda *_, **__: SimpleNamespace(settings=chosen))
     options = ["--seeds", "1", "--masses", "2", "--cases", "encoders", "-o", str(tmp_path)]
     assert study.main([*options, "--no-film"]) == 0
