@@ -219,9 +219,11 @@ def settings_from(document: Mapping[str, Any]) -> Settings:
 
     - `ValueError`: naming the entry that is unknown or wrong.
 
-    >>> settings_from({"cutoff": 8.0, "smoothing": {"method": "butterworth", "cutoff": 20.0}})
-    ... # doctest: +ELLIPSIS
-    Settings(preparation=Preparation(smoothing=Butterworth(cutoff=20.0, order=4), ...
+    >>> settings = settings_from(
+    ...     {"cutoff": 8.0, "smoothing": {"method": "butterworth", "cutoff": 20.0}}
+    ... )
+    >>> settings.preparation.smoothing.cutoff, settings.solver.cutoff
+    (20.0, 8.0)
     """
     entries = dict(document)
     chosen_on = entries.pop("chosen_on", None)
@@ -247,12 +249,10 @@ def settings_from(document: Mapping[str, Any]) -> Settings:
 
 
 def _sampling(document: Mapping[str, Any]) -> Sampling:
-    return Sampling(
-        **{
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in document.items()
-        }
-    )
+    entries: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in document.items()
+    }
+    return Sampling(**entries)
 
 
 def _names(kind: type) -> set[str]:

@@ -51,7 +51,7 @@ def errors(
     """Of the last third's torque, as `franka_panda.py` judges it [N m]."""
     motion = chosen.preparation.smoothing.smooth(target.time, target.position)
     predicted = np.asarray(jax.jit(network.torque)(k, *motion))
-    read = target.time - chosen.torque_lag
+    read = target.time - chosen.preparation.torque_lag
     shifted = np.stack([np.interp(read, target.time, x) for x in predicted.T], axis=1)
     return target.errors(shifted, target.judged)
 

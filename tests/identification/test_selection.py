@@ -1,4 +1,5 @@
 import dataclasses
+import json
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -6,8 +7,10 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.identification import settings_document, settings_from
 from jaxcslc.identification.solver._equations import Equations
 from jaxcslc.identification.solver._triangle import triangle_of
+from jaxcslc.motion import AbstractSmoothing, CentralDifferences, Sampling, register_smoothing
 
 
 INTERVAL = 0.002
@@ -43,10 +46,8 @@ def moved(recording: jc.Recording, torque: np.ndarray) -> jc.Recording:
     return dataclasses.replace(recording, torque=torque)
 
 
-def spacing_of(selection: jc.Selection) -> int:
-    smoothing = selection.settings.preparation.smoothing
-    assert isinstance(smoothing, jc.AveragedSplines) and isinstance(smoothing.spacing, int)
-    return smoothing.spacing
+def smoothing_of(selection: jc.Selection) -> AbstractSmoothing:
+    return selection.settings.preparation.smoothing
 
 
 # Folds
@@ -102,26 +103,29 @@ def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
 
 
 def test_smooths_more_where_there_is_more_noise(pendulum: jc.CSLC, rng: np.random.Generator):
-    spacings = [
-        spacing_of(jc.choose_settings(pendulum, swing(pendulum, rng, position=noise)))
+    reaches = [
+        smoothing_of(jc.choose_settings(pendulum, swing(pendulum, rng, position=noise))).reach(
+            INTERVAL, 1
+        )
         for noise in (1e-6, 1e-3)
     ]
-    assert spacings[0] < spacings[1]
+    assert reaches[0] < reaches[1]
 
 
 def test_the_chosen_smoothing_gives_nearly_the_best_accelerations(
     pendulum: jc.CSLC, rng: np.random.Generator
 ):
     recording = swing(pendulum, rng, position=3e-4, torque=0.3)
-    chosen = spacing_of(jc.choose_settings(pendulum, recording))
+    choice = smoothing_of(jc.choose_settings(pendulum, recording))
     truth = (-np.sin(np.outer(recording.time, RATES)) @ (SIZES * RATES**2))[:, None]
 
-    def error(spacing: int) -> float:
-        _, _, qdd = jc.AveragedSplines(spacing).smooth(recording.time, recording.position)
+    def error(smoothing: AbstractSmoothing) -> float:
+        _, _, qdd = smoothing.smooth(recording.time, recording.position)
         return float(np.sqrt(np.mean((qdd - truth)[300:-300] ** 2)))
 
-    best = min(error(spacing) for spacing in (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137))
-    assert error(chosen) < 1.5 * best
+    spacings = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137)
+    best = min(error(jc.AveragedSplines(spacing)) for spacing in spacings)
+    assert error(choice) < 1.5 * best
 
 
 @pytest.mark.parametrize("alignment", ["sample", "mean", "previous"])
@@ -255,3 +259,159 @@ def test_settings_refuse_numbers_that_make_no_sense(field: str, value: Any, mess
     # Types are checked first where tests check them.
     with pytest.raises((ValueError, TypeError), match=f"{message}|type"):
         jc.Settings().with_options(**{field: value})
+
+
+# A smoothing of a user's
+
+
+@register_smoothing("moving_average_of_a_test")
+class MovingAverage(AbstractSmoothing):
+    width: int
+
+    def smooth(self, time: np.ndarray, position: np.ndarray):
+        return CentralDifferences().smooth(time, self.low_pass(time, position))
+
+    def low_pass(self, time: np.ndarray, signal: np.ndarray):
+        kernel = np.ones(self.width) / self.width
+        return np.stack([np.convolve(x, kernel, "same") for x in signal.T], axis=1)
+
+    def reach(self, interval: float, joints: int) -> int:
+        return self.width // 2 + 2
+
+    @property
+    def description(self) -> str:
+        return f"moving average of {self.width} samples"
+
+
+def test_a_users_smoothing_works_like_a_built_in(pendulum: jc.CSLC, rng: np.random.Generator):
+    recording = swing(pendulum, rng)
+    candidates = dataclasses.replace(
+        jc.Candidates.suited_to(recording),
+        smoothings=tuple(MovingAverage(width) for width in (3, 5, 9, 15, 21, 31, 41)),
+    )
+    settings = jc.choose_settings(pendulum, recording, candidates).settings
+    smoothing = settings.preparation.smoothing
+    assert isinstance(smoothing, MovingAverage)
+    assert str(settings).startswith(f"moving average of {smoothing.width} samples, ")
+    reach = smoothing.width // 2 + 2
+    assert settings.preparation.trimmed(recording) == reach
+    assert settings.patterns(recording).samples == recording.samples - 2 * reach
+    again = settings_from(json.loads(json.dumps(settings_document(settings))))
+    assert again == settings and again.chosen_on == settings.chosen_on
+
+
+def test_a_smoothing_must_state_its_reach():
+    class Silent(AbstractSmoothing):
+        def smooth(self, time: np.ndarray, position: np.ndarray):
+            return CentralDifferences().smooth(time, position)
+
+        def low_pass(self, time: np.ndarray, signal: np.ndarray):
+            return signal
+
+        @property
+        def description(self) -> str:
+            return "silent"
+
+    with pytest.raises(TypeError, match=r"abstract method .?reach"):
+        Silent()  # pyright: ignore[reportAbstractUsage]
+
+
+def test_a_smoothing_without_a_name_in_files_says_so():
+    class Nameless(MovingAverage):
+        pass
+
+    settings = jc.Settings(jc.Preparation(Nameless(5)))
+    with pytest.raises(ValueError, match="Nameless has no name in a file; expected a class dec"):
+        settings_document(settings)
+    with pytest.raises(ValueError, match="the smoothing 'butterworth' is Butterworth; expected a"):
+        register_smoothing("butterworth")(Nameless)
+
+
+# Settings in files
+
+
+def test_flat_documents_of_earlier_versions_are_read():
+    flat = {
+        "smoothing": {"method": "averaged_splines", "spacing": [9, 17], "sections": True},
+        "torque_alignment": "mean",
+        "torque_lag": 0.003,
+        "threshold_fraction": 0.1,
+        "backlash": True,
+        "cutoff": 8.0,
+        "joint_weights": "equal",
+        "trim": None,
+        "thresholds": [0.1, 0.2],
+        "loss": "huber",
+        "errors": "independent",
+    }
+    settings = settings_from(flat)
+    preparation, solver = settings.preparation, settings.solver
+    assert preparation.smoothing == jc.AveragedSplines((9, 17))
+    assert (preparation.torque_lag, preparation.thresholds) == (0.003, (0.1, 0.2))
+    assert (solver.cutoff, solver.joint_weights, solver.loss) == (8.0, "equal", "huber")
+    for entries, message in (
+        ({"cut": 8.0}, "unknown entry 'cut'"),
+        ({"preparation": {"cut": 8.0}}, "unknown entry 'cut'"),
+        ({"solver": 3}, "settings, solver: expected entries"),
+        ({"smoothing": {"method": "magic"}}, "expected a method out of"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            settings_from(entries)
+
+
+# Recorded velocities
+
+
+def true_velocity(recording: jc.Recording) -> np.ndarray:
+    return (np.cos(np.outer(recording.time, RATES)) @ (SIZES * RATES))[:, None]
+
+
+@pytest.mark.parametrize(("noise", "source"), [(1e-4, "recorded"), (1.0, "position")])
+def test_recorded_velocities_are_used_where_they_are_better(
+    pendulum: jc.CSLC, rng: np.random.Generator, noise: float, source: str
+):
+    recording = swing(pendulum, rng, position=1e-3)
+    velocity = true_velocity(recording) + rng.normal(0.0, noise, recording.position.shape)
+    recording = dataclasses.replace(recording, velocity=velocity)
+    settings = jc.choose_settings(pendulum, recording).settings
+    assert settings.preparation.velocity == source
+    words = {"recorded": "recorded velocities", "position": "velocities from positions"}[source]
+    assert words in str(settings)
+    without = swing(pendulum, rng)
+    if source == "recorded":
+        with pytest.raises(ValueError, match="the recording has no velocity; expected"):
+            settings.patterns(without)
+        assert "no recorded velocities, which the settings use" in settings.check(without)
+
+
+# Settings applied to another recording
+
+
+def test_settings_name_what_differs_in_another_recording(
+    pendulum: jc.CSLC, rng: np.random.Generator
+):
+    recording = swing(pendulum, rng, position=0.0)
+    position = recording.position
+
+    def read(step: float) -> jc.Recording:
+        return dataclasses.replace(recording, position=step * np.round(position / step))
+
+    settings = jc.Settings(
+        jc.Preparation(jc.AveragedSplines(17)), jc.LeastSquares(cutoff=8.0), Sampling.of(read(1e-4))
+    )
+    assert settings.check(read(1e-4)) == () == settings.check(read(5e-5))
+    (coarse,) = settings.check(read(1e-3))
+    assert coarse == (
+        "joint 1: encoder steps of 0.001, 10 times the 0.0001 that the settings were chosen for"
+    )
+    (slow,) = settings.check(read(1e-4).rows(slice(None, None, 2)))
+    assert slow.startswith("sampled every 4 ms, 2 ms where the settings were chosen: averaged")
+    assert slow.endswith("reach over 68 ms to either side in place of 34 ms")
+    kept = rng.uniform(size=recording.samples) < 0.9
+    irregular, filtered = settings.check(read(1e-4).rows(kept))
+    assert irregular.startswith("irregular time stamps: intervals differ from their median by")
+    assert filtered.startswith("the filter at 8 Hz cannot be used: time is not uniform")
+    again = jc.choose_settings(
+        pendulum, read(1e-3), jc.Candidates.suited_to(read(1e-3)).keeping(settings)
+    ).settings
+    assert again.solver.cutoff == 8.0 and again.check(read(1e-3)) == ()
