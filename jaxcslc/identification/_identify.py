@@ -2,8 +2,9 @@ import contextlib
 from collections.abc import Callable, Generator, Mapping, Sequence
 from types import MappingProxyType
 
-from ..motion import Patterns, Recording
+from ..motion import Patterns, Recording, Sampling
 from ..network import CSLC
+from ._candidates import Candidates
 from ._held_out import cross_validated_error, held_out_error
 from ._selection import choose_settings
 from ._settings import Settings
@@ -35,7 +36,9 @@ def identify(
     - `training`: the recording to fit.
     - `validation`: a recording to judge the fit on; no coefficient depends on it.
     - `settings`: of preparation and fit; by default those that `choose_settings` finds for the
-      training recording.
+      training recording. A validation recording that was sampled in another way (a coarser
+      encoder, another rate, irregular time stamps) then gets a smoothing of its own; with
+      settings set here it gets a warning.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
     - `groups`: coefficients to re-identify, by group (`"viscous"`, `"dry"`, ...) or name.
@@ -64,10 +67,21 @@ def identify(
         raise ValueError("identify: got one of previous and groups; expected both or neither")
     step = progress or without_progress
     step("choosing settings")
+    recordings = {"training": training}
+    by_recording: dict[str, Settings] = {}
     with recording_named("training"):
-        settings = choose_settings(network, training).settings if settings is None else settings
+        chosen = choose_settings(network, training).settings if settings is None else settings
+        by_recording["training"] = chosen.for_network(network)
+    warnings = [f"training recording: {sentence}" for sentence in chosen.check(training)]
+    if validation is not None:
+        recordings["validation"] = validation
+        by_recording["validation"], sentence = _for_validation(
+            network, by_recording["training"], training, validation, choose=settings is None
+        )
+        warnings += sentence
+    settings = by_recording["training"]
     step("preparing patterns")
-    patterns = _patterns(settings, training, validation)
+    patterns = _patterns(by_recording, recordings)
     slopes = None
     if previous is None and "static" in network.robot.friction_terms:
         step("fitting slopes of static friction")
@@ -91,7 +105,7 @@ def identify(
         held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
     elif previous is None:
         held_out = cross_validated_error(network, patterns["training"], settings)
-    warnings = [*(() if held_out is None else held_out.warnings)]
+    warnings += () if held_out is None else held_out.warnings
     warnings += fit_warnings(network, training, fit, errors["training"])
     return Report(
         network,
@@ -107,15 +121,32 @@ def identify(
     )
 
 
+def _for_validation(
+    network: CSLC, settings: Settings, training: Recording, validation: Recording, *, choose: bool
+) -> tuple[Settings, list[str]]:
+    """The settings to prepare the validation recording with, and warnings about them."""
+    chosen_on = settings.chosen_on or Sampling.of(training)
+    differences = settings.preparation.check(validation, chosen_on)
+    if not differences:
+        return settings, []
+    warning = f"validation recording: {'; '.join(differences)}"
+    if not choose:
+        return settings, [warning]
+    candidates = Candidates.suited_to(validation, network).keeping(settings)
+    try:
+        adapted = choose_settings(network, validation, candidates).settings
+    except ValueError as error:  # too short, or too little motion to choose by
+        return settings, [f"{warning}; no smoothing of its own: {error}"]
+    return adapted, [f"{warning}; prepared by settings of its own: {adapted.preparation}"]
+
+
 def _patterns(
-    settings: Settings, training: Recording, validation: Recording | None
+    settings: Mapping[str, Settings], recordings: Mapping[str, Recording]
 ) -> Mapping[str, Patterns]:
-    recordings = {"training": training, "validation": validation}
     patterns: dict[str, Patterns] = {}
     for name, recording in recordings.items():
-        if recording is not None:
-            with recording_named(name):
-                patterns[name] = settings.patterns(recording)
+        with recording_named(name):
+            patterns[name] = settings[name].patterns(recording)
     return MappingProxyType(patterns)
 
 

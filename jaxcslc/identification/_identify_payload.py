@@ -62,6 +62,7 @@ def identify_payload(
         if settings is None:
             step("choosing settings")
             settings = choose_settings(network, loaded).settings
+        settings = settings.for_network(network)
         step("preparing patterns")
         patterns = settings.patterns(loaded)
     arm = None

@@ -4,8 +4,7 @@ from pathlib import Path
 from ...motion import Patterns
 from ...network import CSLC
 from .._payload_fit import PayloadFit
-from .._settings import Settings
-from .._settings_document import settings_document
+from .._settings import Settings, settings_document
 from ._errors import ErrorTable
 from ._output import all_or_nothing, text_table, write_csv, write_json
 

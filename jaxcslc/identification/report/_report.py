@@ -103,8 +103,8 @@ class Report:
 
         **Raises**
 
-        - `ValueError`: `folder` is a file; or the settings have a smoothing of one's own, which
-          has no name in a file.
+        - `ValueError`: `folder` is a file; or the settings have a smoothing that is not
+          registered and has no name in a file.
         - `OSError`: the folder cannot be written.
         """
         folder = Path(folder)

@@ -7,7 +7,7 @@ from ...motion import Patterns
 from ...network import CSLC
 from ...plotting import save_picture, torque_picture
 from .._held_out import HeldOut
-from .._settings_document import settings_document
+from .._settings import settings_document
 from ._coefficient_table import coefficient_rows
 from ._errors import ErrorTable, predicted_torque
 from ._output import write_csv, write_json

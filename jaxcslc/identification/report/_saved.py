@@ -8,8 +8,7 @@ import numpy as np
 from ...manipulator import Manipulator, RobotError
 from ...motion import Patterns
 from ...network import CSLC, derive
-from .._settings import Settings
-from .._settings_document import settings_from
+from .._settings import Settings, settings_from
 from ..solver import Identification
 
 
@@ -93,7 +92,7 @@ def load_settings(path: str | Path) -> Settings:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "settings.json"
     ...     _ = path.write_text('{"cutoff": 15.0}')
-    ...     load_settings(path).cutoff
+    ...     load_settings(path).solver.cutoff
     15.0
     """
     path = Path(path)
