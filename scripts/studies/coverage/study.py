@@ -40,10 +40,8 @@ KINDS = (NOISE, ENCODERS)
 # Of the root mean square torque of each joint; the thesis's machines were near this.
 NOISE_TO_TORQUE = 0.02
 SETTINGS = jc.Settings(
-    smoothing=jc.AveragedSplines(9),
-    torque_alignment="mean",
-    threshold_fraction=0.1,
-    cutoff=15.0,
+    jc.Preparation(jc.AveragedSplines(9), torque_alignment="mean", threshold_fraction=0.1),
+    jc.LeastSquares(cutoff=15.0),
 )
 
 
@@ -97,7 +95,7 @@ def noisy_torques(machine: sim.Machine, count: int) -> Iterator[jc.Patterns]:
         recording = jc.Recording(
             truth.time, truth.position, truth.torque + noise, truth.velocity, truth.acceleration
         )
-        yield as_recorded(recording, threshold_fraction=SETTINGS.threshold_fraction)
+        yield as_recorded(recording, threshold_fraction=SETTINGS.preparation.threshold_fraction)
 
 
 def quantised_positions(machine: sim.Machine, count: int) -> Iterator[jc.Patterns]:
@@ -117,11 +115,11 @@ def coverage_of(kind: str, machine: sim.Machine, count: int, level: float) -> li
     truth = np.asarray(true_coefficients(network, machine))
     patterns = {NOISE: noisy_torques, ENCODERS: quantised_positions}[kind](machine, count)
     # White noise on true motion needs no filter.
-    cutoff = None if kind == NOISE else SETTINGS.cutoff
+    cutoff = None if kind == NOISE else SETTINGS.solver.cutoff
     by_errors: dict[str, list[tuple[np.ndarray, ...]]] = {"independent": [], "correlated": []}
     for recording in tqdm(patterns, total=count, desc=kind, unit="recording", disable=None):
         for errors, results in by_errors.items():
-            settings = dataclasses.replace(SETTINGS, cutoff=cutoff, errors=errors)
+            settings = SETTINGS.with_options(cutoff=cutoff, errors=errors)
             fit = settings.fit(network, recording)
             low, high = fit.confidence_interval(level).T
             covered = (low <= truth) & (truth <= high)

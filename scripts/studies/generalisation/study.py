@@ -89,7 +89,7 @@ def make_rows(options: argparse.Namespace, kinds: Sequence[Kind]) -> list[dict[s
     network = jc.derive(jc.puma560())
     recordings = recorded(options)
     if options.quick:
-        settings = jc.Settings(smoothing=jc.AveragedSplines(17), torque_alignment="mean")
+        settings = jc.Settings(jc.Preparation(jc.AveragedSplines(17), torque_alignment="mean"))
     else:
         settings = jc.choose_settings(network, recordings[0]).settings
     training = [settings.patterns(recording) for recording in recordings[::2]]

@@ -96,10 +96,10 @@ class Arms:
         """An arm's settings, fit and payload estimator."""
         top = np.abs(np.asarray(refined.patterns.qd)).max(axis=0)
         # A threshold that leaves hardly any motion would leave hardly any payload to be seen.
-        slowest = np.clip(np.array(refined.settings.thresholds), 0.1 * top, 0.2 * top)
-        settings = dataclasses.replace(refined.settings, thresholds=tuple(slowest.tolist()))
+        slowest = np.clip(refined.rounds[-1], 0.1 * top, 0.2 * top)
+        settings = refined.settings.with_options(thresholds=tuple(slowest.tolist()))
         # On-line, pairs in backlash are not left out: their errors count.
-        patterns = dataclasses.replace(settings, backlash=False).patterns(rehearsed)
+        patterns = settings.with_options(backlash=False).patterns(rehearsed)
         noise = torque_noise(self.network, refined.fit.k, patterns)
         estimator = PayloadEstimator(self.with_payload, refined.fit, noise, slowest=slowest)
         return settings, refined.fit, estimator

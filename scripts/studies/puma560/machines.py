@@ -14,7 +14,9 @@ from scripts.studies.truth import published_coefficients, true_coefficients
 # thesis leaves the ends of the comparison trajectory out for that (7.4.2).
 _MOVING = 0.01  # rad/s
 # A quick run does not select its settings.
-_QUICK = jc.Settings(smoothing=jc.AveragedSplines(13), torque_alignment="mean", cutoff=8.0)
+_QUICK = jc.Settings(
+    jc.Preparation(jc.AveragedSplines(13), torque_alignment="mean"), jc.LeastSquares(cutoff=8.0)
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Tables of the experiment, beside those of the thesis."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,8 +45,7 @@ def threshold_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
     """Thresholds from the residuals beside Fig. B.6 and the simulator's static friction."""
     refined = refine_thresholds(network, puma.training.recording, puma.settings)
     thesis = sim.thesis_coefficients(puma.letter).insignificant_from
-    thresholds = refined.settings.thresholds
-    assert thresholds is not None  # they are what was refined
+    thresholds = refined.rounds[-1].tolist()
     return [
         {
             "joint": joint + 1,
@@ -62,7 +60,7 @@ def threshold_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
 
 def mask_rows(puma: IdentifiedMachine) -> Rows:
     """The mask of Eqn. 2.5-7 against the simulator's record of gears apart."""
-    settings = dataclasses.replace(puma.settings, backlash=True)
+    settings = puma.settings.with_options(backlash=True)
     masked = settings.patterns(puma.training.recording)
     start = int(np.searchsorted(puma.training.truth.time, masked.time[0] - 1e-9))
     apart = puma.training.truth.apart[start : start + masked.samples]

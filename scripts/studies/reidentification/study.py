@@ -61,12 +61,10 @@ def settings_of(machine: sim.Machine, recording: jc.Recording) -> jc.Settings:
     spacing = choose_spacing(
         recording.time, recording.position, resolution=np.array(machine.encoder_resolution)
     )
-    return jc.Settings(
-        smoothing=jc.AveragedSplines(spacing),
-        torque_alignment="mean",
-        threshold_fraction=THRESHOLD_FRACTION,
-        cutoff=CUTOFF,
+    preparation = jc.Preparation(
+        jc.AveragedSplines(spacing), torque_alignment="mean", threshold_fraction=THRESHOLD_FRACTION
     )
+    return jc.Settings(preparation, jc.LeastSquares(cutoff=CUTOFF))
 
 
 class Study:
