@@ -11,6 +11,7 @@ FRICTION_TERMS = (
     "asymmetric_dry",
     "static",
     "root",
+    "quadratic",
     "offset",
     "spring",
 )

@@ -13,6 +13,7 @@ from ._friction_laws import (
 )
 from ._input_term import AbstractInputTerm
 from ._joint_term import AbstractJointLaw, JointTerm
+from ._quadratic_friction import QuadraticFriction
 from ._static_friction import StaticFriction
 
 
@@ -24,6 +25,7 @@ _LAWS: dict[str, Callable[[Manipulator], AbstractJointLaw]] = {
     "asymmetric_dry": lambda _: AsymmetricDry(),
     "static": StaticFriction.from_robot,
     "root": lambda _: Root(),
+    "quadratic": lambda _: QuadraticFriction(),
     "offset": lambda _: Offset(),
     "spring": lambda _: Spring(),
 }
