@@ -1,6 +1,7 @@
 from ._cslc import CSLC as CSLC
 from ._derive import derive as derive
 from ._layout import Layout as Layout
+from ._term_sum import AbstractTermSum as AbstractTermSum
 from .terms import (
     JAX_FUNCTIONS as JAX_FUNCTIONS,
     PAYLOAD as PAYLOAD,
@@ -9,6 +10,7 @@ from .terms import (
     AbstractJointLaw as AbstractJointLaw,
     AbstractTerm as AbstractTerm,
     JointTerm as JointTerm,
+    LawProperties as LawProperties,
     RigidBodyRecursion as RigidBodyRecursion,
     RigidBodyTables as RigidBodyTables,
     StaticFriction as StaticFriction,

@@ -8,27 +8,44 @@ from jaxtyping import Array, Float
 
 from ..derivation import Algebra, Coefficient, InertialTerm, constant_values
 from ..manipulator import LinkParameters
-from .terms import AbstractInputTerm
+from .terms import AbstractInputTerm, AbstractTerm
 
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 
 
-def inertial_values(
-    algebra: Algebra, links: Sequence[LinkParameters]
-) -> Float[Array, " coefficients"]:
-    """Inertial coefficients of a robot with these links.
+_NO_BODY = LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
 
-    **Raises** `ValueError` if the links are not one a joint.
+
+def coefficient_values(
+    algebra: Algebra,
+    terms: Sequence[AbstractTerm],
+    links: Sequence[LinkParameters],
+    friction: Mapping[str, Any],
+    payload: LinkParameters | None,
+) -> Float[Array, " coefficients"]:
+    """Every coefficient of a sum of terms: see `CSLC.coefficients_from`.
+
+    - `friction`: values by `AbstractInputTerm.keyword`.
+    - `payload`: the body; None for an empty gripper.
     """
     n = algebra.robot.joint_count
     if len(links) != n:
         raise ValueError(f"links: expected {n} entries, one a joint, got {len(links)}")
-    constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}
-    return expression_values(algebra.coefficients, links, constants)
+    _check_keywords([term for term in terms if isinstance(term, AbstractInputTerm)], friction)
+    parts: list[Any] = []
+    for term in terms:
+        if isinstance(term, AbstractInputTerm):
+            parts.append(_input_values(term, friction))
+        elif term.kind == "payload":
+            parts.append(_expression_values(term.coefficients, [payload or _NO_BODY] * n, {}))
+        else:
+            constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}
+            parts.append(_expression_values(term.coefficients, links, constants))
+    return jnp.concatenate([jnp.asarray(part, parts[0].dtype) for part in parts])
 
 
-def expression_values(
+def _expression_values(
     coefficients: Sequence[Coefficient],
     links: Sequence[LinkParameters],
     constants: Mapping[str, float],
@@ -66,7 +83,7 @@ def _product(term: InertialTerm, links: Sequence[LinkParameters]) -> Float[Array
     return value
 
 
-def check_keywords(terms: Sequence[AbstractInputTerm], values: Mapping[str, Any]) -> None:
+def _check_keywords(terms: Sequence[AbstractInputTerm], values: Mapping[str, Any]) -> None:
     """**Raises** `ValueError` for values, not None, that no term has."""
     keywords = tuple(dict.fromkeys(term.keyword for term in terms))
     for keyword, value in values.items():
@@ -77,7 +94,7 @@ def check_keywords(terms: Sequence[AbstractInputTerm], values: Mapping[str, Any]
             )
 
 
-def input_values(term: AbstractInputTerm, values: Mapping[str, Any]) -> Any:
+def _input_values(term: AbstractInputTerm, values: Mapping[str, Any]) -> Any:
     """The coefficients of a term, from values by keyword; zeros where there are none.
 
     **Raises** `ValueError` for a wrong shape, and for numbers, not 0, of joints without the term.

@@ -1,11 +1,62 @@
 from collections.abc import Sequence
 
-from ..derivation import Algebra
-from .terms import AbstractInputTerm
+from ..derivation import Algebra, derive_algebra
+from .terms import AbstractInputTerm, carrier
 
 
-def rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
-    """Sizes of the mass, velocity and gravity subnetworks (thesis 5.1, Appendix B)."""
+def counts_of(
+    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
+) -> dict[str, dict[str, int]]:
+    """Size of each subnetwork: inputs, links and coefficients (thesis 5.1, Appendix B).
+
+    - `algebra`: of the rigid body; `terms`: of everything beside it.
+    - `carrying_link`: of a payload, counted from 1; None without one.
+    """
+    counts = _rigid_body_counts(algebra)
+    for term in terms:
+        n = len(term.input_joints)
+        nodes = len(set(term.input_joints))
+        counts[term.kind] = {"inputs": n, "links": n, "nodes": nodes, "coefficients": term.size}
+    for payload in _payload_algebra(algebra, carrying_link):
+        parts = _rigid_body_counts(payload).values()
+        total = {name: sum(part[name] for part in parts) for name in ("inputs", "links", "nodes")}
+        counts["payload"] = total | {"coefficients": len(payload.coefficients)}
+    return counts
+
+
+def order_per_joint(
+    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
+) -> tuple[int, ...]:
+    """How many independent coefficients each joint's torque depends on (thesis 4.2, 5.2.5).
+
+    For a network whose output is linear in its coefficients and whose hidden nodes feed one
+    context-sensitive product each, the order of an output is the number of coefficients that
+    reach it. Arguments as of `counts_of`.
+    """
+    orders = [0] * algebra.robot.joint_count
+    for rigid in (algebra, *_payload_algebra(algebra, carrying_link)):
+        reach: list[set[int]] = [set() for _ in orders]
+        for link in rigid.mass.links:
+            for joint in rigid.mass.columns[link.column]:
+                reach[joint] |= {index for index, _ in link.weights}
+        for table in (rigid.velocity, rigid.gravity):
+            for link in table.links:
+                reach[table.columns[link.column][0]] |= {index for index, _ in link.weights}
+        orders = [total + len(indices) for total, indices in zip(orders, reach, strict=True)]
+    for term in terms:
+        for joint in term.input_joints:
+            orders[joint] += 1
+    return tuple(orders)
+
+
+def _payload_algebra(algebra: Algebra, carrying_link: int | None) -> tuple[Algebra, ...]:
+    """The closed form of a payload's torque in base parameters; empty without a payload."""
+    if carrying_link is None:
+        return ()
+    return (derive_algebra(carrier(algebra.robot, carrying_link), "numeric"),)
+
+
+def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
     tables = {name: getattr(algebra, name) for name in ("mass", "velocity", "gravity")}
     return {
         name: {
@@ -16,48 +67,3 @@ def rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
         }
         for name, table in tables.items()
     }
-
-
-def payload_counts(algebra: Algebra) -> dict[str, int]:
-    """Sizes of the three subnetworks of a payload's `carrier`, added up."""
-    counts = rigid_body_counts(algebra).values()
-    total = {name: sum(count[name] for count in counts) for name in ("inputs", "links", "nodes")}
-    return total | {"coefficients": len(algebra.coefficients)}
-
-
-def input_counts(term: AbstractInputTerm) -> dict[str, int]:
-    """Size of the subnetwork of a term."""
-    n = len(term.input_joints)
-    return {
-        "inputs": n,
-        "links": n,
-        "nodes": len(set(term.input_joints)),
-        "coefficients": term.size,
-    }
-
-
-def order_per_joint(
-    algebras: Sequence[Algebra], terms: Sequence[AbstractInputTerm]
-) -> tuple[int, ...]:
-    """How many independent coefficients each joint's torque depends on (thesis 4.2, 5.2.5).
-
-    For a network whose output is linear in its coefficients and whose hidden nodes feed one
-    context-sensitive product each, the order of an output is the number of coefficients that
-    reach it.
-
-    - `algebras`: of the robot and, with a payload, of its `carrier`.
-    """
-    orders = [0] * algebras[0].robot.joint_count
-    for algebra in algebras:
-        reach: list[set[int]] = [set() for _ in orders]
-        for link in algebra.mass.links:
-            for joint in algebra.mass.columns[link.column]:
-                reach[joint] |= {index for index, _ in link.weights}
-        for table in (algebra.velocity, algebra.gravity):
-            for link in table.links:
-                reach[table.columns[link.column][0]] |= {index for index, _ in link.weights}
-        orders = [total + len(indices) for total, indices in zip(orders, reach, strict=True)]
-    for term in terms:
-        for joint in term.input_joints:
-            orders[joint] += 1
-    return tuple(orders)

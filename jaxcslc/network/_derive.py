@@ -41,8 +41,8 @@ def derive(
     **Raises**
 
     - `RobotError`: if a length that is to be a number has no value, or a name is no length.
-    - `ValueError`: if `lengths` is another word, or if the recursive evaluator is asked for with
-      symbolic lengths.
+    - `ValueError`: if `lengths` or `evaluator` is none of these, or for a recursive evaluator
+      with symbolic lengths.
 
     >>> import jaxcslc as jc
     >>> jc.derive(jc.puma560())
@@ -56,7 +56,7 @@ def derive(
         )
     symbols = lengths if isinstance(lengths, str) else tuple(lengths)
     algebra = derive_algebra(robot, cast(Lengths, symbols))
-    return CSLC(algebra, (_rigid_body(algebra, evaluator), *input_terms(robot)))
+    return CSLC(algebra=algebra, terms=(_rigid_body(algebra, evaluator), *input_terms(robot)))
 
 
 def _has_many_lengths(robot: Manipulator) -> bool:

@@ -80,17 +80,17 @@ class Layout:
     def indices(self, *selection: str) -> Int[np.ndarray, " _"]:
         """Indices of coefficients by name, group or kind of term, in ascending order.
 
-        **Raises** `ValueError` for a word that is none of them.
+        **Raises** `ValueError` for a name that is none of them.
         """
         selected = np.zeros(self.size, bool)
-        for word in selection:
-            if word in self.kinds:
-                selected[self.of(word)] = True
+        for name in selection:
+            if name in self.kinds:
+                selected[self.of(name)] = True
                 continue
-            mask = np.array([word in (c.name, c.group) for c in self.coefficients], bool)
+            mask = np.array([name in (c.name, c.group) for c in self.coefficients], bool)
             if not mask.any():
                 raise ValueError(
-                    f"{word!r} is no coefficient and no group; expected some of"
+                    f"{name!r} is no coefficient and no group; expected some of"
                     f" {', '.join(self.groups)}, and names, {self.names[0]} to {self.names[-1]}"
                 )
             selected |= mask

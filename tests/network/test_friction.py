@@ -15,7 +15,7 @@ from jaxcslc.adaptive import inverse_dynamics
 
 
 WORDS = (
-    ("viscous", "dry", "static", "root", "offset", "spring"),
+    ("viscous", "dry", "static", "root", "quadratic", "offset", "spring"),
     ("asymmetric_viscous", "asymmetric_dry", "static"),
 )
 SLOPES = (3.0, 8.0, 20.0)
@@ -42,13 +42,22 @@ def literal(word: str, side: str, slope: float, q: float, v: float) -> float:
         "asymmetric_dry": float(sign) if (sign > 0) == (side == "p") else 0.0,
         "static": sign * math.exp(-slope * abs(v)),
         "root": sign * math.sqrt(abs(v)),
+        "quadratic": v * abs(v),
         "offset": 1.0,
         "spring": q,
     }[word]
 
 
 LETTERS = {
-    **{"kv": "viscous", "kd": "dry", "ks": "static", "kr": "root", "ko": "offset", "ke": "spring"},
+    **{
+        "kv": "viscous",
+        "kd": "dry",
+        "ks": "static",
+        "kr": "root",
+        "kq": "quadratic",
+        "ko": "offset",
+        "ke": "spring",
+    },
     **{"kvp": "asymmetric_viscous", "kvn": "asymmetric_viscous"},
     **{"kdp": "asymmetric_dry", "kdn": "asymmetric_dry"},
 }

@@ -4,6 +4,7 @@ import ctypes
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def motion(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def coefficients(network: jc.CSLC, *, quadratic: np.ndarray = KQ) -> np.ndarray:
     links = [jc.LinkParameters(2.0, np.array([0.1, 0.05, 0.2]), 0.05 * np.eye(3), 0.1)] * 3
-    friction = {"viscous": [1.0, 0.8, 0.5], "dry": [2.0, 1.5, 0.3], "quadratic": quadratic}
+    friction: Any = {"viscous": [1.0, 0.8, 0.5], "dry": [2.0, 1.5, 0.3], "quadratic": quadratic}
     return np.asarray(network.coefficients_from(links, **friction))
 
 

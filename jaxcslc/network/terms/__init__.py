@@ -3,7 +3,11 @@ from ._input_term import (
     AbstractFunctions as AbstractFunctions,
     AbstractInputTerm as AbstractInputTerm,
 )
-from ._joint_term import AbstractJointLaw as AbstractJointLaw, JointTerm as JointTerm
+from ._joint_term import (
+    AbstractJointLaw as AbstractJointLaw,
+    JointTerm as JointTerm,
+    LawProperties as LawProperties,
+)
 from ._payload import PAYLOAD as PAYLOAD, carrier as carrier, payload_term as payload_term
 from ._registry import input_terms as input_terms
 from ._rigid_body_recursion import RigidBodyRecursion as RigidBodyRecursion

@@ -46,10 +46,10 @@ class CoupledTerm(AbstractInputTerm):
         prismatic = tuple(robot.joints[pair.first - 1].kind == "P" for pair in robot.coupled)
         return [
             cls(
-                kind,
-                _coefficients(kind, robot.coupled, prismatic),
-                robot.coupled,
-                robot.joint_count,
+                kind=kind,
+                coefficients=_coefficients(kind, robot.coupled, prismatic),
+                pairs=robot.coupled,
+                joint_count=robot.joint_count,
             )
             for kind in _KINDS
         ]

@@ -1,7 +1,7 @@
-from typing import Any, ClassVar
+from typing import Any
 
 from ._input_term import AbstractFunctions
-from ._joint_term import AbstractJointLaw
+from ._joint_term import AbstractJointLaw, LawProperties
 
 
 _BOTH_WAYS = ("forwards", "backwards")
@@ -10,13 +10,15 @@ _BOTH_WAYS = ("forwards", "backwards")
 class Viscous(AbstractJointLaw):
     """Friction in proportion to velocity (Eqn. 2.5-3)."""
 
-    kind: ClassVar[str] = "viscous"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("kv",)
-    directions: ClassVar[tuple[str, ...]] = ()
-    description: ClassVar[str] = "viscous friction of joint {}"
-    units: ClassVar[tuple[str, str]] = ("N m s/rad", "N s/m")
-    positive: ClassVar[bool] = True
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="viscous",
+            symbols=("kv",),
+            description="viscous friction of joint {}",
+            units=("N m s/rad", "N s/m"),
+            positive=True,
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del functions, q
@@ -26,13 +28,16 @@ class Viscous(AbstractJointLaw):
 class AsymmetricViscous(AbstractJointLaw):
     """Viscous friction with a coefficient for either direction of motion."""
 
-    kind: ClassVar[str] = "asymmetric_viscous"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("kvp", "kvn")
-    directions: ClassVar[tuple[str, ...]] = _BOTH_WAYS
-    description: ClassVar[str] = "viscous friction of joint {}"
-    units: ClassVar[tuple[str, str]] = ("N m s/rad", "N s/m")
-    positive: ClassVar[bool] = True
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="asymmetric_viscous",
+            symbols=("kvp", "kvn"),
+            directions=_BOTH_WAYS,
+            description="viscous friction of joint {}",
+            units=("N m s/rad", "N s/m"),
+            positive=True,
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del q
@@ -40,15 +45,17 @@ class AsymmetricViscous(AbstractJointLaw):
 
 
 class Dry(AbstractJointLaw):
-    """Coulomb friction, the sign of velocity (Eqn. 2.5-4)."""
+    """Coulomb friction, in proportion to the sign of velocity (Eqn. 2.5-4)."""
 
-    kind: ClassVar[str] = "dry"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("kd",)
-    directions: ClassVar[tuple[str, ...]] = ()
-    description: ClassVar[str] = "dry friction of joint {}"
-    units: ClassVar[tuple[str, str]] = ("N m", "N")
-    positive: ClassVar[bool] = True
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="dry",
+            symbols=("kd",),
+            description="dry friction of joint {}",
+            units=("N m", "N"),
+            positive=True,
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del q
@@ -58,13 +65,16 @@ class Dry(AbstractJointLaw):
 class AsymmetricDry(AbstractJointLaw):
     """Coulomb friction with a coefficient for either direction of motion."""
 
-    kind: ClassVar[str] = "asymmetric_dry"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("kdp", "kdn")
-    directions: ClassVar[tuple[str, ...]] = _BOTH_WAYS
-    description: ClassVar[str] = "dry friction of joint {}"
-    units: ClassVar[tuple[str, str]] = ("N m", "N")
-    positive: ClassVar[bool] = True
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="asymmetric_dry",
+            symbols=("kdp", "kdn"),
+            directions=_BOTH_WAYS,
+            description="dry friction of joint {}",
+            units=("N m", "N"),
+            positive=True,
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del q
@@ -73,15 +83,20 @@ class AsymmetricDry(AbstractJointLaw):
 
 
 class Root(AbstractJointLaw):
-    """Friction with the square root of the speed; beside a line it only bends it."""
+    """Friction with the square root of the speed.
 
-    kind: ClassVar[str] = "root"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("kr",)
-    directions: ClassVar[tuple[str, ...]] = ()
-    description: ClassVar[str] = "friction of joint {} with the root of its speed"
-    units: ClassVar[tuple[str, str]] = ("N m (s/rad)^0.5", "N (s/m)^0.5")
-    positive: ClassVar[bool] = False
+    Beside viscous friction it bends the line, so that its coefficient may have either sign.
+    """
+
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="root",
+            symbols=("kr",),
+            description="friction of joint {} with the root of its speed",
+            units=("N m (s/rad)^0.5", "N (s/m)^0.5"),
+            positive=False,
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del q
@@ -91,13 +106,15 @@ class Root(AbstractJointLaw):
 class Offset(AbstractJointLaw):
     """A constant torque (Fig. 8.2-1)."""
 
-    kind: ClassVar[str] = "offset"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("ko",)
-    directions: ClassVar[tuple[str, ...]] = ()
-    description: ClassVar[str] = "torque offset of joint {}"
-    units: ClassVar[tuple[str, str]] = ("N m", "N")
-    positive: ClassVar[bool] = False
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="offset",
+            symbols=("ko",),
+            description="torque offset of joint {}",
+            units=("N m", "N"),
+            positive=False,
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del q
@@ -107,13 +124,16 @@ class Offset(AbstractJointLaw):
 class Spring(AbstractJointLaw):
     """A joint spring: torque in proportion to position (Fig. 8.2-2)."""
 
-    kind: ClassVar[str] = "spring"
-    part: ClassVar[str] = "spring"
-    symbols: ClassVar[tuple[str, ...]] = ("ke",)
-    directions: ClassVar[tuple[str, ...]] = ()
-    description: ClassVar[str] = "stiffness of joint {}"
-    units: ClassVar[tuple[str, str]] = ("N m/rad", "N/m")
-    positive: ClassVar[bool] = True
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="spring",
+            symbols=("ke",),
+            description="stiffness of joint {}",
+            units=("N m/rad", "N/m"),
+            positive=True,
+            part="spring",
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del functions, qd

@@ -101,21 +101,39 @@ class AbstractInputTerm(AbstractTerm):
     **Attributes**
 
     - `joint_count`: n of the robot.
-    - `input_joints`: the joint whose torque each input enters, from 0.
-    - `input_indices`: which of the term's coefficients each input is multiplied by.
-    - `keyword`: the argument of `CSLC.coefficients_from` that its coefficients are part of.
-    - `value_shape`: of that argument, and `value_index`: where in it the coefficients are, in
-      their order, an index of an array.
-    - `value_meaning`: of that argument's entries, for messages.
     """
 
     joint_count: eqx.AbstractVar[int]
-    input_joints: eqx.AbstractVar[tuple[int, ...]]
-    input_indices: eqx.AbstractVar[tuple[int, ...]]
-    keyword: eqx.AbstractVar[str]
-    value_shape: eqx.AbstractVar[tuple[int, ...]]
-    value_index: eqx.AbstractVar[tuple[tuple[int, ...], ...]]
-    value_meaning: eqx.AbstractVar[str]
+
+    @property
+    @abc.abstractmethod
+    def input_joints(self) -> tuple[int, ...]:
+        """The joint whose torque each input enters, from 0."""
+
+    @property
+    @abc.abstractmethod
+    def input_indices(self) -> tuple[int, ...]:
+        """Which of the term's coefficients each input is multiplied by."""
+
+    @property
+    @abc.abstractmethod
+    def keyword(self) -> str:
+        """The argument of `CSLC.coefficients_from` that the coefficients are part of."""
+
+    @property
+    @abc.abstractmethod
+    def value_shape(self) -> tuple[int, ...]:
+        """The shape of that argument."""
+
+    @property
+    @abc.abstractmethod
+    def value_index(self) -> tuple[tuple[int, ...], ...]:
+        """Where in that argument the coefficients are, in their order: an index of an array."""
+
+    @property
+    @abc.abstractmethod
+    def value_meaning(self) -> str:
+        """What that argument's entries are, for messages."""
 
     @abc.abstractmethod
     def inputs(

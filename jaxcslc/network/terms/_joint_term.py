@@ -1,7 +1,7 @@
 import abc
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,41 +15,50 @@ from ._input_term import JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
 from ._term import Coefficients, Joints, Regressor, Rows
 
 
-class AbstractJointLaw(eqx.Module):
-    """A formula for a joint's torque by its own position and velocity: friction, offset, spring.
-
-    A final subclass sets the class variables, writes `inputs`, and is listed in `_registry.py`;
-    its `kind` is listed in `jaxcslc.manipulator`. Array fields, (n,) each, are what the formula
-    is not linear in, such as slopes: leaves that transformations see.
+class LawProperties(NamedTuple):
+    """What a law's coefficients are called, and what they are.
 
     **Attributes**
 
     - `kind`: the word of a robot's friction model, and the group of the coefficients.
-    - `part`: `"friction"` or `"spring"`.
     - `symbols`: letters that names of coefficients begin with, one for each input.
-    - `directions`: of the inputs, as `("forwards", "backwards")`; empty for one input.
     - `description`: of a coefficient, with `{}` for the number of the joint.
     - `units`: of revolute and of prismatic joints.
     - `positive`: whether coefficients are positive by construction: friction opposes motion.
+    - `part`: the sum of the equation of motion that it belongs to, `"friction"` or `"spring"`.
+    - `directions`: of the inputs, as `("forwards", "backwards")`; empty for one input.
     """
 
-    kind: eqx.AbstractClassVar[str]
-    part: eqx.AbstractClassVar[str]
-    symbols: eqx.AbstractClassVar[tuple[str, ...]]
-    directions: eqx.AbstractClassVar[tuple[str, ...]]
-    description: eqx.AbstractClassVar[str]
-    units: eqx.AbstractClassVar[tuple[str, str]]
-    positive: eqx.AbstractClassVar[bool]
+    kind: str
+    symbols: tuple[str, ...]
+    description: str
+    units: tuple[str, str]
+    positive: bool
+    part: str = "friction"
+    directions: tuple[str, ...] = ()
+
+
+class AbstractJointLaw(eqx.Module):
+    """A formula for a joint's torque by its own position and velocity: friction, offset, spring.
+
+    Array fields, (n,) each, are what the formula is not linear in, such as slopes: leaves of the
+    network that transformations see. A new law is a file like `_quadratic_friction.py`, listed in
+    `_registry.py`, and its kind is listed in `jaxcslc/manipulator/_friction.py`.
+    """
+
+    @property
+    @abc.abstractmethod
+    def properties(self) -> LawProperties:
+        """Names, units and kind."""
 
     @abc.abstractmethod
-    def inputs(
-        self, functions: AbstractFunctions, q: Any, qd: Any, *parameters: Any
-    ) -> tuple[Any, ...]:
+    def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         """What each of a joint's coefficients is multiplied by, one value a symbol.
 
+        Written as for one joint: array fields of `self` are that joint's entries here.
+
         - `functions`: those that are not plain operators.
-        - `q`, `qd`: of one joint, or of any number of joints side by side.
-        - `parameters`: the entries of the law's array fields, in their order.
+        - `q`, `qd`: position and velocity.
         """
 
 
@@ -60,11 +69,13 @@ class JointTerm(AbstractInputTerm):
 
     **Attributes**
 
+    - `kind`: of the law.
     - `law`: the formula.
     - `joints`: those that have it, from 0; `joint_count`: n of the robot.
     """
 
     law: AbstractJointLaw
+    kind: str = eqx.field(static=True)
     coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
     joints: tuple[int, ...] = eqx.field(static=True)
     joint_count: int = eqx.field(static=True)
@@ -72,26 +83,28 @@ class JointTerm(AbstractInputTerm):
     @classmethod
     def of(cls, law: AbstractJointLaw, robot: Manipulator) -> "JointTerm":
         """The term of the robot's joints whose friction model names the law's kind."""
-        kinds = robot.friction_per_joint
-        joints = tuple(joint for joint, words in enumerate(kinds) if law.kind in words)
+        kind, friction = law.properties.kind, robot.friction_per_joint
+        joints = tuple(joint for joint, kinds in enumerate(friction) if kind in kinds)
         prismatic = tuple(robot.joints[joint].kind == "P" for joint in joints)
-        return cls(law, _coefficients(type(law), joints, prismatic), joints, robot.joint_count)
-
-    @property
-    def kind(self) -> str:
-        return self.law.kind
+        return cls(
+            law=law,
+            kind=kind,
+            coefficients=_coefficients(law.properties, joints, prismatic),
+            joints=joints,
+            joint_count=robot.joint_count,
+        )
 
     @property
     def keyword(self) -> str:
-        return self.law.kind
+        return self.kind
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return (self.law.part,)
+        return (self.law.properties.part,)
 
     @property
     def input_joints(self) -> tuple[int, ...]:
-        return self.joints * len(self.law.symbols)
+        return self.joints * len(self.law.properties.symbols)
 
     @property
     def input_indices(self) -> tuple[int, ...]:
@@ -103,16 +116,16 @@ class JointTerm(AbstractInputTerm):
 
     @property
     def value_index(self) -> tuple[tuple[int, ...], ...]:
-        if not self.law.directions:
+        if not self.law.properties.directions:
             return (self.joints,)
-        columns = range(len(self.law.symbols))
+        columns = range(len(self.law.properties.symbols))
         return self.input_joints, tuple(column for column in columns for _ in self.joints)
 
     @property
     def value_meaning(self) -> str:
-        if not self.law.directions:
+        if not self.law.properties.directions:
             return "one a joint"
-        return f"{' and '.join(self.law.directions)} of each joint"
+        return f"{' and '.join(self.law.properties.directions)} of each joint"
 
     @property
     def inertia_matrices(self) -> Float[np.ndarray, "coefficients joints joints"]:
@@ -122,13 +135,10 @@ class JointTerm(AbstractInputTerm):
         self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
     ) -> list[Any]:
         del qdd
-        parameters = jax.tree.leaves(self.law)
-        values = [
-            self.law.inputs(
-                functions, q[j], qd[j], *(functions.constant(x[j], qd[j]) for x in parameters)
-            )
-            for j in self.joints
-        ]
+        values: list[tuple[Any, ...]] = []
+        for j in self.joints:
+            law = jax.tree.map(lambda x, j=j: functions.constant(x[j], qd[j]), self.law)
+            values.append(law.inputs(functions, q[j], qd[j]))
         return [value for symbol in zip(*values, strict=True) for value in symbol]
 
     def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
@@ -154,8 +164,8 @@ class JointTerm(AbstractInputTerm):
         del qdd
         zero = jnp.zeros((), k.dtype)
         total: Array | None = None
-        for x, own in zip(self._inputs(q, qd, -1), self._by_symbol(k), strict=True):
-            factors = dict(zip(self.joints, own, strict=True))
+        for x, k_of_joints in zip(self._inputs(q, qd, -1), self._by_symbol(k), strict=True):
+            factors = dict(zip(self.joints, k_of_joints, strict=True))
             row = jnp.stack([factors.get(joint, zero) for joint in range(self.joint_count)])
             share = x * jnp.broadcast_to(row, x.shape)
             total = share if total is None else total + share
@@ -164,31 +174,31 @@ class JointTerm(AbstractInputTerm):
 
     @property
     def _directions(self) -> tuple[int, ...]:
-        return (len(self.law.directions),) if self.law.directions else ()
+        return (len(self.law.properties.directions),) if self.law.properties.directions else ()
 
     def _by_symbol(self, k: Array) -> list[Array]:
-        return list(k.reshape(len(self.law.symbols), len(self.joints)))
+        return list(k.reshape(len(self.law.properties.symbols), len(self.joints)))
 
     def _inputs(self, q: Array, qd: Array, axis: int) -> tuple[Array, ...]:
         """Inputs of all joints at once, which are on this axis."""
         shape = [1] * q.ndim
         shape[axis] = self.joint_count
-        parameters = (
-            jnp.broadcast_to(jnp.reshape(jnp.asarray(leaf, q.dtype), shape), q.shape)
-            for leaf in jax.tree.leaves(self.law)
-        )
-        return self.law.inputs(JAX_FUNCTIONS, q, qd, *parameters)
+
+        def of_every_joint(x: Array | np.ndarray) -> Array:
+            return jnp.broadcast_to(jnp.reshape(jnp.asarray(x, q.dtype), shape), q.shape)
+
+        return jax.tree.map(of_every_joint, self.law).inputs(JAX_FUNCTIONS, q, qd)
 
 
 # Made once for a law and its joints: coefficients are compared by identity.
 @lru_cache(maxsize=256)
 def _coefficients(
-    law: type[AbstractJointLaw], joints: tuple[int, ...], prismatic: tuple[bool, ...]
+    law: LawProperties, joints: tuple[int, ...], prismatic: tuple[bool, ...]
 ) -> tuple[Coefficient, ...]:
-    found: list[Coefficient] = []
+    coefficients: list[Coefficient] = []
     for number, symbol in enumerate(law.symbols):
         direction = f", {law.directions[number]}" if law.directions else ""
-        found += [
+        coefficients += [
             Coefficient(
                 f"{symbol}{joint + 1}",
                 law.kind,
@@ -198,4 +208,4 @@ def _coefficients(
             )
             for joint, slides in zip(joints, prismatic, strict=True)
         ]
-    return tuple(found)
+    return tuple(coefficients)

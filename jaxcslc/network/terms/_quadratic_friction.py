@@ -1,7 +1,7 @@
-from typing import Any, ClassVar
+from typing import Any
 
 from ._input_term import AbstractFunctions
-from ._joint_term import AbstractJointLaw
+from ._joint_term import AbstractJointLaw, LawProperties
 
 
 class QuadraticFriction(AbstractJointLaw):
@@ -10,13 +10,15 @@ class QuadraticFriction(AbstractJointLaw):
     Beside viscous friction it bends the line, so that its coefficient may have either sign.
     """
 
-    kind: ClassVar[str] = "quadratic"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("kq",)
-    directions: ClassVar[tuple[str, ...]] = ()
-    description: ClassVar[str] = "friction of joint {} with the square of its speed"
-    units: ClassVar[tuple[str, str]] = ("N m (s/rad)^2", "N (s/m)^2")
-    positive: ClassVar[bool] = False
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="quadratic",
+            symbols=("kq",),
+            description="friction of joint {} with the square of its speed",
+            units=("N m (s/rad)^2", "N (s/m)^2"),
+            positive=False,
+        )
 
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del q

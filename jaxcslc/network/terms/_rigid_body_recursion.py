@@ -20,10 +20,8 @@ class RigidBodyRecursion(AbstractTerm):
     Cost grows with the square of the number of joints, not with the number of monomials, and
     compile time not even with that: links are scanned over, and so are pairs of a link and a
     joint that carries it. (Unrolled, a Panda's regressor compiled five times as long.) It
-    needs numeric lengths: then each base parameter is one link parameter plus what is regrouped
-    into it, and torque is what the chosen link parameters alone produce when they are set to
-    the base parameters and all others to zero. (In matrices: k = L θ with L in reduced echelon
-    form, so selecting the chosen columns is a right inverse of L.)
+    needs numeric lengths: then the torque is that of bodies which have the base parameters
+    (`Algebra.unit_inertias`).
 
     **Attributes**
 
@@ -53,26 +51,22 @@ class RigidBodyRecursion(AbstractTerm):
             )
         n = algebra.robot.joint_count
         indices: list[list[int]] = [[] for _ in range(n)]
-        columns: list[list[list[float]]] = [[] for _ in range(n)]
+        columns: list[list[tuple[float, ...]]] = [[] for _ in range(n)]
         motors: list[tuple[int, int]] = []
-        for index, base_term in enumerate(algebra.base_terms):
-            term = algebra.terms[base_term]
-            if term.factors == ("motor",):
-                motors.append((term.link, index))
+        for index, unit in enumerate(algebra.unit_inertias):
+            if unit.motor:
+                motors.append((unit.link, index))
             else:
-                column = [0.0] * 10
-                for entry, multiple in term.body:
-                    column[BODY.index(entry)] += multiple
-                indices[term.link].append(index)
-                columns[term.link].append(column)
+                indices[unit.link].append(index)
+                columns[unit.link].append(tuple(float(entry) for entry in unit.body))
         return cls(
-            tuple(tuple(zip(*c, strict=True)) if c else ((),) * 10 for c in columns),
-            algebra.robot.joints,
-            algebra.robot.gravity,
-            tuple(tuple(link) for link in indices),
-            tuple(motors),
-            paths_of(algebra.robot.parents),
-            algebra.coefficients,
+            body=tuple(tuple(zip(*c, strict=True)) if c else ((),) * len(BODY) for c in columns),
+            joints=algebra.robot.joints,
+            gravity=algebra.robot.gravity,
+            indices=tuple(tuple(link) for link in indices),
+            motors=tuple(motors),
+            paths=paths_of(algebra.robot.parents),
+            coefficients=algebra.coefficients,
         )
 
     @property
@@ -236,11 +230,11 @@ class RigidBodyRecursion(AbstractTerm):
     def _bodies(self, k: Array) -> "_Bodies":
         """What the coefficients give the links."""
         n = len(self.joints)
-        chosen = np.zeros((n, 10, self.size))
+        selection = np.zeros((n, 10, self.size))
         for link, indices in enumerate(self.indices):
             if indices:
-                chosen[link][:, list(indices)] = np.array(self.body[link])
-        ten = jnp.asarray(chosen, k.dtype) @ k
+                selection[link][:, list(indices)] = np.array(self.body[link])
+        ten = jnp.asarray(selection, k.dtype) @ k
         xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
         tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(n, 3, 3)
         return _Bodies(tensor, ten[:, 6:9, None], ten[:, 9])

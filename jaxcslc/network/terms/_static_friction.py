@@ -1,5 +1,5 @@
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jax.core import Tracer
@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ...manipulator import STATIC_SLOPE, Manipulator
 from ._input_term import AbstractFunctions
-from ._joint_term import AbstractJointLaw
+from ._joint_term import AbstractJointLaw, LawProperties
 
 
 class StaticFriction(AbstractJointLaw):
@@ -20,13 +20,16 @@ class StaticFriction(AbstractJointLaw):
     """
 
     slopes: Float[Array | np.ndarray, "*batch joints"]
-    kind: ClassVar[str] = "static"
-    part: ClassVar[str] = "friction"
-    symbols: ClassVar[tuple[str, ...]] = ("ks",)
-    directions: ClassVar[tuple[str, ...]] = ()
-    description: ClassVar[str] = "static friction of joint {} beyond dry"
-    units: ClassVar[tuple[str, str]] = ("N m", "N")
-    positive: ClassVar[bool] = False  # it is what is left of static friction beyond dry friction
+
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="static",
+            symbols=("ks",),
+            description="static friction of joint {} beyond dry",
+            units=("N m", "N"),
+            positive=False,  # what is left of static friction beyond dry friction
+        )
 
     @classmethod
     def from_robot(cls, robot: Manipulator) -> "StaticFriction":
@@ -50,9 +53,9 @@ class StaticFriction(AbstractJointLaw):
             )
         return StaticFriction(values)
 
-    def inputs(self, functions: AbstractFunctions, q: Any, qd: Any, slope: Any) -> tuple[Any, ...]:
+    def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         del q
-        decay = functions.exp(-(functions.absolute(qd) * slope))
+        decay = functions.exp(-(functions.absolute(qd) * self.slopes))
         return (functions.sign(qd) * decay,)
 
     # `jax.jit(network.torque)` looks the method up by its hash, and arrays have none.

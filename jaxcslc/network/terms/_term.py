@@ -25,14 +25,19 @@ class AbstractTerm(eqx.Module):
 
     - `kind`: what it is called, one word that no other term of a network has: `"rigid_body"`,
       `"viscous"`, `"coupled_inertia"`, `"payload"`.
-    - `parts`: which of the sums of the equation of motion it belongs to, some of `"mass"`,
-      `"velocity"`, `"gravity"`, `"friction"` and `"spring"` (Eqn. 2.5-2).
     - `coefficients`: names, groups, expressions and units, in the term's order.
     """
 
     kind: eqx.AbstractVar[str]
-    parts: eqx.AbstractVar[tuple[str, ...]]
     coefficients: eqx.AbstractVar[tuple[Coefficient, ...]]
+
+    @property
+    @abc.abstractmethod
+    def parts(self) -> tuple[str, ...]:
+        """Which of the sums of the equation of motion (Eqn. 2.5-2) it belongs to.
+
+        Some of `"mass"`, `"velocity"`, `"gravity"`, `"friction"` and `"spring"`.
+        """
 
     @property
     def size(self) -> int:
