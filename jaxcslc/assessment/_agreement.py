@@ -11,17 +11,17 @@ from ..network import CSLC
 class Agreement:
     """How far two machines of one design agree, coefficient by coefficient (Section 7.6).
 
-    Prints itself as one line; `rows()` has one a coefficient.
+    `print` shows one line; `rows()` returns one row a coefficient.
 
     **Attributes**
 
     - `names`, `groups`: of the p coefficients.
-    - `first`, `second`: (p,) what was identified.
+    - `first`, `second`: (p,) identified coefficients.
     - `difference`: (p,) second minus first.
     - `standard_error`: (p,) of the difference: the root of the sum of both squares; infinite
       where one recording does not determine the coefficient.
-    - `true_difference`: (p,) of the machines themselves, zero unless it was given.
-    - `truth_known`: whether it was.
+    - `true_difference`: (p,) of the machines' true coefficients; zero without `truth`.
+    - `truth_known`: whether true coefficients were passed.
     - `sensitivity`: (p,) of the torque [N m per unit].
     """
 
@@ -40,16 +40,16 @@ class Agreement:
 
     @property
     def z(self) -> Float[np.ndarray, " coefficients"]:
-        """(p,) what the identified difference misses the true one by, in standard errors; NaN
-        where a recording does not determine the coefficient."""
-        known = np.isfinite(self.standard_error) & (self.standard_error > 0)
-        error = np.where(known, self.standard_error, np.nan)
+        """(p,) error of the identified difference in standard errors; NaN where a recording does
+        not determine the coefficient."""
+        finite = np.isfinite(self.standard_error) & (self.standard_error > 0)
+        error = np.where(finite, self.standard_error, np.nan)
         return (self.difference - self.true_difference) / error
 
     @property
     def product(self) -> Float[np.ndarray, " coefficients"]:
-        """(p,) variation times sensitivity: what the disagreement means for the torque, on the
-        mean over joints and patterns [N m]."""
+        """(p,) difference times sensitivity: its mean effect on the torque, over joints and
+        patterns [N m]."""
         return np.abs(self.difference) * self.sensitivity
 
     @property
@@ -66,10 +66,10 @@ class Agreement:
 
         For normal errors 0.68 lie within one and 0.95 within two. NaN where none is determined.
         """
-        chosen = np.isfinite(self.z)
+        counted = np.isfinite(self.z)
         if groups:
-            chosen &= np.isin(np.array(self.groups), groups)
-        return float(np.mean(np.abs(self.z[chosen]) <= errors)) if np.any(chosen) else np.nan
+            counted &= np.isin(np.array(self.groups), groups)
+        return float(np.mean(np.abs(self.z[counted]) <= errors)) if np.any(counted) else np.nan
 
     def rows(self) -> list[dict[str, str | float]]:
         """One row a coefficient, in the network's order."""
@@ -111,11 +111,10 @@ def agreement(
     sensitivity: Float[Array | np.ndarray, " _"],
     truth: tuple[Float[Array | np.ndarray, " _"], Float[Array | np.ndarray, " _"]] | None = None,
 ) -> Agreement:
-    """Whether two machines of one design were found to have the same coefficients (Section 7.6).
+    """Compares the identified coefficients of two machines of one design (Section 7.6).
 
-    The thesis judges the difference by what it does to the torque. Where standard errors are
-    known it can be judged by itself as well: recordings are independent, so the variance of a
-    difference is the sum of both variances.
+    The thesis judges a difference by its effect on the torque. Standard errors judge it too:
+    recordings are independent, so the variance of a difference is the sum of both variances.
 
     **Arguments**
 
@@ -123,8 +122,8 @@ def agreement(
     - `first`, `second`: the fits of both machines with this network.
     - `sensitivity`: (p,) from `output_sensitivity`, of either training recording or the mean of
       both.
-    - `truth`: the coefficients that the machines really have, first and second, where a
-      simulator can tell. Then the fits are asked for the true difference instead of for none.
+    - `truth`: true coefficients of the first and second machine, from a simulator. Differences are
+      then compared with the true difference instead of zero.
 
     **Returns** an `Agreement`.
 

@@ -11,11 +11,11 @@ from ..network import CSLC
 def regress_friction(
     network: CSLC, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
 ) -> Float[Array, " k"]:
-    """The coefficients `k` with the friction that fits the patterns best (Eqn. 7.6-1).
+    """Regresses friction alone, with fixed rigid-body coefficients (Eqn. 7.6-1).
 
-    What the thesis calls Ar+Rg, for Armstrong's coefficients: rigid-body coefficients are kept,
-    and what they leave of each joint's torque is regressed against that joint's own friction
-    inputs, over the pairs that count.
+    The thesis calls the result Ar+Rg, for Armstrong's coefficients: the torque that rigid-body
+    coefficients do not explain is regressed against the friction inputs of each joint, over the
+    samples in the mask.
 
     **Arguments**
 
@@ -23,7 +23,7 @@ def regress_friction(
     - `patterns`: motion and torque of the training recording.
     - `k`: (p,); its friction coefficients are not used.
 
-    **Returns** (p,).
+    **Returns** (p,): `k` with the regressed friction coefficients.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.puma560()
@@ -41,8 +41,8 @@ def regress_friction(
     """
     friction = network.layout.friction
     rigid = np.array(network.without_friction(jnp.asarray(k)))
-    left = np.asarray(torque_errors(network, patterns, jnp.asarray(rigid)))
-    counts = np.asarray(patterns.mask)
+    residual = np.asarray(torque_errors(network, patterns, jnp.asarray(rigid)))
+    mask = np.asarray(patterns.mask)
     columns = np.asarray(regressor_of(network, patterns))[:, :, friction]
-    rigid[friction] = np.linalg.lstsq(columns[counts], left[counts], rcond=None)[0]
+    rigid[friction] = np.linalg.lstsq(columns[mask], residual[mask], rcond=None)[0]
     return jnp.asarray(rigid)

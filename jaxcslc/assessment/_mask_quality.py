@@ -8,16 +8,16 @@ from ..identification.report import text_table
 
 @dataclasses.dataclass(frozen=True)
 class MaskQuality:
-    """How well a mask leaves out what is disturbed, joint by joint.
+    """How well a mask leaves out disturbed samples, joint by joint.
 
-    Prints itself as a table; `rows()` has the same as data. A share of nothing is NaN.
+    `print` shows a table; `rows()` returns it as data. A share of no samples is NaN.
 
     **Attributes**
 
     - `samples`: of the recording.
     - `disturbed`: (n,) how many of a joint's samples were disturbed.
     - `left_out`: (n,) how many the mask leaves out.
-    - `caught`: (n,) how many were both.
+    - `caught`: (n,) how many of the disturbed ones the mask leaves out.
     """
 
     samples: int
@@ -31,7 +31,7 @@ class MaskQuality:
         return _share(self.caught, self.disturbed)
 
     @property
-    def given_up_share(self) -> Float[np.ndarray, " joints"]:
+    def lost_share(self) -> Float[np.ndarray, " joints"]:
         """(n,) of the good samples, the share that the mask leaves out too."""
         return _share(self.left_out - self.caught, self.samples - self.disturbed)
 
@@ -57,7 +57,7 @@ class MaskQuality:
                 "left_out",
                 "caught",
                 "caught_share",
-                "given_up_share",
+                "lost_share",
                 "precision",
             )
         }
@@ -79,11 +79,10 @@ def mask_quality(
     kept: Bool[Array | np.ndarray, "_ _"],
     disturbed: Bool[Array | np.ndarray, "_ _"],
 ) -> MaskQuality:
-    """Judges a mask by a record of what it should have left out.
+    """Compares a mask with a record of the samples that it should leave out.
 
     For the backlash mask of Eqn. 2.5-7: `patterns.backlash_mask` against a simulator's record of
-    when the gears were apart. The mask is meant to catch every such sample, at the price of good
-    ones.
+    when the gears were apart. The mask should leave out every such sample, and loses good ones too.
 
     **Arguments**
 
@@ -101,9 +100,9 @@ def mask_quality(
     >>> kept = np.array([[True], [False], [False], [True], [False]])
     >>> apart = np.array([[False], [True], [True], [True], [False]])
     >>> print(mask_quality(kept, apart))
-    joint  disturbed  left out  caught  caught share  given up share  precision
-    1              3         3       2         66.7%           50.0%      66.7%
-    all            3         3       2         66.7%           50.0%      66.7%
+    joint  disturbed  left out  caught  caught share  lost share  precision
+    1              3         3       2         66.7%       50.0%      66.7%
+    all            3         3       2         66.7%       50.0%      66.7%
     """
     kept, disturbed = np.asarray(kept), np.asarray(disturbed)
     if kept.shape != disturbed.shape:

@@ -9,10 +9,10 @@ from ..network import CSLC
 
 
 def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coefficients"]:
-    """How much a unit of each coefficient changes the torque of a recording (Section 7.6).
+    """Mean torque that a unit of each coefficient causes over a recording (Section 7.6).
 
-    The mean modulus, over all joints and all patterns, of the torque that the network gives
-    when one coefficient is 1 and every other 0. Torque is linear in the coefficients, so a
+    The mean modulus, over all joints and all patterns, of the network's torque when one
+    coefficient is 1 and all others are 0. Torque is linear in the coefficients, so a
     variation times its sensitivity is its mean effect [N m], whatever the coefficients are.
 
     A joint that the coefficient does not enter counts into the mean with zero. So does
@@ -22,7 +22,7 @@ def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coef
 
     - `network`: n joints, p coefficients.
     - `patterns`: motion of the training recording. Its masks are not used: a sensitivity is a
-      property of the motion, not of what a fit is shown of it.
+      property of the motion, not of the samples that are fitted.
 
     **Returns** (p,) [N m, or N, per unit of the coefficient].
 
@@ -38,7 +38,7 @@ def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coef
     0.1667
     """
     q, qd, qdd = (jnp.asarray(filled_up(x)).T for x in (patterns.q, patterns.qd, patterns.qdd))
-    # The rows that fill up are at rest, where gravity still pulls: they weigh nothing.
+    # Padding rows are at rest, where gravity acts too: their weight is zero.
     weight = jnp.asarray(filled_up(np.ones((patterns.samples, 1)))[:, 0])
     return _mean_modulus(network, q, qd, qdd, weight)
 

@@ -11,9 +11,9 @@ _RIGHT, _WITHIN, _WRONG = "right", "within its error", "wrong"
 
 @dataclasses.dataclass(frozen=True)
 class SignCheck:
-    """Whether coefficients that must be positive are (Section 5.2.3).
+    """Signs of the coefficients that are positive by construction (Section 5.2.3).
 
-    Prints itself as one line; `rows()` has one a coefficient.
+    `print` shows one line; `rows()` returns one row a coefficient.
 
     **Attributes**
 
@@ -36,7 +36,7 @@ class SignCheck:
         return _WRONG not in self.verdicts
 
     def rows(self) -> list[dict[str, str | float]]:
-        """One row a coefficient: name, value, its standard error where known, sign, expression."""
+        """One row a coefficient: name, value, standard error if any, sign, expression."""
         rows: list[dict[str, str | float]] = []
         for i, name in enumerate(self.names):
             row: dict[str, str | float] = {"name": name, "value": self.values[i]}
@@ -48,11 +48,10 @@ class SignCheck:
     def __str__(self) -> str:
         right = self.verdicts.count(_RIGHT)
         text = f"{right} of {len(self.names)} coefficients that must be positive are"
-        for verdict, words in ((_WITHIN, "negative within their error"), (_WRONG, "wrong")):
-            found = [
-                name for name, own in zip(self.names, self.verdicts, strict=True) if own == verdict
-            ]
-            text += f"; {words}: {', '.join(found)}" if found else ""
+        for verdict, label in ((_WITHIN, "negative within their error"), (_WRONG, "wrong")):
+            pairs = zip(self.names, self.verdicts, strict=True)
+            names = [name for name, other in pairs if other == verdict]
+            text += f"; {label}: {', '.join(names)}" if names else ""
         return text
 
 
@@ -64,7 +63,7 @@ def sign_check(
     """Checks the signs of coefficients against their algebra (Section 5.2.3).
 
     A coefficient that is a sum of masses, moments of inertia and squares must be positive
-    whatever the robot weighs; one that a fit finds negative is wrong for certain. The thesis
+    whatever the robot weighs; a negative estimate is certainly wrong. The thesis
     names kM4, kM6, kM9 and kM11 of the PUMA 560; `Coefficient.positive` adds the
     longer sums that are positive too, and friction, which only ever brakes.
 
@@ -93,14 +92,14 @@ def sign_check(
     for name, vector in (("k", values), ("standard_error", errors)):
         if vector is not None and vector.shape != (network.size,):
             raise ValueError(f"{name}: expected shape ({network.size},), got {vector.shape}")
-    chosen = [i for i, coefficient in enumerate(network.coefficients) if coefficient.positive]
+    indices = [i for i, coefficient in enumerate(network.coefficients) if coefficient.positive]
     return SignCheck(
-        names=tuple(network.names[i] for i in chosen),
-        expressions=tuple(network.coefficients[i].expression for i in chosen),
-        values=tuple(float(values[i]) for i in chosen),
-        standard_errors=None if errors is None else tuple(float(errors[i]) for i in chosen),
+        names=tuple(network.names[i] for i in indices),
+        expressions=tuple(network.coefficients[i].expression for i in indices),
+        values=tuple(float(values[i]) for i in indices),
+        standard_errors=None if errors is None else tuple(float(errors[i]) for i in indices),
         verdicts=tuple(
-            _verdict(float(values[i]), 0.0 if errors is None else float(errors[i])) for i in chosen
+            _verdict(float(values[i]), 0.0 if errors is None else float(errors[i])) for i in indices
         ),
     )
 

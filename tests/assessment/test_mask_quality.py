@@ -17,7 +17,7 @@ def test_against_a_literal_count(rng: np.random.Generator) -> None:
         bad = int(np.sum(disturbed[:, joint]))
         assert found.disturbed[joint] == bad
         assert_allclose(found.caught_share[joint], caught / bad)
-        assert_allclose(found.given_up_share[joint], lost / (200 - bad))
+        assert_allclose(found.lost_share[joint], lost / (200 - bad))
         assert_allclose(found.precision[joint], caught / (caught + lost))
 
 
@@ -25,7 +25,7 @@ def test_a_perfect_mask(rng: np.random.Generator) -> None:
     disturbed = rng.random((50, 2)) < 0.3
     found = mask_quality(~disturbed, disturbed)
     assert_allclose(found.caught_share, 1.0)
-    assert_allclose(found.given_up_share, 0.0)
+    assert_allclose(found.lost_share, 0.0)
     assert_allclose(found.precision, 1.0)
 
 
@@ -33,7 +33,7 @@ def test_shares_of_nothing_are_no_number() -> None:
     """A joint whose gears never part, and a mask that leaves nothing out."""
     found = mask_quality(np.ones((4, 1), bool), np.zeros((4, 1), bool))
     assert np.isnan(found.caught_share) and np.isnan(found.precision)
-    assert_allclose(found.given_up_share, 0.0)
+    assert_allclose(found.lost_share, 0.0)
 
 
 def test_rows_end_with_all_pairs_together(rng: np.random.Generator) -> None:
