@@ -2,7 +2,9 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 
@@ -13,12 +15,18 @@ def examples_of(page: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
 
 
-def test_the_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (example,) = examples_of("README.md")
-    exec(compile(example, "README.md", "exec"), {})
+def test_the_examples_of_the_readme_run_and_agree(capsys: pytest.CaptureFixture[str]) -> None:
+    """`identify` and the way step by step give the same coefficients."""
+    names: dict[str, Any] = {}
+    at_once, by_steps = examples_of("README.md")
+    exec(compile(at_once, "README.md", "exec"), names)
+    report = capsys.readouterr().out
+    assert "kM26" in report and "torque error" in report
+    exec(compile(by_steps, "README.md", "exec"), names)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 43
     assert lines[25].startswith("kM26 = ") and lines[25].endswith("kg m²")
+    np.testing.assert_allclose(names["fit"].k, names["report"].k, rtol=1e-12, atol=1e-15)
 
 
 def test_the_examples_of_networks_run_one_after_the_other(
