@@ -1,35 +1,34 @@
 """Which smoothing gives the best accelerations of a PUMA 560's quantised positions.
 
-Averaged splines (thesis, Section 7.3), with the spacing that the positions themselves suggest and
+Averaged splines (thesis, Section 7.3), with the spacing that is selected from the positions and
 with the best one, against zero-phase Butterworth filters with the best cut-off and Savitzky-Golay
 filters with the best window. Best means with hindsight: for each joint, trajectory and region the
-one setting of all seeds that comes closest to the truth, which no real recording could tell.
+one setting for all seeds that comes closest to the truth, which no real recording determines.
 
 What is compared with the derivatives at a sample is the mean of the true accelerations just before
 and just after it: the acceleration jumps at each sample, where the torque does, so no smooth
 derivative can be closer to both. 'At reversals' is within 0.05 s of a change of
-sign of the true velocity; a tenth of a second at both ends of a recording, where all methods see
-one side only, is left out.
+sign of the true velocity; a tenth of a second at both ends of a recording, where methods have
+samples on one side only, is left out.
 """
 
 import argparse
 import dataclasses
-from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
-from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from jaxcslc.identification import all_or_nothing, write_csv
 from jaxcslc.motion import AbstractSmoothing, SavitzkyGolay, away_from_reversals, choose_spacing
 from jaxcslc.plotting import save_picture
+from scripts.studies import command
+from scripts.studies.smoothing.results import SELECTED, Entry, picture, table
+from scripts.studies.truth import true_coefficients
 
 
 jax.config.update("jax_enable_x64", True)
@@ -39,13 +38,12 @@ ENDS = 0.1  # s
 # Slower than this a joint is at rest: the simulator's friction creeps.
 AT_REST = 1e-6  # rad/s
 AWAY, AT = "away from reversals", "at reversals"
-CHOSEN = "averaged splines, chosen"
 BEST = "averaged splines, best"
 TRAJECTORIES = ("training", "comparison")
 
 
 def candidates() -> dict[str, dict[float, AbstractSmoothing]]:
-    """The settings that the best is sought among, by method and by what is varied.
+    """Smoothings by method and by setting.
 
     Spacings, cut-offs and windows are in steps of about a fifth.
     """
@@ -85,38 +83,13 @@ def candidates() -> dict[str, dict[float, AbstractSmoothing]]:
 class Errors:
     """Mean squared errors of one recording's accelerations, joint by joint [rad²/s⁴].
 
-    `chosen` by region; `tried` by region, method and setting. NaN where a joint has no sample of
-    the region. `spacing` is what was chosen.
+    `selected` by region, for averaged splines of the selected `spacing`; `trials` by region, method
+    and setting. NaN where a joint has no sample of the region.
     """
 
     spacing: tuple[int, ...]
-    chosen: dict[str, Float[np.ndarray, " joints"]]
-    tried: dict[str, dict[str, dict[float, Float[np.ndarray, " joints"]]]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Entry:
-    """How one method did at one joint, in one region of one trajectory, over all seeds."""
-
-    trajectory: str
-    region: str
-    joint: int
-    method: str
-    setting: str
-    rmse: float
-    spread: float
-
-    def row(self) -> dict[str, Any]:
-        """For a CSV file."""
-        return {
-            "trajectory": self.trajectory,
-            "region": self.region,
-            "joint": self.joint,
-            "method": self.method,
-            "setting": self.setting,
-            "acceleration RMSE [rad/s²]": self.rmse,
-            "standard deviation over seeds [rad/s²]": self.spread,
-        }
+    selected: dict[str, Float[np.ndarray, " joints"]]
+    trials: dict[str, dict[str, dict[float, Float[np.ndarray, " joints"]]]]
 
 
 def true_acceleration(
@@ -124,7 +97,7 @@ def true_acceleration(
 ) -> Float[np.ndarray, "samples joints"]:
     """The mean of the accelerations just before and just after each sample.
 
-    What is recorded begins with the torque of its row. Only the torque jumps at a sample, so
+    A recorded row begins with its torque. Only the torque jumps at a sample, so
     just before it the acceleration was less by M⁻¹ times that jump, over the joints that move.
     """
     jump = np.diff(truth.torque, axis=0, prepend=truth.torque[:1])
@@ -151,24 +124,24 @@ def measure(
     recording: jc.Recording, truth: sim.Truth, target: Float[np.ndarray, "samples joints"]
 ) -> Errors:
     """Smooth one recording by every candidate and compare its accelerations with the target."""
-    judged = regions(truth)
+    masks = regions(truth)
 
     def squares(smoothing: AbstractSmoothing) -> dict[str, Float[np.ndarray, " joints"]]:
         _, _, qdd = smoothing.smooth(recording.time, recording.position)
         square = (qdd - target) ** 2
-        return {region: mean_where(square, where) for region, where in judged.items()}
+        return {region: mean_where(square, where) for region, where in masks.items()}
 
     spacing = choose_spacing(recording.time, recording.position)
-    tried = {
+    by_method = {
         method: {setting: squares(smoothing) for setting, smoothing in settings.items()}
         for method, settings in candidates().items()
     }
     by_region = {
         region: {
-            method: {setting: found[region] for setting, found in settings.items()}
-            for method, settings in tried.items()
+            method: {setting: of_regions[region] for setting, of_regions in settings.items()}
+            for method, settings in by_method.items()
         }
-        for region in judged
+        for region in masks
     }
     return Errors(spacing, squares(jc.AveragedSplines(spacing)), by_region)
 
@@ -188,151 +161,64 @@ def summarise(trajectory: str, errors: Sequence[Errors]) -> list[Entry]:
     joints = len(errors[0].spacing)
     for region in (AWAY, AT):
         for joint in range(joints):
-            here = np.array([found.chosen[region][joint] for found in errors])
-            if np.all(np.isnan(here)):
+            squares = np.array([of_seed.selected[region][joint] for of_seed in errors])
+            if np.all(np.isnan(squares)):
                 continue
-            spacings = [found.spacing[joint] for found in errors]
+            spacings = [of_seed.spacing[joint] for of_seed in errors]
             low, high = min(spacings), max(spacings)
             setting = f"{low}" if low == high else f"{low}-{high}"
-            place = (trajectory, region, joint + 1)
-            entries.append(Entry(*place, CHOSEN, setting, *over_seeds(here)))
-            for method, settings in errors[0].tried[region].items():
-                tried = {
+            case = (trajectory, region, joint + 1)
+            entries.append(Entry(*case, SELECTED, setting, *over_seeds(squares)))
+            for method, settings in errors[0].trials[region].items():
+                results = {
                     value: over_seeds(
-                        np.array([found.tried[region][method][value][joint] for found in errors])
+                        np.array(
+                            [of_seed.trials[region][method][value][joint] for of_seed in errors]
+                        )
                     )
                     for value in settings
                 }
-                best = min(tried, key=lambda value: tried[value][0])
-                entries.append(Entry(*place, method, f"{best:g}", *tried[best]))
+                best = min(results, key=lambda value: results[value][0])
+                entries.append(Entry(*case, method, f"{best:g}", *results[best]))
     return entries
 
 
 def over_seeds(squares: Float[np.ndarray, " seeds"]) -> tuple[float, float]:
-    """RMSE over all seeds, and the standard deviation of the seeds' own (NaN of a single one)."""
-    known = squares[~np.isnan(squares)]
-    spread = float(np.std(np.sqrt(known), ddof=1)) if known.size > 1 else float("nan")
-    return float(np.sqrt(np.mean(known))), spread
+    """RMSE over all seeds, and the standard deviation of the seeds' RMSE (NaN of a single one)."""
+    finite = squares[~np.isnan(squares)]
+    spread = float(np.std(np.sqrt(finite), ddof=1)) if finite.size > 1 else float("nan")
+    return float(np.sqrt(np.mean(finite))), spread
 
 
-def grouped(entries: Iterable[Entry]) -> dict[tuple[str, str], dict[str, dict[int, Entry]]]:
-    """Entries by trajectory and region, then by method, then by joint."""
-    groups: dict[tuple[str, str], dict[str, dict[int, Entry]]] = {}
-    for entry in entries:
-        group = groups.setdefault((entry.trajectory, entry.region), {})
-        group.setdefault(entry.method, {})[entry.joint] = entry
-    return groups
-
-
-def table(entries: Sequence[Entry], joints: int) -> str:
-    """One table for each trajectory and region, and who wins each."""
-    parts: list[str] = []
-    for (trajectory, region), methods in grouped(entries).items():
-        rows = [
-            [
-                method,
-                *(
-                    f"{found[j].rmse:.3f} ({found[j].setting})" if j in found else "-"
-                    for j in range(1, joints + 1)
-                ),
-                f"{relative(found, methods[CHOSEN]):.2f}",
-            ]
-            for method, found in methods.items()
-        ]
-        header = ["", *(f"joint {j}" for j in range(1, joints + 1)), "ratio"]
-        wins = ", ".join(
-            f"joint {j}: {min(methods, key=lambda m: methods[m][j].rmse)}"
-            for j in sorted(methods[CHOSEN])
-        )
-        least = min(methods, key=lambda m: relative(methods[m], methods[CHOSEN]))
-        parts.append(
-            f"{trajectory} trajectory, {region}: acceleration RMSE [rad/s²] (setting)\n"
-            f"{text_table(header, rows)}\nleast: {wins}; over all joints: {least}"
-        )
-    return "\n\n".join(parts)
-
-
-def relative(found: dict[int, Entry], chosen: dict[int, Entry]) -> float:
-    """Geometric mean over joints of the RMSE, in units of that of the chosen splines."""
-    ratios = [found[joint].rmse / chosen[joint].rmse for joint in found]
-    return float(np.exp(np.mean(np.log(ratios))))
-
-
-def picture(entries: Sequence[Entry], seeds: int) -> Figure:
-    """RMSE of every method at every joint, with its spread over seeds; a panel for each region."""
-    # Okabe and Ito's palette, told apart by colour-blind readers; shapes tell them apart as well.
-    styles = (
-        ("#D55E00", "o"),
-        ("#E69F00", "s"),
-        ("#000000", "x"),
-        ("#0072B2", "v"),
-        ("#009E73", "^"),
-        ("#56B4E9", "D"),
-    )
-    groups = grouped(entries)
-    figure = Figure(figsize=(11, 1.2 + 2.8 * len(groups)), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(len(groups), 1))
-    for axis, ((trajectory, region), methods) in zip(axes, groups.items(), strict=True):
-        apart = 0.6 / len(methods)
-        for number, (method, found) in enumerate(methods.items()):
-            colour, marker = styles[number % len(styles)]
-            joints = np.array(sorted(found))
-            axis.errorbar(
-                joints + (number - 0.5 * (len(methods) - 1)) * apart,
-                [found[j].rmse for j in joints],
-                yerr=[found[j].spread for j in joints] if seeds > 1 else None,
-                color=colour,
-                marker=marker,
-                ms=6,
-                ls="none",
-                elinewidth=1.0,
-                label=method,
-            )
-        axis.set_yscale("log")
-        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-        axis.yaxis.set_minor_formatter(NullFormatter())
-        axis.set_xticks(sorted(methods[CHOSEN]))
-        axis.set_ylabel("acceleration RMSE\n[rad/s²]")
-        axis.set_title(f"{trajectory} trajectory, {region}", fontsize="medium")
-        axis.grid(axis="y", alpha=0.25)
-    axes[-1].set_xlabel("joint")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(
-        f"PUMA 560, quantised positions: accelerations by averaged splines and others ({seeds} "
-        f"seed{'s' if seeds > 1 else ''})"
-    )
-    return figure
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("build/smoothing_study"))
-    parser.add_argument("--seeds", type=int, default=10, help="how many of each trajectory")
-    given = parser.parse_args(arguments)
-    if given.seeds < 1:
-        parser.error(f"--seeds is {given.seeds}; expected 1 or more")
-
+def study(options: argparse.Namespace) -> int:
+    """Measures all recordings, prints the table and writes the files."""
     machine = sim.puma560()
-    assert machine.robot.links is not None
     network = jc.derive(machine.robot)
-    k = network.coefficients_from(machine.robot.links, viscous=machine.viscous, dry=machine.dry)
+    k = true_coefficients(network, machine)
     trajectories = {"training": sim.training(), "comparison": sim.comparison()}
-    jobs = [(name, seed) for seed in range(given.seeds) for name in TRAJECTORIES]
+    jobs = [(name, seed) for seed in range(options.seeds) for name in TRAJECTORIES]
     errors: dict[str, list[Errors]] = {name: [] for name in TRAJECTORIES}
     for name, seed in tqdm(jobs, desc="recordings", unit="recording", disable=None):
-        # Different numbers for the two, as in the demonstration: encoders start elsewhere.
+        # Two numbers a seed: the encoders of the two recordings start elsewhere.
         number = 2 * seed + TRAJECTORIES.index(name)
         recording, truth = sim.simulate(machine, trajectories[name], seed=number)
         errors[name].append(measure(recording, truth, true_acceleration(network, k, truth)))
     entries = [entry for name in TRAJECTORIES for entry in summarise(name, errors[name])]
     print(table(entries, machine.joint_count))
-    with all_or_nothing(given.output) as folder:
+    with all_or_nothing(options.output) as folder:
         write_csv(folder / "smoothing.csv", [entry.row() for entry in entries])
-        save_picture(picture(entries, given.seeds), folder / "smoothing.png")
-    print(f"\nwrote smoothing.csv and smoothing.png into {given.output}")
+        save_picture(picture(entries, options.seeds), folder / "smoothing.png")
+    print(f"\nwrote smoothing.csv and smoothing.png into {options.output}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "smoothing_study")
+    parser.add_argument("--seeds", type=int, default=10, help="how many of each trajectory")
+    options = parser.parse_args(argv)
+    command.require_least(parser, options, seeds=1)
+    return command.run(parser, lambda: study(options))
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())
