@@ -3,7 +3,7 @@
 From zero weights at small rates by backpropagation, until the error cost on the training patterns
 falls below that of the coefficients from direct measurement (Ar+LS); then bouts of PERAL and
 backpropagation by turns, one adapted rate for each of the five subnetworks (6.3.1), until no rule
-gains the least reduction in an epoch any more. The thesis ends at 0.001 N m; smaller ends show
+reaches the least reduction in an epoch any more. The thesis ends at 0.001 N m; smaller ends show
 what is left to gain. Judged on the comparison recordings of the simulated PUMA A and B.
 
     python scripts/studies/training/cslc.py
@@ -11,8 +11,7 @@ what is left to gain. Judged on the comparison recordings of the simulated PUMA 
 """
 
 import argparse
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -34,31 +33,34 @@ from jaxcslc.training import (
     half_rms,
     train,
 )
+from scripts.studies import command
+from scripts.studies.tables import number_text
+from scripts.studies.truth import published_coefficients
 
 
 jax.config.update("jax_enable_x64", True)
 
-# What the comparison is judged by, as in `puma560_experiment.py`: joints that move.
+# Joints that move, as in the experiment of Chapter 7.
 _MOVING = 0.05  # rad/s
 
 
 def prepared(
-    network: AdaptiveNetwork, cslc: jc.CSLC, recording: jc.Recording, judged: jc.Recording
+    network: AdaptiveNetwork, training: jc.Recording, comparison: jc.Recording
 ) -> tuple[jc.Patterns, Examples, Examples]:
-    """Patterns to learn from, with thresholds of a hundredth (7.5), and those to judge by."""
-    patterns = jc.prepare(recording, torque_alignment="mean", threshold_fraction=0.01)
-    kept = jc.prepare(
-        judged, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=_MOVING
+    """Training patterns, with thresholds of a hundredth (7.5), and examples of both recordings."""
+    patterns = jc.prepare(training, torque_alignment="mean", threshold_fraction=0.01)
+    judged = jc.prepare(
+        comparison, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=_MOVING
     )
-    learnt, compared = (
-        examples(network, part, part.torque, part.mask) for part in (patterns, kept)
+    of_training, of_comparison = (
+        examples(network, part, part.torque, part.mask) for part in (patterns, judged)
     )
-    return patterns, learnt, compared
+    return patterns, of_training, of_comparison
 
 
-def error(network: AdaptiveNetwork, chosen: Examples, weights: jax.Array) -> float:
+def error(network: AdaptiveNetwork, of: Examples, weights: jax.Array) -> float:
     """The thesis's ε [N m]."""
-    return float(chosen.costs(network, weights, half_rms)[0])
+    return float(of.costs(network, weights, half_rms)[0])
 
 
 def rows_of(
@@ -66,28 +68,26 @@ def rows_of(
     machine: sim.Machine,
     network: AdaptiveNetwork,
     cslc: jc.CSLC,
-    arguments: argparse.Namespace,
+    options: argparse.Namespace,
 ) -> Iterator[dict[str, Any]]:
-    """One row a way to find coefficients."""
+    """A row for each method of identification."""
     recordings = [
-        sim.simulate(machine, trajectory, seed=arguments.seed).recording
-        for trajectory in (sim.training(samples=arguments.samples), sim.comparison())
+        sim.simulate(machine, trajectory, seed=options.seed).recording
+        for trajectory in (sim.training(samples=options.samples), sim.comparison())
     ]
-    patterns, learnt, compared = prepared(network, cslc, *recordings)
-    book = jc.puma560()
-    assert book.links is not None
-    published = cslc.coefficients_from(book.links, viscous=book.viscous, dry=book.dry)
+    patterns, training_examples, comparison_examples = prepared(network, *recordings)
+    published = published_coefficients(cslc)
     direct = jc.LeastSquares(joint_weights="equal", errors="independent").fit(cslc, patterns).k
-    floor = error(network, compared, direct)
-    hand_over = error(network, learnt, published)
+    floor = error(network, comparison_examples, direct)
+    hand_over = error(network, training_examples, published)
 
-    def row(way: str, k: jax.Array, epochs: Any = "", outcome: str = "") -> dict[str, Any]:
-        compared_error = error(network, compared, k)
+    def row(method: str, k: jax.Array, epochs: Any = "", outcome: str = "") -> dict[str, Any]:
+        compared_error = error(network, comparison_examples, k)
         return {
             "machine": name,
-            "found by": way,
+            "method": method,
             "epochs": epochs,
-            "training ε [N m]": error(network, learnt, k),
+            "training ε [N m]": error(network, training_examples, k),
             "comparison ε [N m]": compared_error,
             "over direct": compared_error / floor,
             "ended": outcome,
@@ -95,24 +95,24 @@ def rows_of(
 
     yield row("Ar+LS", published)
     yield row("direct solve", direct)
-    for least in arguments.least:
+    for least in options.least:
         schedule = Schedule(
             (Backpropagation(), PERAL()),
             hand_over=hand_over,
-            bout=arguments.bout,
+            bout=options.bout,
             least_reduction=least,
         )
         plan = Plan(
             schedule,
             (AdaptedRates(1e-3), AdaptedRates(0.1)),
-            frozen=("velocity",) if arguments.without_velocity else (),
+            frozen=("velocity",) if options.without_velocity else (),
         )
         training = train(
             network,
-            learnt,
+            training_examples,
             jnp.zeros(network.size),
             plan,
-            epochs=arguments.epochs,
+            epochs=options.epochs,
             keep_weights=False,
             progress=True,
             throw=False,
@@ -123,40 +123,40 @@ def rows_of(
         yield row(f"trained to {least:g} N m", training.weights, passed, outcome)
 
 
-def shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("build/cslc_training"))
-    parser.add_argument("--least", type=float, nargs="+", default=[1e-3, 1e-5, 1e-7])
-    parser.add_argument("--bout", type=int, default=100, help="epochs of a rule before it turns")
-    parser.add_argument("--epochs", type=int, default=60_000, help="at most")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--samples", type=int, default=3300, help="of the training recording")
-    parser.add_argument("--machines", nargs="+", choices=["A", "B"], default=["A", "B"])
-    parser.add_argument("--without-velocity", action="store_true", help="as 5.2.6 allows")
-    arguments = parser.parse_args()
-    if arguments.samples < 500 or arguments.epochs < 1 or arguments.bout < 1:
-        parser.error("--samples must be at least 500, --epochs and --bout at least 1")
-
+def study(options: argparse.Namespace) -> int:
+    """Trains on every machine, prints the table and writes the files."""
     cslc = jc.derive(jc.puma560())
     network = inverse_dynamics(cslc)
     machines = {"A": sim.puma_a, "B": sim.puma_b}
-    rows: list[dict[str, Any]] = []
-    for name in arguments.machines:
-        rows += rows_of(f"PUMA {name}", machines[name](), network, cslc, arguments)
-    print(text_table(list(rows[0]), [[shown(x) for x in row.values()] for row in rows]))
+    rows = [
+        row
+        for name in options.machines
+        for row in rows_of(f"PUMA {name}", machines[name](), network, cslc, options)
+    ]
+    print(text_table(list(rows[0]), [[number_text(x) for x in row.values()] for row in rows]))
     print("epochs: of backpropagation + of PERAL")
-    with all_or_nothing(arguments.output) as folder:
+    with all_or_nothing(options.output) as folder:
         write_csv(folder / "training.csv", rows)
-        write_json(
-            folder / "training.json",
-            {"rows": rows, "command": vars(arguments) | {"output": str(arguments.output)}},
-        )
-    print(f"wrote {arguments.output}")
+        arguments = vars(options) | {"output": str(options.output)}
+        write_json(folder / "training.json", {"rows": rows, "command": arguments})
+    print(f"wrote {options.output}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "cslc_training")
+    parser.add_argument("--least", type=float, nargs="+", default=[1e-3, 1e-5, 1e-7],
+                        help="reductions of an epoch that end a training [N m]")  # fmt: skip
+    parser.add_argument("--bout", type=int, default=100, help="epochs of a rule before it turns")
+    parser.add_argument("--epochs", type=int, default=60_000, help="at most")
+    parser.add_argument("--seed", type=int, default=1, help="of the recordings")
+    parser.add_argument("--samples", type=int, default=3300, help="of the training recording")
+    parser.add_argument("--machines", nargs="+", choices=["A", "B"], default=["A", "B"])
+    parser.add_argument("--without-velocity", action="store_true", help="as 5.2.6 allows")
+    options = parser.parse_args(argv)
+    command.require_least(parser, options, samples=500, epochs=1, bout=1)
+    return command.run(parser, lambda: study(options))
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -18,7 +18,7 @@ class Learning(NamedTuple):
       where the others begin.
     - `others`: names and their values, (epochs,), from the hand-over on.
     - `hand_over`: an epoch.
-    - `levels`: names and values of horizontal lines: goals, and what could be had at best.
+    - `levels`: names and values of horizontal lines: goals, and the best possible value.
     """
 
     first: tuple[str, Float[np.ndarray, " epochs"]]
@@ -34,14 +34,14 @@ def learning_picture(
     title: str | None = None,
     limits: tuple[float, float] | None = None,
 ) -> Figure:
-    """Rules that set out from one state side by side (Figs. 6.3-3 and 6.3-4).
+    """Rules that start from one state, side by side (Figs. 6.3-3 and 6.3-4).
 
     **Arguments**
 
     - `panels`: by title, side by side; lines of the same name look the same in all of them.
     - `label`: of the vertical axes, with its unit.
     - `limits`: of the vertical axes; by default, each panel's from its levels to a little above
-      its hand-over, where the rules part.
+      its hand-over, where the rules diverge.
 
     **Returns** a matplotlib figure.
     """
@@ -51,9 +51,11 @@ def learning_picture(
         rule, values = learning.first
         axes.plot(values, color=COLOURS[1], ls=STYLES[0], lw=1.6, label=rule)
         for i, (other, epochs) in enumerate(learning.others.items()):
-            at = learning.hand_over + np.arange(len(epochs))
-            look = COLOURS[2 * i % len(COLOURS)]
-            axes.plot(at, epochs, color=look, ls=STYLES[(i + 1) % len(STYLES)], lw=1.8, label=other)
+            x = learning.hand_over + np.arange(len(epochs))
+            colour = COLOURS[2 * i % len(COLOURS)]
+            axes.plot(
+                x, epochs, color=colour, ls=STYLES[(i + 1) % len(STYLES)], lw=1.8, label=other
+            )
         axes.axvline(
             learning.hand_over, color=QUIET, lw=1.0, ls=(0, (2, 2)), label="hand-over", zorder=0.5
         )
@@ -82,8 +84,8 @@ def learning_picture(
 
 
 def _limits(learning: Learning) -> tuple[float, float]:
-    at = float(learning.first[1][min(learning.hand_over, len(learning.first[1]) - 1)])
-    values = [at, *learning.levels.values(), float(np.nanmin(learning.first[1]))]
+    hand_over = float(learning.first[1][min(learning.hand_over, len(learning.first[1]) - 1)])
+    values = [hand_over, *learning.levels.values(), float(np.nanmin(learning.first[1]))]
     low, high = min(values), max(values)
-    room = max(high - low, 1e-12)
-    return low - 0.1 * room, high + 1.0 * room
+    span = max(high - low, 1e-12)
+    return low - 0.1 * span, high + 1.0 * span

@@ -5,7 +5,8 @@
   and without. Drawn is the first that ended with an ellipse, as the thesis's did; most end with a
   hyperbola. Without preprocessing, drawn is the best of all epochs of that start.
 - **Overtraining** (Fig. 3.6-1): a two-layer hyperbolic-tangent network learns ten noisy samples of
-  one period of a sine by backpropagation, and a stop set of a hundred others tells when to cease.
+  one period of a sine by backpropagation, and a stop set of a hundred others determines when to
+  stop.
 - **Quintics** (Fig. 4.3-1): a linear combiner on x, ..., x⁵ is fitted to two sets of six noisy
   points of one cubic, by the direct solve that training tends to (Eqn. 4.1-4). Inside is from the
   lowest to the highest x of the points; outside is half as far again to either side.
@@ -15,7 +16,6 @@ The first draw of each problem makes its picture; `network_figures.json` has all
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -37,6 +37,7 @@ from jaxcslc.training import (
     mean_modulus,
     train,
 )
+from scripts.studies import command
 from scripts.studies.training.network_pictures import (
     decision_picture,
     fitted_curves_picture,
@@ -63,25 +64,26 @@ CUBIC_NOISE = 0.15
 def learn_exclusive_or(
     network: AdaptiveNetwork, starts: int, epochs: int, seed: int
 ) -> tuple[Training, np.ndarray]:
-    """Trainings from normally distributed weights, and each one's lowest share of wrong answers."""
-    chosen = examples(network, CORNERS, EXCLUSIVE_OR[:, None])
+    """Trainings from normally distributed weights, and the lowest share of errors of each."""
+    corners = examples(network, CORNERS, EXCLUSIVE_OR[:, None])
     plan = Plan(
         PerceptronRule(), FixedRates(0.5), cost=mean_modulus, order="sequential", patience=epochs
     )
     start, order = jax.random.split(jax.random.key(seed))
     weights = jax.random.normal(start, (starts, network.size))
-    training = train(network, chosen, weights, plan, epochs=epochs, key=order)
+    training = train(network, corners, weights, plan, epochs=epochs, key=order)
     return training, np.asarray(training.history.cost).min(axis=1)
 
 
 def conic(weights: np.ndarray) -> str:
-    """What the curve of zero sum is, by the discriminant of its quadratic part."""
+    """The kind of the curve of zero sum, by the discriminant of its quadratic part."""
     _, _, a, b, c, _ = weights
     discriminant = b * b - 4 * a * c
     return "ellipse" if discriminant < 0 else "hyperbola" if discriminant > 0 else "parabola"
 
 
 def exclusive_or(starts: int, epochs: int, seed: int) -> tuple[Figure, dict[str, Any]]:
+    """Figs. 3.3-3 and 3.3-4, with and without preprocessed inputs."""
     processed = fully_connected([2, 1], "hard limiter", preprocess=PolynomialTerms(2))
     plain = fully_connected([2, 1], "hard limiter")
     training, wrong = learn_exclusive_or(processed, starts, epochs, seed)
@@ -132,6 +134,7 @@ def exclusive_or(starts: int, epochs: int, seed: int) -> tuple[Figure, dict[str,
 
 
 def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, Any]]:
+    """Fig. 3.6-1."""
     network = fully_connected([1, HIDDEN, 1], ["hyperbolic tangent", "linear combiner"])
     spread = np.full(network.size, HIDDEN_SPREAD)
     spread[2 * HIDDEN :] = OUTPUT_SPREAD
@@ -145,10 +148,10 @@ def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, 
         x, y = samples[:, 0, :, None], samples[:, 1, :, None]
         return jax.vmap(lambda x, y: examples(network, x, y))(x, y)
 
-    learnt = np.stack([sampled(rng, SAMPLES) for rng in generators])
-    watched = np.stack([sampled(rng, STOP_SET) for rng in generators])
+    training_sets = np.stack([sampled(rng, SAMPLES) for rng in generators])
+    stop_sets = np.stack([sampled(rng, STOP_SET) for rng in generators])
     starts = np.stack([spread * rng.standard_normal(network.size) for rng in generators])
-    # The stop set is watched to the end here: the training is to go on behind the optimal point.
+    # The training goes on behind the optimal point, to show the rise of the stop-set error.
     plan = Plan(
         Backpropagation(),
         FixedRates(RATE),
@@ -158,11 +161,11 @@ def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, 
     )
     training = train(
         network,
-        many(learnt),
+        many(training_sets),
         starts,
         plan,
         epochs=epochs,
-        stop_set=many(watched),
+        stop_set=many(stop_sets),
         keep_weights=False,
         chunk=epochs,
     )
@@ -177,7 +180,7 @@ def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, 
         "noise": SINE_NOISE,
         "epochs": epochs,
         "drawn": {
-            "epoch to cease at": int(best[0]) + 1,
+            "epoch to stop at": int(best[0]) + 1,
             "training error there": errors[0, best[0]],
             "training error at the end": errors[0, -1],
             "stop-set error there": stop[0, best[0]],
@@ -185,7 +188,7 @@ def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, 
         },
         "all draws": {
             "draws": draws,
-            "epochs to cease at": best + 1,
+            "epochs to stop at": best + 1,
             "stop-set error at the end over the least": rise,
             "of these, median": float(np.median(rise)),
         },
@@ -195,13 +198,15 @@ def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, 
 
 
 def cubic(x: np.ndarray) -> np.ndarray:
+    """The system that the quintics approximate."""
     return x**3 - 2.0 * x
 
 
 def quintics(draws: int, seed: int) -> tuple[Figure, dict[str, Any]]:
+    """Fig. 4.3-1."""
     network = fully_connected([1, 1], "linear combiner", bias=False, preprocess=PolynomialTerms(5))
     rng = np.random.default_rng(seed)
-    # One point in each sixth of the region, somewhere.
+    # One random point in each sixth of the region.
     edges = np.linspace(-REACH, REACH, POINTS + 1)
     x = edges[:-1] + np.diff(edges) * rng.uniform(size=(draws, 2, POINTS))
     y = cubic(x) + CUBIC_NOISE * rng.standard_normal(x.shape)
@@ -213,8 +218,8 @@ def quintics(draws: int, seed: int) -> tuple[Figure, dict[str, Any]]:
         ]
     )
 
-    def curves(weights: np.ndarray, at: np.ndarray) -> np.ndarray:
-        return np.asarray(network.outputs(jnp.asarray(weights), at[:, None]))[:, 0]
+    def curves(weights: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.asarray(network.outputs(jnp.asarray(weights), x[:, None]))[:, 0]
 
     departures: list[list[list[float]]] = []
     for i in range(draws):
@@ -224,8 +229,11 @@ def quintics(draws: int, seed: int) -> tuple[Figure, dict[str, Any]]:
         outside = np.concatenate([low - beyond, high + beyond])
         departures.append(
             [
-                [float(np.sqrt(np.mean((curves(w, at) - cubic(at)) ** 2))) for w in weights[i]]
-                for at in (inside, outside)
+                [
+                    float(np.sqrt(np.mean((curves(w, region) - cubic(region)) ** 2)))
+                    for w in weights[i]
+                ]
+                for region in (inside, outside)
             ]
         )
     rms = np.array(departures)  # (draws, inside or outside, quintic)
@@ -247,44 +255,46 @@ def quintics(draws: int, seed: int) -> tuple[Figure, dict[str, Any]]:
             "outside over inside, median": float(np.median(rms[:, 1] / rms[:, 0])),
         },
     }
-    places = np.linspace(-2 * REACH, 2 * REACH, 400)
+    x_drawn = np.linspace(-2 * REACH, 2 * REACH, 400)
     names = ("quintic fitted to circles", "quintic fitted to crosses")
     fits = {
-        name: (np.stack([x[0, j], y[0, j]], axis=1), curves(weights[0, j], places))
+        name: (np.stack([x[0, j], y[0, j]], axis=1), curves(weights[0, j], x_drawn))
         for j, name in enumerate(names)
     }
     title = "Two quintics, each of six noisy points of one cubic"
-    return fitted_curves_picture(places, cubic(places), fits, title=title), document
+    return fitted_curves_picture(x_drawn, cubic(x_drawn), fits, title=title), document
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("build/network_figures"))
+def study(options: argparse.Namespace) -> int:
+    """Trains the networks and writes pictures and numbers."""
+    results = {
+        "exclusive_or": exclusive_or(options.draws, 1000, options.seed),
+        "overtraining": overtraining(options.draws, options.epochs, options.seed),
+        "quintics": quintics(options.draws, options.seed),
+    }
+    with all_or_nothing(options.output) as folder:
+        for name, (figure, _) in results.items():
+            save_picture(figure, folder / f"{name}.png")
+        numbers = {name: document for name, (_, document) in results.items()}
+        write_json(folder / "network_figures.json", {"seed": options.seed} | numbers)
+    print(
+        f"wrote {', '.join(f'{name}.png' for name in results)} and network_figures.json into"
+        f" {options.output}"
+    )
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "network_figures")
     parser.add_argument("--seed", type=int, default=0, help="of every random number")
     parser.add_argument(
         "--draws", type=int, default=40, help="how often to repeat each problem; one is drawn"
     )
     parser.add_argument("--epochs", type=int, default=20_000, help="of the overtrained networks")
-    given = parser.parse_args(arguments)
-    for name, least in (("seed", 0), ("draws", 1), ("epochs", 2)):
-        if getattr(given, name) < least:
-            parser.error(f"--{name} is {getattr(given, name)}; expected {least} or more")
-
-    made = {
-        "exclusive_or": exclusive_or(given.draws, 1000, given.seed),
-        "overtraining": overtraining(given.draws, given.epochs, given.seed),
-        "quintics": quintics(given.draws, given.seed),
-    }
-    with all_or_nothing(given.output) as folder:
-        for name, (figure, _) in made.items():
-            save_picture(figure, folder / f"{name}.png")
-        document = {"seed": given.seed} | {name: numbers for name, (_, numbers) in made.items()}
-        write_json(folder / "network_figures.json", document)
-    print(
-        f"wrote {', '.join(f'{name}.png' for name in made)} and network_figures.json into"
-        f" {given.output}"
-    )
+    options = parser.parse_args(argv)
+    command.require_least(parser, options, seed=0, draws=1, epochs=2)
+    return command.run(parser, lambda: study(options))
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

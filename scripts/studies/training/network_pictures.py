@@ -11,10 +11,10 @@ from jaxcslc.plotting import COLOURS, MEASURED, new_figure
 from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
 
 
-# What a node answers to the points of a plane: its sums over a grid, and the answers to patterns.
+# Outputs of a node: its sums over a grid of the plane, and its answers to patterns.
 Decision = tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, " patterns"]]
-# A fit of a curve: the points it was fitted to, (points, 2), and the curve.
-Fit = tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " places"]]
+# A fitted curve: the points, (points, 2), and the curve.
+Fit = tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " curve"]]
 
 
 def decision_picture(
@@ -26,15 +26,15 @@ def decision_picture(
     *,
     title: str | None = None,
 ) -> Figure:
-    """Where in the plane of its two inputs a hard limiter answers one (Fig. 3.3-4).
+    """The region of the input plane in which a hard limiter's output is one (Fig. 3.3-4).
 
-    Shaded where it does; the line is where the sum of its weighted inputs is zero. Patterns that
-    it answers wrongly are ringed.
+    The region is shaded; on the line the sum of the weighted inputs is zero. Patterns with a wrong
+    answer are ringed.
 
     **Arguments**
 
     - `x1`, `x2`: the grid.
-    - `decisions`: by name, one panel each: sums (rows, columns), and answers (patterns,).
+    - `decisions`: by name, a panel for each: sums (rows, columns), and answers (patterns,).
     - `patterns`, `targets`: (patterns, 2) and (patterns,), zero or one.
 
     **Returns** a matplotlib figure.
@@ -80,12 +80,12 @@ def overtraining_picture(
 ) -> Figure:
     """Errors of the training set and of the stop set, epoch by epoch (Fig. 3.6-1).
 
-    The vertical dashed line is at the lowest error of the stop set, where to cease training.
+    The vertical dashed line is at the lowest error of the stop set, where training should stop.
 
     **Arguments**
 
     - `training`, `stop`: (epochs,) before each epoch.
-    - `error`: what is drawn, with its unit.
+    - `error`: name of the errors, with their unit.
 
     **Returns** a matplotlib figure.
     """
@@ -94,7 +94,7 @@ def overtraining_picture(
     best = int(np.nanargmin(stop))
     axes.plot(epochs, training, color=COLOURS[1], lw=1.8, label="training set")
     axes.plot(epochs, stop, color=COLOURS[0], lw=1.8, ls="-.", label="stop set")
-    axes.axvline(best + 1, color=QUIET, ls="--", lw=1.2, label=f"cease training: epoch {best + 1}")
+    axes.axvline(best + 1, color=QUIET, ls="--", lw=1.2, label=f"stop training: epoch {best + 1}")
     axes.plot(best + 1, stop[best], "o", color=COLOURS[0], mec="black", mew=0.5)
     axes.set_xscale("log")
     axes.set_ylim(bottom=0.0)
@@ -106,22 +106,22 @@ def overtraining_picture(
 
 
 def fitted_curves_picture(
-    x: Float[np.ndarray, " places"],
-    true: Float[np.ndarray, " places"],
+    x: Float[np.ndarray, " curve"],
+    true: Float[np.ndarray, " curve"],
     fits: Mapping[str, Fit],
     *,
     title: str | None = None,
     height: float = 4.0,
 ) -> Figure:
-    """Curves fitted to a few points each, and the system that the points are of (Fig. 4.3-1).
+    """Curves fitted to a few points each, and the system that the points are from (Fig. 4.3-1).
 
     **Arguments**
 
-    - `x`, `true`: (places,) the system.
-    - `fits`: by name, the points (points, 2) that a curve was fitted to and the curve (places,).
+    - `x`, `true`: (curve,) the system.
+    - `fits`: by name, the points (points, 2) that a curve was fitted to and the curve (curve,).
       The first is drawn solid with circles, the second dotted with crosses.
-    - `height`: how far the picture reaches up and down, in half ranges of the points; curves
-      that depart further are cut off.
+    - `height`: half the range of the vertical axis, in half ranges of the points; curves beyond are
+      cut off.
 
     **Returns** a matplotlib figure.
     """

@@ -1,4 +1,4 @@
-"""The two problems of Section 6.3, and what both rules make of them from one hand-over."""
+"""The two problems of Section 6.3, trained by both rules from one hand-over."""
 
 import argparse
 import dataclasses
@@ -46,30 +46,30 @@ PARTS = (0.25, 0.50, 0.75)
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """What both rules are given.
+    """A network and its patterns.
 
-    - `chosen`: patterns of all seeds, or of each with a leading axis; `one`: of the first.
+    - `examples`: of all seeds, or of each with a leading axis; `first`: of the first seed.
     """
 
     name: str
     variant: str
     network: AdaptiveNetwork
-    chosen: Examples
-    one: Examples
+    examples: Examples
+    first: Examples
 
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
     """Both rules on one problem, all seeds.
 
-    - `hand_over`: epochs of backpropagation alone, NaN where it never came to that.
+    - `hand_over`: epochs of backpropagation alone, NaN if it never reached the hand-over.
     - `curves`: by rule, (seeds, epochs): backpropagation from the start, PERAL from the hand-over.
-    - `goals`: by name, (seeds,), what the curves are to fall to.
+    - `goals`: by name, (seeds,), values that the curves are to fall to.
     - `epochs`: by rule and goal, (seeds,), from the hand-over; infinite if never.
-    - `ended`: by rule, in which way how many.
+    - `ended`: by rule, the number of trainings for each outcome.
     - `seconds`: of an epoch, by rule.
-    - `rate`: that PERAL set out with.
-    - `handed`, `at_end`: weights at the hand-over, and where each rule ended.
+    - `rate`: PERAL's first.
+    - `at_hand_over`, `at_end`: weights at the hand-over, and at the end of each rule.
     """
 
     problem: Problem
@@ -80,35 +80,35 @@ class Outcome:
     ended: dict[str, dict[str, int]]
     seconds: dict[str, float]
     rate: float
-    handed: Float[Array, "seeds weights"]
+    at_hand_over: Float[Array, "seeds weights"]
     at_end: dict[str, Float[Array, "seeds weights"]]
 
 
-def wrong(errors: Float[Array, "kinds patterns"], counts: Float[Array, "kinds patterns"]) -> Array:
+def wrong(errors: Float[Array, "kinds patterns"], mask: Float[Array, "kinds patterns"]) -> Array:
     """Share of patterns for which the winner of the outputs is not the right kind.
 
     Targets are 1 for the right kind and -1 for others and outputs lie between, so that only the
-    right kind's error is above zero: the errors tell the targets.
+    right kind's error is above zero: the errors determine the targets.
     """
     right = jnp.argmax(errors, axis=0)
     targets = jnp.where(jnp.arange(errors.shape[0])[:, None] == right[None, :], 1.0, -1.0)
-    some = jnp.any(counts > 0, axis=0)
-    missed = (jnp.argmax(targets - errors, axis=0) != right) & some
-    return jnp.sum(missed) / jnp.maximum(jnp.sum(some), 1)
+    used = jnp.any(mask > 0, axis=0)
+    missed = (jnp.argmax(targets - errors, axis=0) != right) & used
+    return jnp.sum(missed) / jnp.maximum(jnp.sum(used), 1)
 
 
 def ultrasound(patterns: int, *, centred: bool) -> Problem:
-    """The 25+1 to 10 network of Fig. 6.3-2, and as many patterns as asked for in equal shares."""
+    """The 25+1 to 10 network of Fig. 6.3-2, and equal shares of patterns of each kind."""
     echoes = sim.ultrasound(seed=0).training
-    each = [np.flatnonzero(echoes.kind == kind) for kind in range(len(echoes.kinds))]
-    rows = np.concatenate([of[: max(1, patterns // len(each))] for of in each])
+    by_kind = [np.flatnonzero(echoes.kind == kind) for kind in range(len(echoes.kinds))]
+    rows = np.concatenate([rows[: max(1, patterns // len(by_kind))] for rows in by_kind])
     inputs = echoes.inputs[rows]
     if centred:
         inputs = inputs - inputs.mean(axis=0)
-    network = fully_connected([inputs.shape[1], len(each)], "hyperbolic tangent")
-    chosen = examples(network, jnp.asarray(inputs), jnp.asarray(echoes.targets[rows]))
+    network = fully_connected([inputs.shape[1], len(by_kind)], "hyperbolic tangent")
+    scene = examples(network, jnp.asarray(inputs), jnp.asarray(echoes.targets[rows]))
     variant = "inputs centred" if centred else "inputs as they are"
-    return Problem("ultrasound", variant, network, chosen, chosen)
+    return Problem("ultrasound", variant, network, scene, scene)
 
 
 def puma(patterns: int, noise: float, seeds: int) -> Problem:
@@ -126,9 +126,9 @@ def puma(patterns: int, noise: float, seeds: int) -> Problem:
         )
         return examples(network, (q, qd, qdd), torque)
 
-    each = [one(seed) for seed in tqdm(range(seeds), desc=f"noise {noise:g}", disable=None)]
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *each)
-    return Problem("PUMA 560", f"noise {noise:.0%}", network, stacked, each[0])
+    by_seed = [one(seed) for seed in tqdm(range(seeds), desc=f"noise {noise:g}", disable=None)]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *by_seed)
+    return Problem("PUMA 560", f"noise {noise:.0%}", network, stacked, by_seed[0])
 
 
 def starts(problem: Problem, seeds: int) -> Float[Array, "seeds weights"]:
@@ -143,23 +143,23 @@ def starts(problem: Problem, seeds: int) -> Float[Array, "seeds weights"]:
 
 def stable_rate(problem: Problem, weights: Float[Array, "seeds weights"]) -> float:
     """The share `STABLE` of the rate that leaves PERAL's mean error modulus lowest in an epoch."""
-    network, axis = problem.network, 0 if problem.chosen.targets.ndim == 3 else None
+    network, axis = problem.network, 0 if problem.examples.targets.ndim == 3 else None
     learning = (True,) * len(network.groups)
 
-    def after(chosen: Examples, own: Array) -> Array:
-        change = jnp.sum(chosen.change(network, RULES[PERAL_RULE], own, learning), axis=0)
-        return jnp.stack([chosen.costs(network, own + r * change, mean_modulus)[0] for r in LADDER])
+    def after(of_seed: Examples, w: Array) -> Array:
+        change = jnp.sum(of_seed.change(network, RULES[PERAL_RULE], w, learning), axis=0)
+        return jnp.stack([of_seed.costs(network, w + r * change, mean_modulus)[0] for r in LADDER])
 
-    costs = jax.jit(jax.vmap(after, in_axes=(axis, 0)))(problem.chosen, weights)
+    costs = jax.jit(jax.vmap(after, in_axes=(axis, 0)))(problem.examples, weights)
     return STABLE * LADDER[int(np.argmin(np.median(np.asarray(costs), axis=0)))]
 
 
 def first_at_most(
     curves: Float[np.ndarray, "seeds epochs"], goals: Float[np.ndarray, " seeds"]
 ) -> Float[np.ndarray, " seeds"]:
-    """After how many epochs each curve is at its goal or below for the first time, or infinity."""
-    there = curves <= goals[:, None]
-    return np.where(there.any(axis=1), np.argmax(there, axis=1), np.inf)
+    """Epochs until each curve is at its goal or below for the first time, or infinity."""
+    reached = curves <= goals[:, None]
+    return np.where(reached.any(axis=1), np.argmax(reached, axis=1), np.inf)
 
 
 def plans(measure: Any, rate: float, **more: Any) -> dict[str, Plan]:
@@ -174,47 +174,57 @@ def plans(measure: Any, rate: float, **more: Any) -> dict[str, Plan]:
     }
 
 
-def compare_ultrasound(problem: Problem, given: argparse.Namespace, folder: Path) -> Outcome:
-    start = starts(problem, given.seeds)
-    wanted = {"target": jnp.asarray(1.0 - CORRECT[-1])}
+def compare_ultrasound(problem: Problem, options: argparse.Namespace, folder: Path) -> Outcome:
+    """Both rules on the ultrasound scene, from 30 % of correct classifications."""
+    start = starts(problem, options.seeds)
+    target = {"target": jnp.asarray(1.0 - CORRECT[-1])}
     until = 1.0 - HAND_OVER_CORRECT
-    plan = plans(wrong, 1.0, **wanted)[BACKPROPAGATION]
+    plan = plans(wrong, 1.0, **target)[BACKPROPAGATION]
     # The same epochs twice: up to the hand-over for the weights there, and through it.
     early = eqx.tree_at(lambda p: p.target, plan, jnp.asarray(until))
-    first = run(problem, start, early, given.before, folder / f"{problem.variant}-first.npz")
-    on = run(problem, start, plan, given.before + given.further, folder / f"{problem.variant}.npz")
+    first = run(problem, start, early, options.before, folder / f"{problem.variant}-first.npz")
+    on = run(
+        problem, start, plan, options.before + options.further, folder / f"{problem.variant}.npz"
+    )
     rate = stable_rate(problem, first.weights)
-    by_peral = plans(wrong, rate, **wanted)[PERAL_RULE]
-    tuned = run(problem, first.weights, by_peral, given.tuning, folder / f"{problem.variant}-P.npz")
+    by_peral = plans(wrong, rate, **target)[PERAL_RULE]
+    tuned = run(
+        problem, first.weights, by_peral, options.tuning, folder / f"{problem.variant}-P.npz"
+    )
     curves = {
         BACKPROPAGATION: np.asarray(on.history.measure),
         PERAL_RULE: np.asarray(tuned.history.measure),
     }
-    reached = first_at_most(np.asarray(first.history.measure), np.full(given.seeds, until))
-    goals = {f"{share:.0%} correct": np.full(given.seeds, 1.0 - share) for share in CORRECT}
+    reached = first_at_most(np.asarray(first.history.measure), np.full(options.seeds, until))
+    goals = {f"{share:.0%} correct": np.full(options.seeds, 1.0 - share) for share in CORRECT}
     plan_of = {BACKPROPAGATION: plan, PERAL_RULE: by_peral}
     return outcome(problem, reached, curves, goals, (first, on, tuned), plan_of, rate)
 
 
-def compare_puma(problem: Problem, given: argparse.Namespace, folder: Path) -> Outcome:
-    seeds = problem.chosen.targets.shape[0]
+def compare_puma(problem: Problem, options: argparse.Namespace, folder: Path) -> Outcome:
+    """Both rules on the PUMA 560, from a fixed number of epochs of backpropagation."""
+    seeds = problem.examples.targets.shape[0]
     start = starts(problem, seeds)
     plan = plans(None, 1.0)[BACKPROPAGATION]
     before, after = folder / f"{problem.variant}-first.npz", folder / f"{problem.variant}.npz"
-    first = run(problem, start, plan, given.hand_over, before)
+    first = run(problem, start, plan, options.hand_over, before)
     if not after.exists():  # goes on from the hand-over, its rates included
         shutil.copyfile(before, after)
-    on = run(problem, start, plan, given.hand_over + given.further, after)
+    on = run(problem, start, plan, options.hand_over + options.further, after)
     rate = stable_rate(problem, first.weights)
     by_peral = plans(None, rate)[PERAL_RULE]
-    tuned = run(problem, first.weights, by_peral, given.tuning, folder / f"{problem.variant}-P.npz")
+    tuned = run(
+        problem, first.weights, by_peral, options.tuning, folder / f"{problem.variant}-P.npz"
+    )
     curves = {
         BACKPROPAGATION: np.asarray(on.history.cost),
         PERAL_RULE: np.asarray(tuned.history.cost),
     }
-    direct, at = moduli(problem, direct_solutions(problem)), moduli(problem, first.weights)
-    goals = {f"{part:.0%} of the way": at + part * (direct - at) for part in PARTS}
-    reached = np.full(seeds, float(given.hand_over))
+    direct, start_cost = (
+        moduli(problem, weights) for weights in (direct_solutions(problem), first.weights)
+    )
+    goals = {f"{part:.0%} of the way": start_cost + part * (direct - start_cost) for part in PARTS}
+    reached = np.full(seeds, float(options.hand_over))
     plan_of = {BACKPROPAGATION: plan, PERAL_RULE: by_peral}
     return outcome(problem, reached, curves, goals, (first, on, tuned), plan_of, rate)
 
@@ -222,10 +232,13 @@ def compare_puma(problem: Problem, given: argparse.Namespace, folder: Path) -> O
 def run(
     problem: Problem, start: Float[Array, "seeds weights"], plan: Plan, epochs: int, file: Path
 ) -> Training:
+    """A training of all seeds, with a checkpoint in a file."""
     rule = plan.schedule.rules[0].name
     tqdm.write(f"{problem.name}, {problem.variant}: {rule}, up to {epochs} epochs")
-    options: dict[str, Any] = {"epochs": epochs, "keep_weights": False, "progress": False}
-    return train(problem.network, problem.chosen, start, plan, checkpoint=file, **options)
+    return train(
+        problem.network, problem.examples, start, plan, checkpoint=file, epochs=epochs,
+        keep_weights=False, progress=False,
+    )  # fmt: skip
 
 
 def outcome(
@@ -237,23 +250,26 @@ def outcome(
     plan_of: Mapping[str, Plan],
     rate: float,
 ) -> Outcome:
+    """Epochs and seconds to the goals, from the trainings before and after the hand-over."""
     first, on, tuned = trainings
-    came = np.isfinite(hand_over)
+    handed_over = np.isfinite(hand_over)
     beyond = np.array(curves[BACKPROPAGATION])
     # What lies before the hand-over does not count, should it have been lower.
-    beyond[np.arange(beyond.shape[1]) < np.where(came, hand_over, np.inf)[:, None]] = np.inf
+    beyond[np.arange(beyond.shape[1]) < np.where(handed_over, hand_over, np.inf)[:, None]] = np.inf
     epochs = {
         BACKPROPAGATION: {k: first_at_most(beyond, v) - hand_over for k, v in goals.items()},
         PERAL_RULE: {k: first_at_most(curves[PERAL_RULE], v) for k, v in goals.items()},
     }
-    epochs = {r: {k: np.where(came, v, np.nan) for k, v in e.items()} for r, e in epochs.items()}
+    epochs = {
+        r: {k: np.where(handed_over, v, np.nan) for k, v in e.items()} for r, e in epochs.items()
+    }
     seconds = {
-        name: seconds_per_epoch(problem.network, plan, problem.one, first.weights[0])
+        name: seconds_per_epoch(problem.network, plan, problem.first, first.weights[0])
         for name, plan in plan_of.items()
     }
     return Outcome(
         problem,
-        np.where(came, hand_over, np.nan),
+        np.where(handed_over, hand_over, np.nan),
         curves,
         goals,
         epochs,
@@ -267,7 +283,7 @@ def outcome(
 
 def direct_solutions(problem: Problem) -> Float[Array, "seeds weights"]:
     """The least-squares weights of every seed's patterns."""
-    equations = jax.vmap(lambda chosen: normal_equations(problem.network, chosen))(problem.chosen)
+    equations = jax.vmap(lambda one: normal_equations(problem.network, one))(problem.examples)
     moment = np.asarray(equations.moment).sum(axis=1)
     pairs = zip(np.asarray(equations.gram), moment, strict=True)
     return jnp.asarray(np.stack([np.linalg.lstsq(a, b, rcond=None)[0] for a, b in pairs]))
@@ -279,7 +295,9 @@ def moduli(problem: Problem, weights: Float[Array, "seeds weights"]) -> Float[np
 
 
 def costs_of(problem: Problem, weights: Float[Array, "seeds weights"], cost: Any) -> np.ndarray:
-    def one(chosen: Examples, own: Array) -> Array:
-        return chosen.costs(problem.network, own, cost)[0]
+    """A cost of every seed's patterns, (seeds,)."""
 
-    return np.asarray(jax.vmap(one)(problem.chosen, weights))
+    def one(of_seed: Examples, w: Array) -> Array:
+        return of_seed.costs(problem.network, w, cost)[0]
+
+    return np.asarray(jax.vmap(one)(problem.examples, weights))

@@ -1,9 +1,9 @@
-"""What an epoch of backpropagation and of PERAL costs: counted, compiled, and timed.
+"""Operations of an epoch of backpropagation and of PERAL: counted, compiled, and timed.
 
 The thesis counts floating point operations by hand (6.3.3): links that exist, the sums forward
-included, whatever does not vary between epochs left out. `counted` does so from a network's own
-links; `compiled` asks the compiler what its program performs, where an adaptive layer is a dense
-product, so that links that do not exist are multiplied as well.
+included, quantities that do not vary between epochs left out. `counted` does so from a network's
+own links; `compiled` asks the compiler for the operations of its program, where an adaptive layer
+is a dense product, so that links that do not exist are multiplied as well.
 """
 
 import time
@@ -32,7 +32,7 @@ COUNTED_FORMULAS = {
     PERAL_RULE: "7ih + 3h + 6ho + 2o",
 }
 REPEATS = 5
-FEW = 128  # patterns that a compiled programme is asked about
+FEW = 128  # patterns of an analysed program
 
 
 def counted(network: AdaptiveNetwork) -> dict[str, int]:
@@ -78,20 +78,20 @@ def dense_links(network: AdaptiveNetwork) -> tuple[int, int]:
 def compiled(
     network: AdaptiveNetwork,
     rule: AbstractRule,
-    chosen: Examples,
+    patterns: Examples,
     weights: Float[Array, " weights"],
 ) -> dict[str, float]:
     """Floating point operations that the compiled change of weights performs for one pattern.
 
-    The difference between some patterns and half as many: what does not grow with them is left
+    The difference between some patterns and half as many, so that constant operations are left
     out. `transcendental` are activations, which the compiler counts apart.
     """
     # Of larger products the compiler hands some to a library, whose operations it does not count.
-    whole = min(chosen.targets.shape[-1], FEW)
+    whole = min(patterns.targets.shape[-1], FEW)
     half = whole // 2
-    chosen, few = (jax.tree.map(lambda x, n=n: x[..., :n], chosen) for n in (whole, half))
+    parts = [jax.tree.map(lambda x, n=n: x[..., :n], patterns) for n in (whole, half)]
     change = _change(network, rule)
-    counts = [_analysed(change, weights, part) for part in (chosen, few)]
+    counts = [_analysed(change, weights, part) for part in parts]
     if not all("flops" in count for count in counts):  # not every backend says
         return {"operations": float("nan"), "transcendental": float("nan")}
     return {
@@ -103,45 +103,47 @@ def compiled(
 def seconds_per_pattern(
     network: AdaptiveNetwork,
     rule: AbstractRule,
-    chosen: Examples,
+    patterns: Examples,
     weights: Float[Array, " weights"],
 ) -> float:
     """Time of one change of weights, by the pattern: the quickest of several [s]."""
     change = _change(network, rule)
-    return _quickest(lambda: change(weights, chosen), 20) / chosen.targets.shape[-1]
+    return _quickest(lambda: change(weights, patterns), 20) / patterns.targets.shape[-1]
 
 
 def seconds_per_epoch(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples,
+    patterns: Examples,
     weights: Float[Array, " weights"],
     epochs: int = 20,
 ) -> float:
     """Time of one epoch of one training alone, the search for its rates included [s]."""
     state = State.first(network, plan, weights, jax.random.key(0))
-    return _quickest(lambda: training_steps(network, plan, chosen, None, state, epochs), 3) / epochs
+    return (
+        _quickest(lambda: training_steps(network, plan, patterns, None, state, epochs), 3) / epochs
+    )
 
 
-def _analysed(change: Any, weights: Array, chosen: Examples) -> dict[str, float]:
-    return change.lower(weights, chosen).compile().cost_analysis() or {}
+def _analysed(change: Any, weights: Array, patterns: Examples) -> dict[str, float]:
+    return change.lower(weights, patterns).compile().cost_analysis() or {}
 
 
 def _change(network: AdaptiveNetwork, rule: AbstractRule) -> Callable[..., Array]:
     learning = (True,) * len(network.groups)
 
-    def change(weights: Array, chosen: Examples) -> Array:
-        return jnp.sum(chosen.change(network, rule, weights, learning), axis=0)
+    def change(weights: Array, patterns: Examples) -> Array:
+        return jnp.sum(patterns.change(network, rule, weights, learning), axis=0)
 
     return jax.jit(change)
 
 
 def _quickest(call: Callable[[], object], times: int) -> float:
     jax.block_until_ready(call())
-    found: list[float] = []
+    seconds: list[float] = []
     for _ in range(REPEATS):
         start = time.perf_counter()
         for _ in range(times):
             jax.block_until_ready(call())
-        found.append((time.perf_counter() - start) / times)
-    return float(np.min(found))
+        seconds.append((time.perf_counter() - start) / times)
+    return float(np.min(seconds))

@@ -1,4 +1,4 @@
-"""What the study of PERAL prints: epochs and seconds to goals, operations, one minimum."""
+"""Printed tables of the study of PERAL: epochs and seconds to goals, operations, one minimum."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,28 +24,28 @@ from scripts.studies.training.peral_operations import (
 
 def spread(values: Float[np.ndarray, " seeds"]) -> dict[str, float]:
     """Lowest, quartiles and highest; infinity is a number like others, NaN is left out."""
-    known = values[~np.isnan(values)]
-    if not known.size:
+    numbers = values[~np.isnan(values)]
+    if not numbers.size:
         return dict.fromkeys(("lowest", "lower", "median", "upper", "highest"), float("nan"))
-    found = np.quantile(known, (0.0, 0.25, 0.5, 0.75, 1.0), method="inverted_cdf")
+    quantiles = np.quantile(numbers, (0.0, 0.25, 0.5, 0.75, 1.0), method="inverted_cdf")
     names = ("lowest", "lower", "median", "upper", "highest")
-    return dict(zip(names, map(float, found), strict=True))
+    return dict(zip(names, map(float, quantiles), strict=True))
 
 
-def epoch_rows(found: Outcome) -> list[dict[str, Any]]:
+def epoch_rows(outcome: Outcome) -> list[dict[str, Any]]:
     """A line for every goal and rule: epochs and seconds from the hand-over, over seeds."""
     rows: list[dict[str, Any]] = []
-    handed = int(np.isfinite(found.hand_over).sum())
-    for goal in found.goals:
-        both = [found.epochs[rule][goal] for rule in RULES]
+    handed = int(np.isfinite(outcome.hand_over).sum())
+    for goal in outcome.goals:
+        both = [outcome.epochs[rule][goal] for rule in RULES]
         with np.errstate(invalid="ignore"):
             sooner = int(np.sum(both[1] < both[0]))
         for rule, epochs in zip(RULES, both, strict=True):
             over = spread(epochs)
             rows.append(
                 {
-                    "problem": found.problem.name,
-                    "variant": found.problem.variant,
+                    "problem": outcome.problem.name,
+                    "variant": outcome.problem.variant,
                     "goal": goal,
                     "rule": rule,
                     "seeds": len(epochs),
@@ -54,16 +54,16 @@ def epoch_rows(found: Outcome) -> list[dict[str, Any]]:
                     "epochs, lower quartile": over["lower"],
                     "epochs, median": over["median"],
                     "epochs, upper quartile": over["upper"],
-                    "ms an epoch": 1e3 * found.seconds[rule],
-                    "seconds, lower quartile": found.seconds[rule] * over["lower"],
-                    "seconds, median": found.seconds[rule] * over["median"],
-                    "seconds, upper quartile": found.seconds[rule] * over["upper"],
+                    "ms an epoch": 1e3 * outcome.seconds[rule],
+                    "seconds, lower quartile": outcome.seconds[rule] * over["lower"],
+                    "seconds, median": outcome.seconds[rule] * over["median"],
+                    "seconds, upper quartile": outcome.seconds[rule] * over["upper"],
                     "backpropagation's median epochs over PERAL's": quotient(
                         spread(both[0])["median"], spread(both[1])["median"]
                     ),
                     "backpropagation's median seconds over PERAL's": quotient(
-                        found.seconds[BACKPROPAGATION] * spread(both[0])["median"],
-                        found.seconds[PERAL_RULE] * spread(both[1])["median"],
+                        outcome.seconds[BACKPROPAGATION] * spread(both[0])["median"],
+                        outcome.seconds[PERAL_RULE] * spread(both[1])["median"],
                     ),
                     "seeds with PERAL sooner": sooner,
                 }
@@ -72,13 +72,14 @@ def epoch_rows(found: Outcome) -> list[dict[str, Any]]:
 
 
 def quotient(a: float, b: float) -> float:
-    """NaN where neither ended, so that it is not known which is the greater."""
+    """NaN where neither ended: their order is unknown."""
     if np.isinf(a) and np.isinf(b):
         return float("nan")
     return float(np.divide(a, b)) if b else float("inf") if a else 1.0
 
 
 def epochs_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Epochs and seconds to each goal."""
     header = [
         "",
         "goal",
@@ -109,41 +110,43 @@ def epochs_table(rows: Sequence[dict[str, Any]]) -> str:
 def ratio_text(row: dict[str, Any]) -> str:
     """Epochs first, then seconds."""
     names = ("epochs", "seconds")
-    each = [row[f"backpropagation's median {name} over PERAL's"] for name in names]
-    return " / ".join(number(value, 2) for value in each)
+    ratios = [row[f"backpropagation's median {name} over PERAL's"] for name in names]
+    return " / ".join(number(value, 2) for value in ratios)
 
 
 def number(value: float, digits: int = 4) -> str:
+    """A number, `never` for infinity."""
     if np.isnan(value):
         return "-"
     return "never" if np.isinf(value) else f"{value:.{digits}g}"
 
 
 def operations(problems: Sequence[Problem]) -> list[dict[str, Any]]:
-    """Fig. 6.3-5, for the problems that it is of."""
+    """Fig. 6.3-5, for its two problems."""
     rows: list[dict[str, Any]] = []
     printed = {"ultrasound": THESIS_IDENTIFICATION, "PUMA 560": THESIS_CSLC}
     for problem in problems:
         links, dense = dense_links(problem.network)
         for name, rule in RULES.items():
             weights = starts(problem, 1)[0]
-            what = (problem.network, rule, problem.one, weights)
-            programme = compiled(*what)
+            case = (problem.network, rule, problem.first, weights)
+            operations_of = compiled(*case)
             rows.append(
                 {
                     "network": f"{problem.name}: {links} links, {dense} multiplied",
                     "rule": name,
                     "thesis": printed[problem.name][name],
                     "counted": counted(problem.network)[name],
-                    "compiled": programme["operations"],
-                    "compiled, transcendental": programme["transcendental"],
-                    "ns a pattern": 1e9 * seconds_per_pattern(*what),
+                    "compiled": operations_of["operations"],
+                    "compiled, transcendental": operations_of["transcendental"],
+                    "ns a pattern": 1e9 * seconds_per_pattern(*case),
                 }
             )
     return rows
 
 
 def operations_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Operations and time of a pattern in an epoch."""
     header = ["", "rule", "thesis", "counted", "compiled", "ns"]
     general = [
         ["general two-layer", name, THESIS_FORMULAS[name], COUNTED_FORMULAS[name], "", ""]
@@ -169,22 +172,23 @@ def report(
     outcomes: Sequence[Outcome],
     minimum: dict[str, Any],
 ) -> str:
+    """Everything that the study prints."""
     parts = [
         "From the hand-over; ratio: backpropagation's median over PERAL's, epochs / seconds (the"
         " thesis: about five times fewer epochs)\n" + epochs_table(rows)
     ]
-    for found in outcomes:
+    for outcome in outcomes:
         ended = "; ".join(
             f"{rule}: " + ", ".join(f"{n} {how}" for how, n in ways.items())
-            for rule, ways in found.ended.items()
+            for rule, ways in outcome.ended.items()
         )
-        over = spread(found.hand_over)
+        over = spread(outcome.hand_over)
         parts.append(
-            f"{found.problem.name}, {found.problem.variant}: handed over after"
+            f"{outcome.problem.name}, {outcome.problem.variant}: handed over after"
             f" {number(over['median'])} epochs ({number(over['lowest'])} to"
-            f" {number(over['highest'])}); PERAL's first rate {found.rate:g}; one epoch"
-            f" {1e3 * found.seconds[BACKPROPAGATION]:.2f} and"
-            f" {1e3 * found.seconds[PERAL_RULE]:.2f} ms. Ended: {ended}"
+            f" {number(over['highest'])}); PERAL's first rate {outcome.rate:g}; one epoch"
+            f" {1e3 * outcome.seconds[BACKPROPAGATION]:.2f} and"
+            f" {1e3 * outcome.seconds[PERAL_RULE]:.2f} ms. Ended: {ended}"
         )
     parts.append(
         "Floating point operations of an epoch for a pattern, and time of the change of weights"

@@ -152,7 +152,7 @@ def test_bad_options(capsys: pytest.CaptureFixture[str]) -> None:
         assert "error: " in capsys.readouterr().err
 
 
-def test_pictures_show_what_they_are_given() -> None:
+def test_pictures_show_their_data() -> None:
     errors = {
         "PID": {"none": np.array([4.0, 5.0, 9.0])},
         "computed torque": {"truth": np.ones(3), "CSLC": np.array([1.0, 2.0, 3.0])},

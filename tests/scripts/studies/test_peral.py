@@ -1,10 +1,8 @@
 """The study of PERAL: its counts, its goals, its problems, and a tiny run."""
 
 import csv
-import importlib
 import json
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import jax
@@ -27,46 +25,32 @@ from jaxcslc.adaptive import (
     inverse_dynamics,
 )
 from jaxcslc.training import PERAL, Backpropagation, examples, half_square
+from scripts.studies.training import (
+    peral,
+    peral_comparison as comparison,
+    peral_operations as operations,
+    peral_tables as tables,
+)
 from scripts.studies.training.learning_pictures import Learning, learning_picture
 
 
-@pytest.fixture(scope="module")
-def operations() -> ModuleType:
-    return importlib.import_module("scripts.studies.training.peral_operations")
-
-
-@pytest.fixture(scope="module")
-def comparison(operations: ModuleType) -> ModuleType:
-    return importlib.import_module("scripts.studies.training.peral_comparison")
-
-
-@pytest.fixture(scope="module")
-def tables(comparison: ModuleType) -> ModuleType:
-    return importlib.import_module("scripts.studies.training.peral_tables")
-
-
-@pytest.fixture(scope="module")
-def script(tables: ModuleType) -> ModuleType:
-    return importlib.import_module("scripts.studies.training.peral")
-
-
-def linear_problem(comparison: ModuleType, seeds: int) -> Any:
+def linear_problem(seeds: int) -> Any:
     """Noisy answers of a linear combiner, another noise for every seed."""
     network = fully_connected([4, 2], "linear combiner")
     rng = np.random.default_rng(3)
     inputs, truth = rng.standard_normal((40, 4)), rng.uniform(1.0, 2.0, network.size)
     clean = network.outputs(jnp.asarray(truth), jnp.asarray(inputs))
-    each = [
+    by_seed = [
         examples(
             network, jnp.asarray(inputs), clean + 0.3 * jnp.asarray(rng.standard_normal((40, 2)))
         )
         for _ in range(seeds)
     ]
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *each)
-    return comparison.Problem("PUMA 560", "noise 10%", network, stacked, each[0])
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *by_seed)
+    return comparison.Problem("PUMA 560", "noise 10%", network, stacked, by_seed[0])
 
 
-def test_counts_of_the_thesis_s_networks(operations: ModuleType, puma: jc.CSLC) -> None:
+def test_counts_of_the_thesis_s_networks(puma: jc.CSLC) -> None:
     ears = fully_connected([25, 10], "hyperbolic tangent")
     assert operations.counted(ears) == {"backpropagation": 1080, "PERAL": 1840}
     for name, printed in operations.THESIS_IDENTIFICATION.items():
@@ -77,7 +61,7 @@ def test_counts_of_the_thesis_s_networks(operations: ModuleType, puma: jc.CSLC) 
         assert abs(operations.counted(arm)[name] / printed - 1) < 0.15
 
 
-def test_counts_follow_their_formulas(operations: ModuleType) -> None:
+def test_counts_follow_their_formulas() -> None:
     """A general two-layer network with sigmoids, its second layer context-sensitive."""
     i, h, o = 5, 4, 3
     source, node = (tuple(x.ravel().tolist()) for x in np.meshgrid(range(h), range(o)))
@@ -98,52 +82,50 @@ def test_counts_follow_their_formulas(operations: ModuleType) -> None:
     }
 
 
-def test_the_compiler_performs_what_a_dense_layer_needs(
-    operations: ModuleType, comparison: ModuleType
-) -> None:
-    problem = linear_problem(comparison, 1)
+def test_the_compiler_performs_what_a_dense_layer_needs() -> None:
+    problem = linear_problem(1)
     weights = jnp.ones(problem.network.size)
     for rule, least in ((Backpropagation(), 4), (PERAL(), 6)):
-        found = operations.compiled(problem.network, rule, problem.one, weights)
+        counts = operations.compiled(problem.network, rule, problem.first, weights)
         links = operations.dense_links(problem.network)[1]
-        assert least * links <= found["operations"] <= 12 * links
+        assert least * links <= counts["operations"] <= 12 * links
 
 
-def test_epochs_to_a_goal(comparison: ModuleType) -> None:
+def test_epochs_to_a_goal() -> None:
     curves = np.array([[3.0, 2.0, 1.0, 2.0], [3.0, 3.0, 3.0, 3.0], [1.0, 0.0, np.nan, np.nan]])
-    found = comparison.first_at_most(curves, np.array([1.5, 2.5, 1.0]))
-    assert_array_equal(found, [2.0, np.inf, 0.0])
+    epochs = comparison.first_at_most(curves, np.array([1.5, 2.5, 1.0]))
+    assert_array_equal(epochs, [2.0, np.inf, 0.0])
 
 
-def test_wrong_is_known_from_errors(comparison: ModuleType, rng: np.random.Generator) -> None:
+def test_wrong_is_known_from_errors(rng: np.random.Generator) -> None:
     kind = rng.integers(0, 4, 200)
     targets = np.where(np.arange(4)[:, None] == kind, 1.0, -1.0)
     outputs = np.tanh(targets * 0.3 + rng.standard_normal(targets.shape))
-    found = comparison.wrong(jnp.asarray(targets - outputs), jnp.ones(targets.shape))
-    assert float(found) == pytest.approx(np.mean(outputs.argmax(axis=0) != kind))
+    share = comparison.wrong(jnp.asarray(targets - outputs), jnp.ones(targets.shape))
+    assert float(share) == pytest.approx(np.mean(outputs.argmax(axis=0) != kind))
 
 
-def test_direct_solutions_are_least_squares(comparison: ModuleType) -> None:
-    problem = linear_problem(comparison, 2)
-    found = comparison.direct_solutions(problem)
-    inputs = np.asarray(problem.one.signals.inputs[0]).T
+def test_direct_solutions_are_least_squares() -> None:
+    problem = linear_problem(2)
+    direct = comparison.direct_solutions(problem)
+    inputs = np.asarray(problem.first.signals.inputs[0]).T
     design = np.hstack([inputs, np.ones((len(inputs), 1))])
-    for own, targets in zip(found, problem.chosen.targets, strict=True):
+    for weights, targets in zip(direct, problem.examples.targets, strict=True):
         expected = np.linalg.lstsq(design, np.asarray(targets).T, rcond=None)[0]
-        assert_allclose(np.asarray(own).reshape(2, 5).T, expected, atol=1e-10)
-    least = comparison.costs_of(problem, found, half_square)
-    assert np.all(comparison.costs_of(problem, found + 0.01, half_square) > least)
+        assert_allclose(np.asarray(weights).reshape(2, 5).T, expected, atol=1e-10)
+    least = comparison.costs_of(problem, direct, half_square)
+    assert np.all(comparison.costs_of(problem, direct + 0.01, half_square) > least)
 
 
-def test_ultrasound_patterns_are_in_equal_shares(comparison: ModuleType) -> None:
+def test_ultrasound_patterns_are_in_equal_shares() -> None:
     problem = comparison.ultrasound(120, centred=True)
-    assert_array_equal(np.sum(np.asarray(problem.chosen.targets) == 1.0, axis=1), np.full(10, 12))
-    assert_allclose(np.asarray(problem.chosen.signals.inputs[0]).mean(axis=1), 0.0, atol=1e-12)
+    assert_array_equal(np.sum(np.asarray(problem.examples.targets) == 1.0, axis=1), np.full(10, 12))
+    assert_allclose(np.asarray(problem.examples.signals.inputs[0]).mean(axis=1), 0.0, atol=1e-12)
 
 
-def test_never_is_longer_than_anything(tables: ModuleType) -> None:
-    found = tables.spread(np.array([4.0, np.inf, 2.0, np.nan, np.inf]))
-    assert (found["lowest"], found["highest"]) == (2.0, np.inf)
+def test_never_is_longer_than_anything() -> None:
+    spread = tables.spread(np.array([4.0, np.inf, 2.0, np.nan, np.inf]))
+    assert (spread["lowest"], spread["highest"]) == (2.0, np.inf)
     assert tables.spread(np.array([4.0, np.inf, 2.0]))["median"] == 4.0
     assert np.isnan(tables.spread(np.array([np.nan]))["median"])
     assert [tables.quotient(8.0, 2.0), tables.quotient(np.inf, 2.0)] == [4.0, np.inf]
@@ -162,18 +144,14 @@ def test_a_picture_of_one_comparison() -> None:
 
 
 def test_a_tiny_run_and_its_resumption(
-    script: ModuleType,
-    comparison: ModuleType,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """With a linear combiner in the CSLC's place, whose compilation would take most of a minute."""
-    monkeypatch.setattr(
-        script, "puma", lambda patterns, noise, seeds: linear_problem(comparison, seeds)
-    )
+    monkeypatch.setattr(peral, "puma", lambda patterns, noise, seeds: linear_problem(seeds))
     arguments = ["--quick", "--seeds", "2", "--noise", "0.1", "-o", str(tmp_path / "study")]
-    assert script.main(arguments) == 0
+    assert peral.main(arguments) == 0
     printed = capsys.readouterr().out
     assert "of 2 starts, backpropagation brings 2 to 1.001 times" in printed
     assert "general two-layer" in printed
@@ -188,7 +166,7 @@ def test_a_tiny_run_and_its_resumption(
         assert (tmp_path / "study" / name).stat().st_size > 10_000
 
     # The same command takes everything from its checkpoints.
-    assert script.main(arguments) == 0
+    assert peral.main(arguments) == 0
     again = json.loads((tmp_path / "study" / "peral_study.json").read_text(encoding="utf-8"))
     for first, second in zip(document["trainings"], again["trainings"], strict=True):
         assert first["epochs"] == second["epochs"]
@@ -199,17 +177,16 @@ def test_a_tiny_run_and_its_resumption(
     [
         (["--seeds", "0"], "--seeds is 0; expected 1 or more"),
         (["--puma-patterns", "5"], "--puma-patterns is 5; expected 30 to 3300"),
-        (["--noise", "0.1", "0.1"], "expected each level once"),
+        (["--noise", "0.1", "0.1"], "expected different levels"),
         (["--noise", "-1"], "expected finite numbers, 0 or more"),
         (["--minimum-gain", "0.2"], "--minimum-gain at least 0 and below 0.1"),
     ],
 )
 def test_bad_options(
-    script: ModuleType,
     arguments: list[str],
     message: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit):
-        script.main(arguments)
+        peral.main(arguments)
     assert message in capsys.readouterr().err
