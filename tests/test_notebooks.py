@@ -1,22 +1,17 @@
 """Every notebook runs from top to bottom, and what is stored of it is fit to be read by others."""
 
-import importlib
 import re
 from pathlib import Path
-from types import ModuleType
 
 import nbformat
 import pytest
+
+from scripts.tools import execute_notebooks
 
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 LARGEST = 300_000  # bytes: what a reader on a slow line can wait for
-
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.tools.execute_notebooks")
 
 
 def read(path: Path) -> nbformat.NotebookNode:
@@ -46,13 +41,11 @@ def test_there_are_notebooks() -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_it_runs_from_top_to_bottom(
-    path: Path, script: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_runs_from_top_to_bottom(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The kernel keeps what it compiled where the other tests do.
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))
     monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
-    executed = script.execute(path)
+    executed = execute_notebooks.execute(path)
     assert kinds(executed) == kinds(read(path)), "renew it: scripts/tools/execute_notebooks.py"
 
 
@@ -81,16 +74,16 @@ def test_its_first_code_switches_float64_on(path: Path) -> None:
     assert 'jax.config.update("jax_enable_x64", True)' in code(read(path))[0].source
 
 
-def test_a_cell_that_fails_is_named(tmp_path: Path, script: ModuleType) -> None:
+def test_a_cell_that_fails_is_named(tmp_path: Path) -> None:
     broken = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("1 / 0")])
     path = tmp_path / "broken.ipynb"
     nbformat.write(broken, path)
-    with pytest.raises(script.CellExecutionError, match="ZeroDivisionError"):
-        script.execute(path)
+    with pytest.raises(execute_notebooks.CellExecutionError, match="ZeroDivisionError"):
+        execute_notebooks.execute(path)
 
 
 def test_pictures_are_drawn_whatever_the_environment_says(
-    tmp_path: Path, script: ModuleType, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MPLBACKEND", "Agg")
     lines = (
@@ -102,11 +95,11 @@ def test_pictures_are_drawn_whatever_the_environment_says(
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("\n".join(lines))])
     path = tmp_path / "picture.ipynb"
     nbformat.write(notebook, path)
-    (outputs,) = kinds(script.execute(path))
+    (outputs,) = kinds(execute_notebooks.execute(path))
     assert ("display_data", "", "image/png", "text/plain") in outputs
 
 
-def test_no_such_notebook(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_such_notebook(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        script.main(["nowhere.ipynb"])
+        execute_notebooks.main(["nowhere.ipynb"])
     assert "nowhere.ipynb: no such notebook" in capsys.readouterr().err

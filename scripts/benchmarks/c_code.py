@@ -3,19 +3,17 @@
 For the PUMA 560 and the Panda: torque beside `pin.rnea`, mass matrix beside `pin.crba`, gravity
 beside `pin.computeGeneralizedGravity`, regressor beside `pin.computeJointTorqueRegressor`. The C
 functions are called from a loop in C. Pinocchio is called from Python, as its users of Python do;
-what its cheapest call costs there is in a column of its own. Its functions know no friction and no
-motor inertia, and neither have the C functions here; its regressor has ten columns a link, the
-C code's one a base parameter.
+the time of its cheapest call there is in another column. Its functions have no friction and no
+motor inertia, and neither have the C functions here; its regressor has ten columns for each link,
+the C code's one for each base parameter.
 """
 
 import argparse
 import ctypes
 import shutil
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +24,12 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from scripts.benchmarks.c_library import shared_library
 
 
 jax.config.update("jax_enable_x64", True)
 
-_STATES = 64  # different ones, in turn: nothing can be kept from call to call
+_STATES = 64  # different ones in turn, so that no result can be reused
 _FUNCTIONS = {"torque": 3, "mass_matrix": 1, "gravity": 1, "regressor": 3}
 
 
@@ -61,24 +60,15 @@ def c_times(
     code: jc.CCode, n: int, p: int, states: Float[np.ndarray, "states 3 joints"], calls: int
 ) -> dict[str, float]:
     """Seconds a call of each function, the best of five rounds."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / f"{code.name}.h").write_text(code.header)
-        (folder / "timed.c").write_text(timed_source(code, n, p))
-        library = folder / "timed.so"
-        command = ["cc", "-std=c99", "-O2", "-march=native", "-shared", "-fPIC"]
-        subprocess.run([*command, "-o", library, folder / "timed.c", "-lm"], check=True)
-        loaded = ctypes.CDLL(str(library))
-        pointer = states.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        total = ctypes.c_double(0.0)
-        times: dict[str, float] = {}
-        for name in _FUNCTIONS:
-            function: Any = loaded[f"time_{name}"]
-            function.restype = ctypes.c_double
-            rounds = [
-                function(pointer, ctypes.c_long(calls), ctypes.byref(total)) for _ in range(5)
-            ]
-            times[name] = min(rounds) / calls
+    loaded = shared_library(code, timed_source(code, n, p))
+    pointer = states.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+    total = ctypes.c_double(0.0)
+    times: dict[str, float] = {}
+    for name in _FUNCTIONS:
+        function: Any = loaded[f"time_{name}"]
+        function.restype = ctypes.c_double
+        rounds = [function(pointer, ctypes.c_long(calls), ctypes.byref(total)) for _ in range(5)]
+        times[name] = min(rounds) / calls
     return times
 
 
@@ -123,7 +113,7 @@ def pinocchio_times(
 
 
 def measure(robot: jc.Manipulator, calls: int) -> list[dict[str, str | float]]:
-    """One row a function: operations, microseconds, and the largest difference in torque."""
+    """A row for each function: operations and microseconds."""
     rng = np.random.default_rng(0)
     robot = robot.with_inertia("full", motor_inertia=False).with_friction()
     network = jc.derive(robot, lengths="numeric")
@@ -135,10 +125,10 @@ def measure(robot: jc.Manipulator, calls: int) -> list[dict[str, str | float]]:
     code = jc.c_code(network, k)
     states = np.ascontiguousarray(rng.uniform(-2, 2, (_STATES, 3, robot.joint_count)))
     model = pinocchio_model(robot, links)
-    theirs = pin.rnea(model, model.createData(), *states[0])
-    mine = np.asarray(network.torque(k, *states[0]))
-    if not np.allclose(mine, theirs, atol=1e-9):
-        raise RuntimeError(f"{robot.name}: torques differ from Pinocchio's by {mine - theirs}")
+    reference = pin.rnea(model, model.createData(), *states[0])
+    torque = np.asarray(network.torque(k, *states[0]))
+    if not np.allclose(torque, reference, atol=1e-9):
+        raise RuntimeError(f"{robot.name}: torques differ from Pinocchio's by {torque - reference}")
     c = c_times(code, robot.joint_count, network.size, states, calls)
     pinocchio = pinocchio_times(model, states, max(calls // 50, 10))
     return [
@@ -154,11 +144,11 @@ def measure(robot: jc.Manipulator, calls: int) -> list[dict[str, str | float]]:
     ]
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--calls", type=int, default=1_000_000, help="of each C function a round")
     parser.add_argument("-o", "--output", type=Path, default=Path("build/c_code_benchmark"))
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(argv)
     if options.calls < 1:
         parser.error(f"--calls is {options.calls}; expected 1 or more")
     if shutil.which("cc") is None:

@@ -1,22 +1,19 @@
 """Microseconds of a control step for one robot, from compiled Python and from exported C.
 
 A full computed-torque step of the PUMA 560 (43 coefficients, closed form) and of the Panda (57,
-recursion); behind encoders; with a payload learnt beside it; watched by a guard. Python's are calls
-of one compiled function with NumPy's arrays, waited for, as a control loop would make them, and
-their mean over a second of samples: a payload's update comes every tenth sample, and what such a
-sample takes alone is a line of its own. C's is the code of `jaxcslc.c_code` with the error's
+recursion); behind encoders; with a payload estimator; with a guard. Python's are calls of one
+compiled function with NumPy's arrays, waited for, as a control loop would make them, and their mean
+over a second of samples. A payload's update comes every tenth sample; the time of such a sample is
+another line. C's is the code of `jaxcslc.c_code` with the error's
 feedback in front of it, in a loop in C. The sampling period of the PUMA 560's controller is 2 ms.
 """
 
 import argparse
 import ctypes
 import shutil
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -25,6 +22,7 @@ import numpy as np
 import jaxcslc as jc
 from jaxcslc.control import ComputedTorque, Guard, Loop, Reference
 from jaxcslc.payload import CarryingLoop, PayloadEstimator
+from scripts.benchmarks.c_library import shared_library
 from scripts.benchmarks.metrics import Metric, report
 
 
@@ -67,30 +65,23 @@ def c_step(
 ) -> tuple[float, np.ndarray]:
     """Seconds a step in C, the best of five rounds, and the torque of the last state."""
     n = network.joint_count
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        code = jc.c_code(network, k)
-        (folder / f"{code.name}.h").write_text(code.header)
-        (folder / "timed.c").write_text(glue(code, n, len(states)))
-        library = folder / "timed.so"
-        command = ["cc", "-std=c99", "-O2", "-march=native", "-shared", "-fPIC"]
-        subprocess.run([*command, "-o", library, folder / "timed.c", "-lm"], check=True)
-        timed: Any = ctypes.CDLL(str(library)).timed
-        timed.restype = ctypes.c_double
-        torque = np.empty(n)
-        pointers = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (states, torque)]
-        rounds = [timed(pointers[0], ctypes.c_long(calls), pointers[1]) for _ in range(5)]
+    code = jc.c_code(network, k)
+    timed: Any = shared_library(code, glue(code, n, len(states))).timed
+    timed.restype = ctypes.c_double
+    torque = np.empty(n)
+    pointers = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (states, torque)]
+    rounds = [timed(pointers[0], ctypes.c_long(calls), pointers[1]) for _ in range(5)]
     return min(rounds) / calls, torque
 
 
-def each_step(loop: Any, states: np.ndarray) -> tuple[float, float]:
+def python_step(loop: Any, states: np.ndarray) -> tuple[float, float]:
     """Mean and slowest tenth's median of seconds a step in Python, the best of three rounds.
 
-    The loop is part of what is compiled: to hand its arrays and its network over at every call
-    takes longer than the step.
+    The loop is compiled into the step: passing its arrays and its network at every call takes
+    longer than the step.
     """
     step = jax.jit(lambda state, reference, q: loop.step(state, reference, q, PERIOD))
-    found: list[tuple[float, float]] = []
+    rounds: list[tuple[float, float]] = []
     for _ in range(4):  # the first one compiles
         state = jax.block_until_ready(loop.begin(states[0, 0]))
         times: list[float] = []
@@ -101,14 +92,14 @@ def each_step(loop: Any, states: np.ndarray) -> tuple[float, float]:
             jax.block_until_ready(state)
             times.append(time.perf_counter() - start)
         slow = sorted(times)[-len(times) // 10 :]
-        found.append((float(np.mean(times)), float(np.median(slow))))
-    return min(found[1:])
+        rounds.append((float(np.mean(times)), float(np.median(slow))))
+    return min(rounds[1:])
 
 
 def metrics(
     calls: int = 1_000_000, robots: Sequence[str] = ("puma560", "panda"), samples: int = _SAMPLES
 ) -> Iterator[Metric]:
-    """The figures, one after the other."""
+    """Every figure, as soon as it is measured."""
     for name in robots:
         robot: jc.Manipulator = getattr(jc, name)()
         lengths = "symbolic" if name == "puma560" else "numeric"
@@ -129,10 +120,10 @@ def metrics(
         estimator = PayloadEstimator(network, k, np.full(n, 1e-3))
         guard = Guard(loop, network, k, torque_limit=1e3)
 
-        def timed(what: str, loop: Any, name: str = name, states: np.ndarray = states):
-            mean, slow = each_step(loop, states)
-            yield Metric(f"{name}.{what}", 1e6 * mean, "us", "lower", 0.5)
-            if what == "step_with_payload":
+        def timed(figure: str, loop: Any, name: str = name, states: np.ndarray = states):
+            mean, slow = python_step(loop, states)
+            yield Metric(f"{name}.{figure}", 1e6 * mean, "us", "lower", 0.5)
+            if figure == "step_with_payload":
                 yield Metric(f"{name}.payload_update", 1e6 * slow, "us", "lower", 0.5)
 
         yield from timed("step", loop)
@@ -141,18 +132,20 @@ def metrics(
         if shutil.which("cc") is not None:
             seconds, torque = c_step(network, k, states, calls)
             last = states[(calls - 1) % samples]
-            own, _ = controller.step(
+            expected, _ = controller.step(
                 controller.begin(last[0]), Reference(*last[2:]), last[0], last[1], PERIOD
             )
-            if not np.allclose(torque, own, atol=1e-8):
-                raise RuntimeError(f"{name}: C and Python differ by {torque - np.asarray(own)}")
+            if not np.allclose(torque, expected, atol=1e-8):
+                raise RuntimeError(
+                    f"{name}: C and Python differ by {torque - np.asarray(expected)}"
+                )
             yield Metric(f"{name}.step_in_c", 1e6 * seconds, "us", "lower", 0.5)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--calls", type=int, default=1_000_000, help="of the C step a round")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(argv)
     if options.calls < 1:
         parser.error(f"--calls is {options.calls}; expected 1 or more")
     if shutil.which("cc") is None:

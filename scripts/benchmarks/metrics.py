@@ -1,4 +1,4 @@
-"""What benchmarks share: named metrics with unit and direction, timing, and the comparison."""
+"""Named metrics with unit and direction, timing, and the comparison with a baseline."""
 
 import time
 from collections.abc import Callable
@@ -30,7 +30,10 @@ def best_of(function: Callable[[], Any], repeats: int = 5) -> float:
 
 
 def report(metrics: list[Metric], baseline: dict[str, Any]) -> int:
-    """Print metrics beside the baseline; how many became worse by more than their tolerance."""
+    """Prints metrics beside the baseline.
+
+    **Returns** how many became worse by more than their tolerance.
+    """
     worse = 0
     print(f"{'metric':32} {'value':>10} {'baseline':>10} {'change':>8}  unit")
     for metric in metrics:

@@ -1,24 +1,26 @@
 """Time many training recordings of the rigid plant at once: C MuJoCo's threads, or MJX on a GPU.
 
-Prints one JSON object a line: metric, unit, direction, value. Compile and run time are apart; what
-the recordings say is checked against C MuJoCo's before it is timed.
+Prints one JSON object a line: metric, unit, direction, value. Compile and run time are apart; the
+recordings are compared with C MuJoCo's before they are timed.
 """
 
 import argparse
 import json
 import time
+from collections.abc import Sequence
 
 import jax
 import numpy as np
 from tqdm import tqdm
 
+import sim
+
 
 jax.config.update("jax_enable_x64", True)
 
-import sim  # noqa: E402  (float64 first)
-
 
 def report(metric: str, unit: str, direction: str, value: float) -> None:
+    """Prints one metric."""
     print(
         json.dumps({"metric": metric, "unit": unit, "direction": direction, "value": value}),
         flush=True,
@@ -37,7 +39,7 @@ def disagreement(backend: str) -> float:
     )
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--backend", choices=["mujoco", "mjx"], default="mujoco")
     parser.add_argument("--machines", type=int, default=1000)
@@ -45,39 +47,40 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=3300)
     parser.add_argument("--rounds", type=int, default=None, help="2 under MJX, else 1, if omitted")
     parser.add_argument("--alike", action="store_true", help="one machine, many seeds")
-    arguments = parser.parse_args()
+    options = parser.parse_args(argv)
 
-    prefix = f"recording.{arguments.backend}"
-    report(f"{prefix}.disagreement", "rad", "lower", disagreement(arguments.backend))
-    trajectory, puma = sim.training(samples=arguments.samples), sim.puma560()
-    begun = time.perf_counter()
+    prefix = f"recording.{options.backend}"
+    report(f"{prefix}.disagreement", "rad", "lower", disagreement(options.backend))
+    trajectory, puma = sim.training(samples=options.samples), sim.puma560()
+    start = time.perf_counter()
     jobs = [
-        sim.Job(puma if arguments.alike else sim.specimen(puma, seed), trajectory, seed)
-        for seed in range(arguments.machines)
+        sim.Job(puma if options.alike else sim.specimen(puma, seed), trajectory, seed)
+        for seed in range(options.machines)
     ]
-    report(f"{prefix}.machines", "s", "lower", time.perf_counter() - begun)
-    steps = arguments.machines * (arguments.samples - 1) * 4
-    rounds = arguments.rounds or (2 if arguments.backend == "mjx" else 1)
+    report(f"{prefix}.machines", "s", "lower", time.perf_counter() - start)
+    steps = options.machines * (options.samples - 1) * 4
+    rounds = options.rounds or (2 if options.backend == "mjx" else 1)
     for number in ("first", "second", "third")[:rounds] if rounds > 1 else ("only",):
-        begun = time.perf_counter()
+        start = time.perf_counter()
         done = 0
         for _ in tqdm(
-            sim.record_each(jobs, backend=arguments.backend, side_by_side=arguments.side_by_side),
+            sim.record_each(jobs, backend=options.backend, side_by_side=options.side_by_side),
             total=len(jobs),
             desc=f"{number} round",
             disable=None,
         ):
             done += 1
-        taken = time.perf_counter() - begun
-        report(f"{prefix}.{number}_round", "s", "lower", taken)
-        report(f"{prefix}.{number}_round.rate", "steps/s", "higher", steps / taken)
+        seconds = time.perf_counter() - start
+        report(f"{prefix}.{number}_round", "s", "lower", seconds)
+        report(f"{prefix}.{number}_round.rate", "steps/s", "higher", steps / seconds)
         assert done == len(jobs)
-    if arguments.backend == "mjx":
+    if options.backend == "mjx":
         device = jax.devices()[0]
         peak = (device.memory_stats() or {}).get("peak_bytes_in_use", 0)
         report(f"{prefix}.peak_memory", "GB", "lower", peak / 1e9)
         print(f"# on {device.device_kind}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

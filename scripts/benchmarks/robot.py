@@ -1,8 +1,9 @@
-"""How long an engineer with a URDF file waits: for a regressor, and for coefficients.
+"""Time from a URDF file to a regressor, and to coefficients.
 
     python scripts/benchmarks/robot.py panda.urdf --tip panda_hand
 
-Whole processes, with nothing compiled beforehand and once more with what the first one kept. The
+Whole processes, with nothing compiled beforehand and once more with the programs that the first one
+stored. The
 recording of 20,000 samples is of a motion in sines, by the file's own link parameters, with noise.
 """
 
@@ -13,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.metadata import files
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def file_to_regressor(path: Path, tip: str | None) -> Iterator[Metric]:
 
 
 def file_to_coefficients(path: Path, tip: str | None) -> Iterator[Metric]:
-    """`jaxcslc identify` on 20,000 samples: settings chosen by itself, then given."""
+    """`jaxcslc identify` on 20,000 samples: settings selected by the command, then from a file."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         jc.save_recording(_recording(path, tip), folder / "train.csv")
@@ -62,8 +63,8 @@ def file_to_coefficients(path: Path, tip: str | None) -> Iterator[Metric]:
             seconds = time.perf_counter() - start
             yield Metric(f"urdf.identify_choosing.{run}_run", seconds, "s", "lower", 0.5)
         settings = folder / "settings.json"
-        found = json.loads((folder / "out" / "identification.json").read_text(encoding="utf-8"))
-        settings.write_text(json.dumps(found["settings"]), encoding="utf-8")
+        document = json.loads((folder / "out" / "identification.json").read_text(encoding="utf-8"))
+        settings.write_text(json.dumps(document["settings"]), encoding="utf-8")
         start = time.perf_counter()
         _run([*command, "--settings", str(settings)], folder)
         yield Metric("urdf.identify", time.perf_counter() - start, "s", "lower", 0.5)
@@ -88,13 +89,13 @@ def _recording(path: Path, tip: str | None) -> jc.Recording:
 
 
 def _run(arguments: list[str], folder: Path) -> None:
-    """In a new process, which keeps what it compiles in `folder`."""
+    """Runs Python in a new process that stores compiled programs in `folder`."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     command = [sys.executable, "-c", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
-        sys.exit(f"robot_benchmark: {done.stderr.strip().splitlines()[-1]}")
+        sys.exit(f"robot benchmark: {done.stderr.strip().splitlines()[-1]}")
 
 
 def published(name: str) -> Path:
@@ -110,18 +111,19 @@ def metrics() -> Iterator[Metric]:
     yield from file_to_coefficients(path, "panda_hand")
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("robot", nargs="?", type=Path, help="a URDF file; a Panda if omitted")
     parser.add_argument("--tip", help="the body that the robot ends with")
-    arguments = parser.parse_args()
-    if arguments.robot is None:
-        found = list(metrics())
+    options = parser.parse_args(argv)
+    if options.robot is None:
+        measured = list(metrics())
     else:
-        found = [*file_to_regressor(arguments.robot, arguments.tip)]
-        found += file_to_coefficients(arguments.robot, arguments.tip)
-    report(found, {})
+        measured = [*file_to_regressor(options.robot, options.tip)]
+        measured += file_to_coefficients(options.robot, options.tip)
+    report(measured, {})
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -1,7 +1,7 @@
-"""Benchmarks with a committed baseline: derivation, throughput, training, waiting, memory.
+"""Benchmarks with a committed baseline: derivation, throughput, training, commands, memory.
 
-Every figure is a named metric with a unit and a direction. Compile and run times stand apart,
-run times wait for the result, and rates stand beside those of Pinocchio in the same run.
+Every figure is a named metric with a unit and a direction. Compile and run times are apart, run
+times wait for the result, and rates are beside those of Pinocchio in the same run.
 
     make bench                           all but the long ones, compared with the baseline
     make bench ARGS=--full               with 20 million patterns streamed from a Parquet file
@@ -16,10 +16,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +28,7 @@ import pinocchio
 import jaxcslc as jc
 import sim
 from jaxcslc.motion import RecordingChunk, iterate_recording, save_recording
+from scripts.benchmarks.c_code import pinocchio_model
 from scripts.benchmarks.control import metrics as control_metrics
 from scripts.benchmarks.metrics import Metric, best_of, report
 from scripts.benchmarks.robot import metrics as robot_metrics
@@ -42,7 +42,7 @@ _PATTERNS = 1_000_000
 
 
 def derivation() -> Iterator[Metric]:
-    """Complete tables and the network object, from nothing, in a fresh process each."""
+    """Complete tables and the network object, each in a fresh process."""
     program = (
         "import time, jax; jax.config.update('jax_enable_x64', True); import jaxcslc as jc\n"
         "robot, lengths = jc.{robot}(), '{lengths}'\n"
@@ -110,7 +110,7 @@ def direct_solve(network: jc.CSLC, k: jax.Array) -> Iterator[Metric]:
     error = float(jnp.max(jnp.abs(fit.k - k)))
     yield Metric("stream.largest_error", error, "SI", "lower", 10.0)
 
-    model = pinocchio_puma560(network.robot)
+    model = pinocchio_model(network.robot, network.robot.links or ())
     data = model.createData()
     sample = 20_000
     start = time.perf_counter()
@@ -118,24 +118,11 @@ def direct_solve(network: jc.CSLC, k: jax.Array) -> Iterator[Metric]:
         pinocchio.computeJointTorqueRegressor(model, data, q[i], qd[i], qdd[i])
     loop = sample / (time.perf_counter() - start)
     yield Metric("pinocchio.regressor_loop", loop / 1e6, "million patterns/s", "higher")
-    # Pinocchio's loop makes regressors only; the stream factorises them as well.
+    # Pinocchio's loop computes regressors only; the stream factorises them as well.
     yield Metric("stream.over_pinocchio", rate / loop, "1", "higher")
 
 
-def pinocchio_puma560(robot: jc.Manipulator) -> Any:
-    """A Pinocchio model with the robot's kinematics; the regressor needs no inertias."""
-    model = pinocchio.Model()
-    parent = 0
-    for i, joint in enumerate(robot.joints):
-        placement = pinocchio.SE3(
-            pinocchio.rpy.rpyToMatrix(joint.alpha, 0.0, 0.0), np.array([joint.a.value, 0.0, 0.0])
-        ) * pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, joint.d.value or 0.0]))
-        parent = model.addJoint(parent, pinocchio.JointModelRZ(), placement, f"joint{i}")
-        model.appendBodyToJoint(parent, pinocchio.Inertia.Random(), pinocchio.SE3.Identity())
-    return model
-
-
-def waiting() -> Iterator[Metric]:
+def command_times() -> Iterator[Metric]:
     """`jaxcslc identify` on 3,300 samples, the whole process, first and second run."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -216,22 +203,23 @@ def stream_file(path: Path) -> None:
 
 
 def true_coefficients(network: jc.CSLC) -> jax.Array:
+    """Those of the robot's link parameters and friction."""
     robot = network.robot
     assert robot.links is not None
     return network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--full", action="store_true", help="with the long runs")
     parser.add_argument("--gate", action="store_true", help="exit 1 if a metric became worse")
     parser.add_argument("--update-baseline", action="store_true")
     parser.add_argument("--rows", type=int, default=20_000_000, help="of the long Parquet file")
     parser.add_argument("--stream-file", type=Path, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.stream_file:
-        stream_file(arguments.stream_file)
-        return
+    options = parser.parse_args(argv)
+    if options.stream_file:
+        stream_file(options.stream_file)
+        return 0
 
     network = jc.derive(jc.puma560())
     k = true_coefficients(network)
@@ -240,13 +228,13 @@ def main() -> None:
         forward(network, k),
         direct_solve(network, k),
         training(),
-        waiting(),
+        command_times(),
         robot_metrics(),
         control_metrics(),
     ]
-    if arguments.full:
+    if options.full:
         Path("build").mkdir(exist_ok=True)
-        parts.append(memory(arguments.rows))
+        parts.append(memory(options.rows))
     metrics: list[Metric] = []
     for part in parts:
         for metric in part:
@@ -254,13 +242,12 @@ def main() -> None:
             metrics.append(metric)
     baseline = json.loads(_BASELINE.read_text()) if _BASELINE.exists() else {}
     worse = report(metrics, baseline)
-    if arguments.update_baseline:
+    if options.update_baseline:
         baseline |= {metric.name: asdict(metric) for metric in metrics}
         _BASELINE.write_text(json.dumps(baseline, indent=2) + "\n")
         print(f"wrote {_BASELINE.name}")
-    if arguments.gate and worse:
-        sys.exit(1)
+    return 1 if options.gate and worse else 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -1,7 +1,7 @@
 """Time trainings of the PUMA 560's CSLC: one, many side by side, and on normal equations.
 
-Prints named metrics with unit and direction; compile and run time apart. What many trainings
-find side by side is compared with what one of them finds alone.
+Prints named metrics with unit and direction; compile and run time apart. The weights of
+trainings side by side are compared with those of one training alone.
 
     python scripts/benchmarks/training.py                        256 trainings, this machine
     python scripts/benchmarks/training.py --trainings 4096       as for a GPU
@@ -10,7 +10,7 @@ find side by side is compared with what one of them finds alone.
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ jax.config.update("jax_enable_x64", True)
 
 def timed(
     network: AdaptiveNetwork,
-    chosen: Examples | NormalEquations,
+    patterns: Examples | NormalEquations,
     weights: jax.Array,
     plan: Plan,
     epochs: int,
@@ -52,7 +52,7 @@ def timed(
         start = time.perf_counter()
         result = train(
             network,
-            chosen,
+            patterns,
             weights,
             plan,
             epochs=epochs,
@@ -64,8 +64,8 @@ def timed(
         jax.block_until_ready(result.weights)
         return time.perf_counter() - start, result.weights
 
-    (first, _), (second, found) = once(), once()
-    return first, second, found
+    (first, _), (second, result) = once(), once()
+    return first, second, result
 
 
 def training(trainings: int = 256, epochs: int = 100, block: int | None = None) -> Iterator[Metric]:
@@ -74,8 +74,8 @@ def training(trainings: int = 256, epochs: int = 100, block: int | None = None) 
     network = inverse_dynamics(cslc)
     recording = sim.simulate(sim.puma560(), sim.training(), seed=1).recording
     patterns = jc.prepare(recording, threshold_fraction=0.01)
-    chosen = examples(network, patterns, patterns.torque, patterns.mask)
-    samples = chosen.targets.shape[-1]
+    training_set = examples(network, patterns, patterns.torque, patterns.mask)
+    samples = training_set.targets.shape[-1]
     start = jnp.asarray(
         jc.LeastSquares(joint_weights="equal", errors="independent").fit(cslc, patterns).k
     ) * (1.0 + 0.3 * np.random.default_rng(0).normal(size=network.size))
@@ -88,7 +88,7 @@ def training(trainings: int = 256, epochs: int = 100, block: int | None = None) 
         ("fixed_rates", Plan(PERAL(), FixedRates(0.05))),
         ("adapted_rates", Plan(PERAL(), AdaptedRates(0.05))),
     ):
-        first, second, alone = timed(network, chosen, start, plan, epochs)
+        first, second, alone = timed(network, training_set, start, plan, epochs)
         yield Metric(f"peral.{name}.compile", first - second, "s", "lower", 0.5)
         yield Metric(f"peral.{name}.rate", rate(second, epochs), unit, "higher")
         starts = start * (
@@ -96,18 +96,18 @@ def training(trainings: int = 256, epochs: int = 100, block: int | None = None) 
         )
         starts = starts.at[0].set(start)
         few = max(epochs // 20, 2)
-        first, many, _ = timed(network, chosen, starts, plan, few, block)
+        first, many, _ = timed(network, training_set, starts, plan, few, block)
         yield Metric(f"peral.{name}.{trainings}.compile", first - many, "s", "lower", 0.5)
         together = rate(many, few, trainings)
         yield Metric(f"peral.{name}.{trainings}.rate", together, unit, "higher")
         factor = together / rate(second, epochs)
         yield Metric(f"peral.{name}.{trainings}.over_single", factor, "1", "higher")
-        one = timed(network, chosen, start, plan, few)[2]
-        both = timed(network, chosen, starts[:2], plan, few, block)[2]
+        one = timed(network, training_set, start, plan, few)[2]
+        both = timed(network, training_set, starts[:2], plan, few, block)[2]
         error = float(jnp.max(jnp.abs(both[0] - one)) / jnp.max(jnp.abs(alone)))
         yield Metric(f"peral.{name}.disagreement", error, "1", "lower", 10.0)
 
-    equations = normal_equations(network, chosen)
+    equations = normal_equations(network, training_set)
     plan = Plan(Backpropagation(), AdaptedRates(1e-3), cost=half_square, patience=10**9)
     passed = 200 * epochs
     first, second, _ = timed(network, equations, start, plan, passed)
@@ -115,23 +115,24 @@ def training(trainings: int = 256, epochs: int = 100, block: int | None = None) 
     yield Metric("normal_equations.rate", passed / second, "epochs/s", "higher")
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--trainings", type=int, default=256)
     parser.add_argument("--epochs", type=int, default=100, help="of the single training")
     parser.add_argument("--block", type=int, default=None, help="trainings side by side")
-    arguments = parser.parse_args()
-    if min(arguments.trainings, arguments.epochs) < 2:
+    options = parser.parse_args(argv)
+    if min(options.trainings, options.epochs) < 2:
         parser.error("--trainings and --epochs must be at least 2")
     metrics: list[Metric] = []
-    for metric in training(arguments.trainings, arguments.epochs, arguments.block):
+    for metric in training(options.trainings, options.epochs, options.block):
         print(f"  {metric.name} {metric.value:.4g} {metric.unit}", file=sys.stderr, flush=True)
         metrics.append(metric)
     report(metrics, {})
     device = jax.devices()[0]
     peak = (device.memory_stats() or {}).get("peak_bytes_in_use", 0)
     print(f"# on {device.device_kind}" + (f", peak {peak / 1e9:.2f} GB" if peak else ""))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

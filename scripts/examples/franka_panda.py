@@ -1,26 +1,27 @@
-"""Identifies a real Franka Emika Panda and judges the result beside the field's usual way.
+"""Identifies a real Franka Emika Panda and judges the result beside the field's usual method.
 
     python scripts/examples/franka_panda.py [FOLDER]
 
 FOLDER holds `panda_exciting_traj1.csv` (21 s of joint positions and joint torques; Gaz, Cognetti,
 Oliva, Robuffo Giordano and De Luca, RA-L 2019). By default ../shared/data/franka_panda beside the
-repository. The coefficients are fitted to the first two thirds, with every setting chosen there,
+repository. The coefficients are fitted to the first two thirds, with every setting selected there,
 and judged on the last third.
 
-**What is judged.** The torque as the usual way sees it: linearly interpolated to 1 kHz by its
+**Judged quantity.** The torque of the usual method: linearly interpolated to 1 kHz by its
 stamps, which are 0.7 to 8.8 ms apart, stale rows and all; raw, and through a 5 Hz low pass.
 
 The robot's own clock can be restored from the motion (`jaxcslc.motion.restore_clock`): positions
 then agree to 2e-6 rad where the stamps put them wrong by up to 2e-4. It is not used here, because
 the torques to be judged are those at the stamps.
 
-Every number is chosen on the first two thirds. The rules by which it is chosen were settled after
-earlier ones had been seen to fail on the last third: it is no blind test.
+Every number is selected on the first two thirds. The rules of selection were fixed after earlier
+ones had failed on the last third: it is no blind test.
 """
 
+import argparse
 import dataclasses
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -33,6 +34,8 @@ import jaxcslc as jc
 from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError, resample, zero_phase
 
 
+jax.config.update("jax_enable_x64", True)
+
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "franka_panda"
 FILE = "panda_exciting_traj1.csv"
 PERIOD = 0.001  # of the robot's controller [s]
@@ -40,10 +43,10 @@ LOW_PASS = 5.0  # [Hz]
 ENDS = 0.1  # left out at both ends, where smoothing sees one side only [s]
 
 POWERS = (0.0, 0.25, 0.5, 1.0)  # of residuals, to weight joints by
-PARTS = 5  # of the first two thirds, for choosing among them
+PARTS = 5  # of the first two thirds, for cross-validation
 
-# The best row of the baseline, as found with other programs on the same data [N m]. This script
-# comes to within 4 % of it; what is left is how the ends are treated.
+# The best row of the baseline, computed by other programs from the same data [N m]. This script
+# comes to within 4 % of it; the remainder is the treatment of the ends.
 PRINTED = {
     "raw": (0.318, 0.405, 0.289, 0.435, 0.119, 0.122, 0.067),
     "low-passed": (0.142, 0.168, 0.125, 0.158, 0.081, 0.071, 0.057),
@@ -76,7 +79,7 @@ def read_recording(folder: Path) -> Recording:
 
 
 class Target(NamedTuple):
-    """The torque that all are judged by, on a 1 kHz grid of stamps."""
+    """The torque to be predicted, on a 1 kHz grid of stamps."""
 
     time: Float[np.ndarray, " samples"]
     position: Float[np.ndarray, "samples joints"]
@@ -87,7 +90,7 @@ class Target(NamedTuple):
 
     @property
     def until(self) -> float:
-        """The instant that parts the first two thirds from the last."""
+        """The instant between the first two thirds and the last."""
         return float(self.time[self.judged.start])
 
     @classmethod
@@ -121,15 +124,15 @@ class Target(NamedTuple):
         return {kind: np.sqrt(np.mean(e[judged] ** 2, axis=0)) for kind, e in kinds.items()}
 
 
-class Way(NamedTuple):
-    """A way from patterns to coefficients, and from coefficients to the torque to be judged."""
+class Method(NamedTuple):
+    """From patterns to coefficients, and from coefficients to the torque to be judged."""
 
     patterns: Patterns
     fit: Callable[[Patterns], jax.Array]
     predict: Callable[[jax.Array], Float[np.ndarray, "samples joints"]]
 
 
-def usual_way(network: jc.CSLC, target: Target) -> Way:
+def usual_method(network: jc.CSLC, target: Target) -> Method:
     """Zero-phase Butterworth on positions and torques, differences, ordinary least squares.
 
     On every fifth sample of the first two thirds.
@@ -147,7 +150,7 @@ def usual_way(network: jc.CSLC, target: Target) -> Way:
         everything,
     )
     torque = jax.jit(network.torque)
-    return Way(
+    return Method(
         patterns,
         lambda patterns: (
             jc.LeastSquares(joint_weights="equal", errors="independent").fit(network, patterns).k
@@ -156,14 +159,14 @@ def usual_way(network: jc.CSLC, target: Target) -> Way:
     )
 
 
-def our_ways(
+def our_methods(
     network: jc.CSLC, recording: Recording, target: Target
-) -> tuple[jc.Selection, dict[str, Way]]:
-    """Settings from the first two thirds; ways with and without filter for each of `POWERS`."""
+) -> tuple[jc.Selection, dict[str, Method]]:
+    """Settings from the first two thirds; methods with and without filter for each of `POWERS`."""
     training = resample(recording.rows(recording.time < target.until), PERIOD)
     candidates = dataclasses.replace(
         jc.Candidates.suited_to(training),
-        # Slow samples are judged like all others, and the usual way leaves none of them out.
+        # Slow samples are judged like all others, and the usual method leaves none of them out.
         threshold_fractions=(0.0,),
         torque_alignments=("sample",),
         # Positions and torques come through different filters of the robot.
@@ -172,9 +175,8 @@ def our_ways(
     selection = jc.choose_settings(network, training, candidates)
     settings = selection.settings
 
-    # Prediction needs no torque: the positions of all of the recording go into it.
-    smoothing = settings.preparation.smoothing
-    motion = smoothing.smooth(target.time, target.position)
+    # Prediction needs no torque: it uses the positions of the whole recording.
+    motion = settings.preparation.smoothing.smooth(target.time, target.position)
     torque = jax.jit(network.torque)
 
     def predict(k: jax.Array) -> Float[np.ndarray, "samples joints"]:
@@ -183,15 +185,15 @@ def our_ways(
         return np.stack([np.interp(read, target.time, x) for x in predicted.T], axis=1)
 
     patterns = settings.patterns(training)
-    ways = {
+    methods = {
         f"{'not filtered' if cutoff is None else f'filtered alike at {cutoff:g} Hz'},"
-        f" joints by residual to the power of {-power:g}": Way(
+        f" joints by residual to the power of {-power:g}": Method(
             patterns, partial(weighted_fit, network, cutoff=cutoff, power=power), predict
         )
         for cutoff in dict.fromkeys((settings.solver.cutoff, None))
         for power in POWERS
     }
-    return selection, ways
+    return selection, methods
 
 
 def weighted_fit(
@@ -199,10 +201,10 @@ def weighted_fit(
 ) -> jax.Array:
     """Each joint's equations divided by a power of their root mean square residual.
 
-    0 minimises the error in N m, which the strong joints decide; 1 the errors in parts of each
-    joint's own, for which the strong joints pay where the model is not exact.
+    0 minimises the error in N m, dominated by strong joints; 1 the errors relative to each joint's
+    residual, at the cost of strong joints where the model is not exact.
     """
-    if cutoff is None:  # every fifth sample, as the usual way: neighbours say the same
+    if cutoff is None:  # every fifth sample, as the usual method: neighbours are correlated
         patterns = jax.tree.map(lambda x: x[::5], patterns)
     fit = jc.LeastSquares(joint_weights="equal", errors="independent", cutoff=cutoff).fit(
         network, patterns
@@ -215,16 +217,16 @@ def weighted_fit(
     return fit.k
 
 
-def held_out(way: Way, target: Target) -> dict[str, Float[np.ndarray, " joints"]]:
+def held_out(method: Method, target: Target) -> dict[str, Float[np.ndarray, " joints"]]:
     """Errors within the first two thirds, of each part under a fit to the other parts."""
     edges = np.linspace(target.time[target.fitted.start], target.until, PARTS + 1)
     part = np.searchsorted(edges[1:-1], target.time, side="right")
-    own = np.searchsorted(edges[1:-1], np.asarray(way.patterns.time), side="right")
+    part_of = np.searchsorted(edges[1:-1], np.asarray(method.patterns.time), side="right")
     predicted = np.zeros_like(target.torque)
     for number in range(PARTS):
-        others = np.asarray(way.patterns.friction_mask) & (own != number)[:, None]
-        k = way.fit(dataclasses.replace(way.patterns, friction_mask=others))
-        predicted[part == number] = way.predict(k)[part == number]
+        others = np.asarray(method.patterns.friction_mask) & (part_of != number)[:, None]
+        k = method.fit(dataclasses.replace(method.patterns, friction_mask=others))
+        predicted[part == number] = method.predict(k)[part == number]
     away = np.min(np.abs(target.time[:, None] - edges), axis=1) > ENDS
     fitted = np.zeros(target.time.size, dtype=bool)
     fitted[target.fitted] = True
@@ -237,60 +239,61 @@ def worst_ratio(ours: dict[str, np.ndarray], usual: dict[str, np.ndarray]) -> fl
 
 
 class Study(NamedTuple):
-    """What was chosen on the first two thirds, and errors on the last."""
+    """Selection on the first two thirds, and errors on the last."""
 
     selection: jc.Selection
     worst: dict[str, float]
-    chosen: str
+    best: str
     usual: dict[str, Float[np.ndarray, " joints"]]
     ours: dict[str, Float[np.ndarray, " joints"]]
 
 
 def study(network: jc.CSLC, recording: Recording) -> Study:
-    """Chooses and fits on the first two thirds, and judges on the last."""
+    """Selects and fits on the first two thirds, and judges on the last."""
     target = Target.of(recording)
-    usual = usual_way(network, target)
-    selection, ways = our_ways(network, recording, target)
-    yardstick = held_out(usual, target)
-    worst = {name: worst_ratio(held_out(way, target), yardstick) for name, way in ways.items()}
-    chosen = min(worst, key=lambda name: worst[name])
+    usual = usual_method(network, target)
+    selection, methods = our_methods(network, recording, target)
+    reference = held_out(usual, target)
+    worst = {
+        name: worst_ratio(held_out(method, target), reference) for name, method in methods.items()
+    }
+    best = min(worst, key=lambda name: worst[name])
     errors = [
-        target.errors(way.predict(way.fit(way.patterns)), target.judged)
-        for way in (usual, ways[chosen])
+        target.errors(method.predict(method.fit(method.patterns)), target.judged)
+        for method in (usual, methods[best])
     ]
-    return Study(selection, worst, chosen, *errors)
+    return Study(selection, worst, best, *errors)
 
 
-def main(arguments: list[str]) -> int:
-    if len(arguments) > 1:
-        print("usage: python scripts/examples/franka_panda.py [FOLDER]", file=sys.stderr)
-        return 2
-    jax.config.update("jax_enable_x64", True)
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("folder", nargs="?", type=Path, default=DATA, help="of the recording")
+    options = parser.parse_args(argv)
     try:
-        recording = read_recording(Path(arguments[0]) if arguments else DATA)
+        recording = read_recording(options.folder)
     except RecordingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     network = jc.derive(jc.panda(), lengths="numeric")
     print(f"{recording.samples} rows, {recording.time[-1]:.1f} s; {network}")
     result = study(network, recording)
-    print(f"chosen on the first two thirds: {result.selection}")
-    print("worst joint there, held out, in parts of the usual way's error")
+    print(f"selected on the first two thirds: {result.selection}")
+    print("worst joint there, held out, relative to the usual method's error")
     for name, worst in result.worst.items():
-        print(f"  {name}: {worst:.3f}{' (chosen)' if name == result.chosen else ''}")
+        print(f"  {name}: {worst:.3f}{' (selected)' if name == result.best else ''}")
     report(result.usual, result.ours)
     return 0
 
 
 def report(usual: dict[str, np.ndarray], ours: dict[str, np.ndarray]) -> None:
-    """Prints the errors, and ours in parts of the usual way's."""
+    """Prints the errors, and ours relative to the usual method's."""
     print(f"\nRMS torque error on the last third, N m{'':>10}", *(f"   {i}  " for i in range(1, 8)))
     for kind, errors in ours.items():
         print(f"torque {kind}")
         printed = PRINTED.get(kind)
         rows = {
-            "usual way, 5 Hz, as printed": printed,
-            "usual way, 5 Hz, recomputed": usual[kind],
+            "usual method, 5 Hz, as printed": printed,
+            "usual method, 5 Hz, recomputed": usual[kind],
             "jaxcslc": errors,
             "jaxcslc / printed": None if printed is None else errors / np.array(printed),
             "jaxcslc / recomputed": errors / usual[kind],
@@ -301,4 +304,4 @@ def report(usual: dict[str, np.ndarray], ours: dict[str, np.ndarray]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    raise SystemExit(main())

@@ -7,18 +7,19 @@ counts and of motor torques, at 5 kHz, from the repository figaroh-examples. By 
 ../shared/data/staubli_tx40 beside the repository. Rows 0 to 24,750 are fitted, rows 29,250 to
 45,000 judged, as the peer does.
 
-**What is chosen, and where.** The terms of the friction model, the cut-off of the filter that
-positions go through, and the speed below which a joint is at rest, all by cross-validation within
-the rows to be fitted: five stretches, each foretold by a fit to the other four, and the least sum
-of root mean square errors over joints wins. Slopes of static friction are fitted, never chosen.
+**Selection.** The terms of the friction model, the cut-off of the filter that
+positions go through, and the speed below which a joint is at rest, all selected by
+cross-validation within the rows to be fitted: five stretches, each predicted by a fit to the other
+four; the least sum of root mean square errors over joints wins. Slopes of static friction are
+fitted.
 
-The program never reads the rows to be judged before it has chosen, but this is no blind test: some
-17 variants were printed with their errors on those rows while the list of candidates was drawn up,
-and the list was shortened after that. Those with static friction lay between 13.4 and 14.4 N m, in
+The program reads the rows to be judged after the selection only, but this is no blind test: some 17
+variants were printed with their errors on those rows while the list of candidates was drawn up, and
+the list was shortened after that. Those with static friction lay between 13.4 and 14.4 N m, in
 sum over the joints.
 
-**At rest** no model of sliding friction can know the torque, and the sign of a velocity that is
-rounding would be noise: it is set to zero, which foretells the middle of what friction could hold.
+**At rest** no model of sliding friction predicts the torque, and the sign of a velocity of rounding
+would be noise: it is set to zero, which predicts the middle of the torques that friction can bear.
 """
 
 import argparse
@@ -46,7 +47,7 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "staubli_tx40"
 POSITIONS, TORQUES = "pos_read_data.csv", "curr_data.csv"
 INTERVAL = 1 / 5000  # [s]
 FITTED, JUDGED = slice(0, 24_750), slice(29_250, 45_000)
-PARTS = 5  # of the fitted rows, for choosing among them
+PARTS = 5  # of the fitted rows, for cross-validation
 
 # Gear ratios. The motor of joint 6 turns with joint 5: its position is of both, and its torque
 # works on both.
@@ -54,7 +55,7 @@ RATIOS = (32.0, 32.0, 45.0, -48.0, 45.0, 32.0)
 WRIST = 32.0
 ZERO = (0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0)  # joint positions at the encoders' zero [rad]
 
-WORDS = (
+FRICTION_MODELS = (
     ("viscous", "dry", "offset"),
     ("viscous", "dry", "static", "offset"),
     ("viscous", "dry", "static", "root", "offset"),
@@ -103,15 +104,15 @@ def _table(path: Path) -> Float[np.ndarray, "rows joints"]:
     return table
 
 
-class Choice(NamedTuple):
-    """What is chosen: friction terms, the filter's cut-off [Hz], and the speed of rest [rad/s]."""
+class Candidate(NamedTuple):
+    """Friction terms, the filter's cut-off [Hz], and the speed of rest [rad/s]."""
 
-    words: tuple[str, ...]
+    friction: tuple[str, ...]
     cutoff: float
     rest: float
 
     def __str__(self) -> str:
-        return f"{', '.join(self.words)}; {self.cutoff:g} Hz; at rest below {self.rest:g} rad/s"
+        return f"{', '.join(self.friction)}; {self.cutoff:g} Hz; at rest below {self.rest:g} rad/s"
 
 
 def prepared(recording: Recording, cutoff: float, rest: float, step: int) -> Patterns:
@@ -129,8 +130,8 @@ def fitted(network: jc.CSLC, patterns: Patterns) -> tuple[jc.CSLC, jc.Identifica
         return network, jc.LeastSquares(joint_weights="residual", errors="independent").fit(
             network, patterns
         )
-    found = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(errors="independent"))
-    return found.network, found.fit
+    slopes = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(errors="independent"))
+    return slopes.network, slopes.fit
 
 
 def errors(
@@ -142,7 +143,7 @@ def errors(
 
 
 def held_out(network: jc.CSLC, patterns: Patterns) -> Float[np.ndarray, " joints"]:
-    """Errors within the rows to be fitted, each part foretold by a fit to the others [N m].
+    """Errors within the rows to be fitted, each part predicted by a fit to the others [N m].
 
     The slopes are those of all parts: they are six numbers of thousands of rows.
     """
@@ -156,59 +157,64 @@ def held_out(network: jc.CSLC, patterns: Patterns) -> Float[np.ndarray, " joints
     squares = np.zeros(patterns.joints)
     for number in range(PARTS):
         others = np.broadcast_to((part != number)[:, None], patterns.q.shape)
-        rest = dataclasses.replace(patterns, friction_mask=others)
-        fit = jc.LeastSquares(joint_weights=weights, errors="independent").fit(network, rest)
+        remaining = dataclasses.replace(patterns, friction_mask=others)
+        fit = jc.LeastSquares(joint_weights=weights, errors="independent").fit(network, remaining)
         squares += np.sum(part == number) * errors(network, fit.k, patterns, part == number) ** 2
     return np.sqrt(squares / patterns.samples)
 
 
 def study(
-    recording: Recording, choices: Sequence[Choice], step: int
-) -> tuple[dict[Choice, Float[np.ndarray, " joints"]], Choice, jc.CSLC, jc.Identification]:
-    """Every choice's errors within the fitted rows, the best, and its model of all of them."""
+    recording: Recording, candidates: Sequence[Candidate], step: int
+) -> tuple[dict[Candidate, Float[np.ndarray, " joints"]], Candidate, jc.CSLC, jc.Identification]:
+    """Errors of every candidate within the fitted rows, the best, and its model of all of them."""
     training = recording.rows(FITTED)
     networks = {
-        words: jc.derive(tx40().with_friction(*words), lengths="numeric")
-        for words in dict.fromkeys(choice.words for choice in choices)
+        friction: jc.derive(tx40().with_friction(*friction), lengths="numeric")
+        for friction in dict.fromkeys(candidate.friction for candidate in candidates)
     }
-    scores: dict[Choice, Float[np.ndarray, " joints"]] = {}
-    for choice in tqdm(choices, desc="choices", disable=None):
-        patterns = prepared(training, choice.cutoff, choice.rest, step)
-        scores[choice] = held_out(networks[choice.words], patterns)
-    best = min(scores, key=lambda choice: float(np.sum(scores[choice])))
+    scores: dict[Candidate, Float[np.ndarray, " joints"]] = {}
+    for candidate in tqdm(candidates, desc="candidates", disable=None):
+        patterns = prepared(training, candidate.cutoff, candidate.rest, step)
+        scores[candidate] = held_out(networks[candidate.friction], patterns)
+    best = min(scores, key=lambda candidate: float(np.sum(scores[candidate])))
     patterns = prepared(training, best.cutoff, best.rest, step)
-    return scores, best, *fitted(networks[best.words], patterns)
+    return scores, best, *fitted(networks[best.friction], patterns)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", nargs="?", type=Path, default=DATA, help="that holds the log")
     parser.add_argument("-o", "--output", type=Path, default=Path("build/staubli_tx40"))
-    parser.add_argument("--step", type=int, default=10, help="fit every so-manieth sample")
-    parser.add_argument("--words", type=int, nargs="+", default=list(range(len(WORDS))),
+    parser.add_argument("--step", type=int, default=10, help="fit one of so many samples")
+    numbers = list(range(len(FRICTION_MODELS)))
+    parser.add_argument("--friction-models", type=int, nargs="+", default=numbers,
                         metavar="NUMBER", help="friction models to try, from 0")  # fmt: skip
     parser.add_argument("--cutoffs", type=float, nargs="+", default=CUTOFFS, help="to try [Hz]")
     parser.add_argument("--rest", type=float, nargs="+", default=REST,
                         help="speeds of rest to try [rad/s]")  # fmt: skip
-    given = parser.parse_args(arguments)
-    if not 1 <= given.step <= 100:
-        parser.error(f"--step is {given.step}; expected 1 to 100")
-    if not all(0 <= number < len(WORDS) for number in given.words):
-        parser.error(f"--words are {given.words}; expected numbers from 0 to {len(WORDS) - 1}")
-    if min(given.cutoffs) <= 0 or min(given.rest) < 0:
+    options = parser.parse_args(argv)
+    if not 1 <= options.step <= 100:
+        parser.error(f"--step is {options.step}; expected 1 to 100")
+    if not set(options.friction_models) <= set(numbers):
+        parser.error(
+            f"--friction-models are {options.friction_models}; expected numbers from 0 to"
+            f" {numbers[-1]}"
+        )
+    if min(options.cutoffs) <= 0 or min(options.rest) < 0:
         parser.error("--cutoffs must be above 0 and --rest 0 or more")
     try:
-        recording = read_recording(given.folder)
+        recording = read_recording(options.folder)
     except RecordingError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    words = [WORDS[number] for number in dict.fromkeys(given.words)]
-    choices = [Choice(*each) for each in product(words, given.cutoffs, given.rest)]
-    scores, best, network, fit = study(recording, choices, given.step)
+    models = [FRICTION_MODELS[number] for number in dict.fromkeys(options.friction_models)]
+    settings = product(models, options.cutoffs, options.rest)
+    candidates = [Candidate(*values) for values in settings]
+    scores, best, network, fit = study(recording, candidates, options.step)
     print(f"{recording.samples} rows; {network}")
     print(text_table(*_scores_table(scores, best)))
 
-    # Once, and after everything was chosen.
+    # Once, after everything was selected.
     everything = prepared(recording, best.cutoff, best.rest, 1)
     ours = errors(network, fit.k, everything, JUDGED)
     rows = {**{name: np.array(row) for name, row in PEER.items()}, "jaxcslc": ours}
@@ -218,36 +224,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"every joint below every row of the peer's: {'yes' if below else 'no'}")
     if network.static_slopes is not None:
         listed = ", ".join(f"{1 / slope:.3g}" for slope in network.static_slopes)
-        print(f"static friction is gone to 1/e at {listed} rad/s")
-    given.output.mkdir(parents=True, exist_ok=True)
-    write_csv(given.output / "choices.csv", [_row(str(c), e) for c, e in scores.items()])
-    write_csv(given.output / "held_out.csv", [_row(name, e) for name, e in rows.items()])
-    print(f"wrote tables into {given.output}")
+        print(f"static friction has decayed to 1/e at {listed} rad/s")
+    options.output.mkdir(parents=True, exist_ok=True)
+    write_csv(options.output / "candidates.csv", [_row(str(c), e) for c, e in scores.items()])
+    write_csv(options.output / "held_out.csv", [_row(name, e) for name, e in rows.items()])
+    print(f"wrote tables into {options.output}")
     return 0
 
 
-def _row(name: str, each: np.ndarray) -> dict[str, Any]:
-    joints = {f"joint {i}": float(error) for i, error in enumerate(each, start=1)}
-    return {"model": name, **joints, "sum": float(np.sum(each))}
+def _row(name: str, errors: np.ndarray) -> dict[str, Any]:
+    joints = {f"joint {i}": float(error) for i, error in enumerate(errors, start=1)}
+    return {"model": name, **joints, "sum": float(np.sum(errors))}
 
 
 def _errors_table(rows: dict[str, np.ndarray]) -> tuple[list[str], list[list[str]]]:
     header = ["model", *(f"{i}" for i in range(1, 7)), "sum"]
     return header, [
-        [name, *(f"{error:.2f}" for error in each), f"{np.sum(each):.2f}"]
-        for name, each in rows.items()
+        [name, *(f"{error:.2f}" for error in errors), f"{np.sum(errors):.2f}"]
+        for name, errors in rows.items()
     ]
 
 
 def _scores_table(
-    scores: dict[Choice, np.ndarray], best: Choice
+    scores: dict[Candidate, np.ndarray], best: Candidate
 ) -> tuple[list[str], list[list[str]]]:
-    """The best settings of each friction model, and what is chosen."""
+    """The best settings of each friction model, and the selected ones."""
     rows: dict[str, np.ndarray] = {}
-    for words in dict.fromkeys(choice.words for choice in scores):
-        own = [choice for choice in scores if choice.words == words]
-        choice = min(own, key=lambda choice: float(np.sum(scores[choice])))
-        rows[f"{choice}{' (chosen)' if choice == best else ''}"] = scores[choice]
+    for friction in dict.fromkeys(candidate.friction for candidate in scores):
+        of_model = [candidate for candidate in scores if candidate.friction == friction]
+        candidate = min(of_model, key=lambda candidate: float(np.sum(scores[candidate])))
+        rows[f"{candidate}{' (selected)' if candidate == best else ''}"] = scores[candidate]
     header, table = _errors_table(rows)
     return ["within the fitted rows", *header[1:]], table
 

@@ -1,6 +1,6 @@
-"""Executes notebooks from top to bottom and stores what their cells answer.
+"""Executes notebooks from top to bottom and stores the outputs of their cells.
 
-Stored are outputs and their numbers alone: no times, no paths, no version of the interpreter.
+Outputs and their numbers alone are stored: no times, no paths, no version of the interpreter.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 
 ROOT = Path(__file__).parents[2]
-# Of the interpreter, whoever reads needs to know the language.
+# Readers need the language of the cells, not the version of the interpreter.
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {"name": "python"},
@@ -31,7 +31,7 @@ def execute(path: Path) -> Any:
     **Raises** `nbclient.exceptions.CellExecutionError` at the first cell that fails.
     """
     notebook = nbformat.read(path, as_version=4)
-    # What the environment says of pictures is for programs without a notebook around them.
+    # A backend of pictures in the environment is for programs without a notebook.
     environment = {name: text for name, text in os.environ.items() if name != "MPLBACKEND"}
     client = NotebookClient(
         notebook,
@@ -40,7 +40,7 @@ def execute(path: Path) -> Any:
         resources={"metadata": {"path": str(ROOT)}},
         record_timing=False,
         coalesce_streams=True,
-        # Kernels and clients of one machine talk unencrypted, and warn of it every time.
+        # Kernels and clients of one machine communicate unencrypted, and warn of it every time.
         extra_arguments=["--IPKernelApp.log_level=40"],
     )
     client.execute(env=environment)
@@ -50,20 +50,21 @@ def execute(path: Path) -> Any:
     return notebook
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
         "notebooks", type=Path, nargs="*", help="those of notebooks/ if none is named"
     )
-    given = parser.parse_args(arguments)
-    paths = given.notebooks or sorted((ROOT / "notebooks").glob("*.ipynb"))
+    options = parser.parse_args(argv)
+    paths = options.notebooks or sorted((ROOT / "notebooks").glob("*.ipynb"))
     for path in paths:
         if not path.is_file():
             parser.error(f"{path}: no such notebook")
     for path in tqdm(paths, desc="notebooks", unit="notebook", disable=None):
         nbformat.write(execute(path), path)
         print(f"stored the outputs of {path}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

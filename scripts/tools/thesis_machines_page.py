@@ -1,4 +1,4 @@
-"""Write docs/puma_a_b.md: what the presets `puma_a` and `puma_b` changed of Appendix B, and why.
+"""Writes docs/puma_a_b.md: changes of the presets `puma_a` and `puma_b` to Appendix B, and why.
 
     .venv/bin/python scripts/tools/thesis_machines_page.py
 
@@ -72,7 +72,7 @@ def constants() -> Mapping[str, float]:
 
 
 def quantities(k: Mapping[str, float]) -> list[tuple[str, str, str, float]]:
-    """Physical quantities that coefficients imply: what, from which coefficient, unit, value."""
+    """Physical quantities that coefficients imply: name, coefficient, unit, value."""
     c = constants()
     reach, moment = c["d2"] + c["d3"], k["kG1"] / c["g"]
     return [
@@ -262,15 +262,15 @@ def _number(value: float, digits: int = 4) -> str:
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, text: int) -> str:
-    """A Markdown table whose first `text` columns are words, the rest figures."""
+    """A Markdown table with `text` columns of text, and figures in the others."""
     rule = ["---"] * text + ["---:"] * (len(heads) - text)
     return "".join(f"| {' | '.join(row)} |\n" for row in (heads, rule, *rows))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Write docs/puma_a_b.md.")
     parser.add_argument("-o", "--output", type=Path, default=PAGE)
-    output = parser.parse_args(arguments).output
+    output = parser.parse_args(argv).output
     _, performed = sim.simulate(sim.puma560(), sim.training(), seed=3)
     output.write_text(page(performed), encoding="utf-8")
     print(f"wrote {output}")

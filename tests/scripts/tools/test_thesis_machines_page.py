@@ -1,17 +1,15 @@
 """docs/puma_a_b.md says what the code does."""
 
-import importlib
 import re
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
-import pytest
 
 import sim
 from jaxcslc import CSLC
+from scripts.tools import thesis_machines_page
 
 
 _ROOT = Path(__file__).parents[3]
@@ -22,15 +20,8 @@ _RELATIVE = 0.02
 _ABSOLUTE = 2e-5
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.tools.thesis_machines_page")
-
-
-def test_the_page_is_what_the_code_computes(
-    script: ModuleType, performed: dict[str, sim.SimulatedRecording]
-) -> None:
-    now = script.page(performed["training"].truth).splitlines()
+def test_the_page_is_what_the_code_computes(performed: dict[str, sim.SimulatedRecording]) -> None:
+    now = thesis_machines_page.page(performed["training"].truth).splitlines()
     page = (_ROOT / "docs" / "puma_a_b.md").read_text(encoding="utf-8").splitlines()
     advice = "docs/puma_a_b.md is out of date: run scripts/tools/thesis_machines_page.py"
     assert len(page) == len(now), advice
@@ -46,16 +37,16 @@ def test_the_page_is_what_the_code_computes(
 
 
 def test_what_the_page_says_of_every_machine(
-    script: ModuleType, puma: CSLC, random_links: Callable[..., Any], rng: np.random.Generator
+    puma: CSLC, random_links: Callable[..., Any], rng: np.random.Generator
 ) -> None:
     """Each quantity has one value, and what is at least 0 is."""
     for _ in range(20):
         k = np.asarray(puma.coefficients_from(random_links(rng, 6, principal=True)))
         by_name = dict(zip(puma.names, k.tolist(), strict=True))
         groups: list[list[float]] = []
-        for what, *_, value in script.quantities(by_name):
+        for what, *_, value in thesis_machines_page.quantities(by_name):
             groups = [*groups, [value]] if what else [*groups[:-1], [*groups[-1], value]]
         assert [len(group) for group in groups] == [5, 3, 2, 1, 1]
         for group in groups:
             np.testing.assert_allclose(group, group[0], rtol=1e-9)
-        assert all(value >= 0 for *_, value in script.spreads(by_name))
+        assert all(value >= 0 for *_, value in thesis_machines_page.spreads(by_name))
