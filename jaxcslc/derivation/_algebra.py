@@ -25,7 +25,7 @@ Lengths = Literal["symbolic", "numeric"] | tuple[str, ...]
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """The tables of the three subnetworks, each made when it is first asked for."""
+    """The tables of the three subnetworks, each made when it is first used."""
 
     ring: PositionRing
     numbering: Numbering | None
@@ -93,7 +93,7 @@ class Algebra:
 
     @property
     def unit_inertias(self) -> tuple[UnitInertia, ...]:
-        """For numeric lengths, the inertia that each base parameter alone stands for.
+        """For numeric lengths, the inertia of each base parameter alone.
 
         Torque depends on the links through the base parameters only. So it is what the terms that
         these are named after produce alone, set to the base parameters, all others being zero. (In
@@ -164,7 +164,7 @@ def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
 
     def elements() -> tuple[dict[Column, Element], dict[Column, Element]]:
         # A base parameter is its base term plus what is regrouped into it, so that a form is
-        # the combination that its entries at the base terms say: the others can be left out.
+        # the combination that its entries at the base terms give: the others can be left out.
         twists = _twists(robot, ring, lambda length, _: exact_number(length.value or 0.0))
         kept = [terms[index] for index in base_terms]
         parts = mass_matrix(ring, twists, kept), gravity_vector(ring, twists, kept)
@@ -201,24 +201,24 @@ def _with_symbols(
     def label(form: Form) -> str:
         return expression(addends(form))
 
-    # Symbolic constants stand in every form's key, so elements of M and G never share one.
+    # Symbolic constants are in every form's key, so elements of M and G never share one.
     mass_basis = Basis(_forms(mass), label)
     gravity_basis = Basis(_forms(weight), label)
     numbering = robot.numbering if lengths == "symbolic" else None  # published for symbols
     forms = mass_basis.forms + gravity_basis.forms
     if lengths == "symbolic":
-        place = [*_published_order(mass_basis, mass, numbering and numbering.mass, ring)]
-        place += [
+        order = [*_published_order(mass_basis, mass, numbering and numbering.mass, ring)]
+        order += [
             (len(mass_basis.forms) + index, scale)
             for index, scale in _published_order(
                 gravity_basis, weight, numbering and numbering.gravity, ring
             )
         ]
     else:  # multiples of numbers are no integers: each coefficient begins with its first term
-        place = [(index, 1 / form[min(form)]) for index, form in enumerate(forms)]
+        order = [(index, 1 / form[min(form)]) for index, form in enumerate(forms)]
     accelerations = tuple(symbol for symbol, _ in gravity if symbol)
-    coefficients: list[Coefficient] = [None] * len(place)  # type: ignore[list-item]
-    for form, (index, scale) in zip(forms, place, strict=True):
+    coefficients: list[Coefficient] = [None] * len(order)  # type: ignore[list-item]
+    for form, (index, scale) in zip(forms, order, strict=True):
         group = "mass" if index < len(mass_basis.forms) else "gravity"
         number = index + 1 if group == "mass" else index + 1 - len(mass_basis.forms)
         scaled = {key: value * scale for key, value in form.items()}
@@ -231,7 +231,7 @@ def _with_symbols(
 
         def rewrite(basis: Basis, shift: int) -> Callable[[Form], Form]:
             return lambda form: {
-                place[shift + index][0]: value / place[shift + index][1]
+                order[shift + index][0]: value / order[shift + index][1]
                 for index, value in basis.combination(form).items()
             }
 
@@ -339,25 +339,25 @@ def _published_order(
     """For each basis form, its published index and the factor that scales it to the published."""
     if published is None or not published.coefficients:
         return [(index, fmpq(1)) for index in range(len(basis.forms))]
-    place: dict[int, tuple[int, Any]] = {}
+    order: dict[int, tuple[int, Any]] = {}
     for number, (label, column, multiple) in enumerate(published.coefficients):
         monomial = ring.parse(label)
         indices = tuple(index - 1 for index in column)
         element = elements.get(indices, {})
         form = element.get(monomial) if monomial is not None else None
         combination = basis.combination(form) if form else {}
-        if len(combination) != 1 or set(combination) & set(place):
+        if len(combination) != 1 or set(combination) & set(order):
             raise RobotError(
                 f"numbering: the link from {label!r} to element {column} does not define a"
                 f" coefficient of its own (number {number + 1})"
             )
         ((index, value),) = combination.items()
-        place[index] = number, value / exact_number(multiple)
-    if len(place) != len(basis.forms):
+        order[index] = number, value / exact_number(multiple)
+    if len(order) != len(basis.forms):
         raise RobotError(
-            f"numbering: lists {len(place)} coefficients, the algebra has {len(basis.forms)}"
+            f"numbering: lists {len(order)} coefficients, the algebra has {len(basis.forms)}"
         )
-    return [place[index] for index in range(len(basis.forms))]
+    return [order[index] for index in range(len(basis.forms))]
 
 
 def _addends(

@@ -1,7 +1,7 @@
 import dataclasses
 import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from flint import arb, arb_mat, ctx, fmpq, fmpz_mod_ctx, fmpz_mod_mat
@@ -31,14 +31,14 @@ def base_parameters(
 
     Every element of M and G is, at every position, a linear form in `terms`. The base
     parameters are a basis of the span of these forms, here its reduced row echelon form: each
-    is one term plus a rational combination of terms that are in no other way visible. That
+    is one term plus a rational combination of terms that nothing else depends on. That
     makes it canonical: it depends on the order of the terms alone.
 
     The span is built from the forms at random positions until three further ones add nothing,
     in arithmetic modulo a large prime: it is as exact as that of rationals and does not swell.
     (Rationals of arbitrary angles grow to thousands of digits in elimination: 8 s for a tree of
     7 joints where this takes a fraction of one.) The combinations are then read back as the
-    simplest fractions of their residues and put to the test at one more position, under another
+    simplest fractions of their residues and tested at one more position, under another
     prime. Where angles are arbitrary the fractions are longer than that; then they are computed
     as numbers, in ball arithmetic that bounds its own rounding, and rounded once.
 
@@ -59,7 +59,7 @@ def base_parameters(
         {column: _fraction(int(x), _PRIME) for column, x in enumerate(row) if x != 0}
         for row in rows
     ]
-    if not _explains(forms, pivots, fractions):
+    if not _span_forms(forms, pivots, fractions):
         fractions = _in_balls(forms, pivots, fractions)
     combinations = [
         {order[column]: fmpq(*fraction) for column, fraction in row.items()} for row in fractions
@@ -92,14 +92,14 @@ def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int]]:
     rank, idle = 0, 0
     while idle < 3:
         rows += forms.at_random_position(draw, field)
-        matrix, found = fmpz_mod_mat(rows, field).rref()
-        rows = matrix.tolist()[:found]  # behind them are rows of zeros
-        idle = idle + 1 if found == rank else 0
-        rank = found
+        matrix, new_rank = fmpz_mod_mat(rows, field).rref()
+        rows = matrix.tolist()[:new_rank]  # behind them are rows of zeros
+        idle = idle + 1 if new_rank == rank else 0
+        rank = new_rank
     return rows, [next(column for column, x in enumerate(row) if x != 0) for row in rows]
 
 
-def _explains(
+def _span_forms(
     forms: _Forms, pivots: Sequence[int], fractions: Sequence[dict[int, tuple[int, int]]]
 ) -> bool:
     """Whether the combinations span the forms at a new position, modulo another prime."""
@@ -109,22 +109,22 @@ def _explains(
         for row in fractions
     ]
     for form in forms.at_random_position(random.Random(_SEED + 1), field):
-        rest = list(form)
+        remainder = list(form)
         for pivot, combination in zip(pivots, combinations, strict=True):
             if form[pivot] != 0:
                 for column, x in combination.items():
-                    rest[column] = rest[column] - form[pivot] * x
-        if any(x != 0 for x in rest):
+                    remainder[column] = remainder[column] - form[pivot] * x
+        if any(x != 0 for x in remainder):
             return False
     return True
 
 
 def _in_balls(
-    forms: _Forms, pivots: Sequence[int], known: Sequence[dict[int, Any]]
+    forms: _Forms, pivots: Sequence[int], nonzero: Sequence[Collection[int]]
 ) -> list[dict[int, tuple[int, int]]]:
-    """The combinations as numbers: those that are not zero are in `known`.
+    """The combinations as numbers: for each, the columns where it is not zero are in `nonzero`.
 
-    Every form is the sum of the combinations, weighted by its own entries at the pivots.
+    Every form is the sum of the combinations, weighted by the form's entries at the pivots.
     """
     draw = random.Random(_SEED)
     with ctx.workprec(_BITS):
@@ -137,7 +137,7 @@ def _in_balls(
                 column: (1, 1)
                 if column == pivot
                 else float(solution[row, column]).as_integer_ratio()
-                for column in known[row]
+                for column in nonzero[row]
             }
             for row, pivot in enumerate(pivots)
         ]
@@ -201,7 +201,7 @@ def _forms_at_random_position(
         gravity=tuple(number(exact_number(g)) for g in robot.gravity),  # type: ignore[arg-type]
     )
     n, needed = len(twists), set[str](BODY)
-    place = {index: column for column, index in enumerate(order)}
+    columns = {index: column for column, index in enumerate(order)}
     rows: list[list[Any]] = []
 
     def row(first: int, factors_of: Any) -> list[Any]:
@@ -214,7 +214,7 @@ def _forms_at_random_position(
                 total = sum(
                     (multiple * factors.get(entry, 0) for entry, multiple in term.body), zero
                 )
-                entries[place[index]] = total
+                entries[columns[index]] = total
         return entries
 
     for j in range(n):
@@ -223,7 +223,7 @@ def _forms_at_random_position(
             if j == k:
                 for index, term in enumerate(terms):
                     if term.factors == ("motor",) and term.link == j:
-                        entries[place[index]] = field(1)
+                        entries[columns[index]] = field(1)
             rows.append(entries)
         rows.append(row(j, lambda twist, j=j: gravity_factors(twist, j, needed)))
     return rows

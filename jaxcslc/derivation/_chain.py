@@ -147,7 +147,7 @@ def link_twists(
     trace: Tr(dT_i/dq_j I_i dT_i'/dq_k) = Tr(X_j I_i X_k'). Multiplying the transforms out first,
     as the equation is written, gives the same polynomials through ones that are far larger.
 
-    One text for every kind of number: polynomials, rationals, arrays.
+    The same code serves every kind of number: polynomials, rationals, arrays.
 
     **Arguments**
 
@@ -157,18 +157,20 @@ def link_twists(
     - `gravity`: gravity vector in the base frame.
     - `reduce`: brings a product of polynomials into normal form.
 
-    **Returns** one `LinkTwists` a link.
+    **Returns**
+
+    - One `LinkTwists` a link.
     """
     # For every link: Jacobian columns and gravity in the axes of its group of parallel axes, and
     # the rotation from there about the common axis.
-    seen: list[tuple[list[Vector], list[Vector], Vector, Rotation]] = []
+    in_group: list[tuple[list[Vector], list[Vector], Vector, Rotation]] = []
     twists: list[LinkTwists] = []
     for i, link in enumerate(chain.links):
         angular: list[Vector] = []
         linear: list[Vector] = []
         weight, turn, side = gravity, (1, 0), 1
         if link.parent >= 0:
-            angular, linear, weight, turn = seen[link.parent]
+            angular, linear, weight, turn = in_group[link.parent]
             side = chain.links[link.parent].side
         turn = compose(turn, link.branch, side)
         cos_twist, sin_twist = link.twist
@@ -197,7 +199,7 @@ def link_twists(
         apart = [ZERO] * (i - len(angular))  # joints that do not carry this link
         angular = [*angular, *apart, ZERO if link.prismatic else axis]
         linear = [*linear, *apart, axis if link.prismatic else ZERO]
-        seen.append((angular, linear, weight, turn))
+        in_group.append((angular, linear, weight, turn))
         twists.append(
             LinkTwists(
                 tuple(_into_frame(w, turn, link.side, reduce) for w in angular),

@@ -22,7 +22,7 @@ class Addend:
 
 @dataclass(frozen=True, eq=False)  # compared by identity, like the table that indexes it
 class Coefficient:
-    """A coefficient of the inverse dynamics: what one weight of the network stands for.
+    """A coefficient of the inverse dynamics: what one weight of the network is.
 
     **Attributes**
 

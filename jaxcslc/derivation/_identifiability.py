@@ -12,7 +12,7 @@ Identifiability = Literal["alone", "only in combinations", "not at all"]
 
 @dataclass(frozen=True)
 class StructuralIdentifiability:
-    """Whether any motion at all could tell a physical parameter of a robot.
+    """Whether a physical parameter of a robot can be identified, by any motion at all.
 
     **Attributes**
 
@@ -46,22 +46,24 @@ class StructuralIdentifiability:
 
 
 def structural_identifiability(algebra: Algebra) -> tuple[StructuralIdentifiability, ...]:
-    """What torque and motion can tell of each link parameter, however exciting the motion.
+    """Which link parameters torque and motion determine, however exciting the motion.
 
     Torque depends on link parameters through the coefficients alone, and on each coefficient
     independently of the others (2.4; with numeric lengths they are the base parameters of Gautier
-    and Khalil, 1990). So a parameter can be told alone if, and only if, it is a linear combination
-    of coefficients: exact arithmetic decides, nothing is sampled.
+    and Khalil, 1990). So a parameter can be identified alone if, and only if, it is a linear
+    combination of coefficients: exact arithmetic decides, nothing is sampled.
 
     With symbolic lengths, products with different lengths count as different parameters, as if
-    the lengths were free: what is told alone by them can be told with numbers, while numeric
-    lengths can tell more, where they make coefficients that share parameters independent.
+    the lengths were free. What they determine alone, numeric lengths determine alone too; numeric
+    lengths can determine more, where they make coefficients that share parameters independent.
 
-    Friction is no matter of link parameters: each of its coefficients can be told alone.
+    Friction is not part of the link parameters: each of its coefficients can be identified alone.
 
-    **Returns** one row for each link parameter, or product of parameters, that the robot has, in
-    the order of `algebra.terms`: for full inertia tensors `Ixx` to `Iyz` about the link frame's
-    origin, first moments and mass, then motor inertias.
+    **Returns**
+
+    - One row for each link parameter, or product of parameters, that the robot has, in the order
+      of `algebra.terms`: for full inertia tensors `Ixx` to `Iyz` about the link frame's origin,
+      first moments and mass, then motor inertias.
 
     >>> from jaxcslc.manipulator import puma560
     >>> from jaxcslc.derivation import derive_algebra, structural_identifiability
@@ -89,13 +91,13 @@ def structural_identifiability(algebra: Algebra) -> tuple[StructuralIdentifiabil
         for row in echelon.tolist()
         if sum(1 for value in row if value) == 1
     }
-    told = {term for (term, _), column in columns.items() if column in alone}
+    identified = {term for (term, _), column in columns.items() if column in alone}
     return tuple(
         StructuralIdentifiability(
             term.label,
             term.link + 1,
             "alone"
-            if term in told
+            if term in identified
             else "only in combinations"
             if term in part_of
             else "not at all",

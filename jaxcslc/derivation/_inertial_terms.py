@@ -16,10 +16,10 @@ _FIRST_MOMENTS = BODY[6:9]
 
 @dataclass(frozen=True)
 class InertialTerm:
-    """One product of a link's physical parameters, and where it stands in the link's inertia.
+    """One product of a link's physical parameters, and where it is in the link's inertia.
 
     `factors` multiply each other: `("Ixx",)`, `("m", "rx", "ry")`, `("motor",)`. `body` says how
-    much of it each of the ten entries of `BODY` holds (Eqns. 2.3-17, 2.3-20). `link` counts
+    much of it each of the ten entries of `BODY` contains (Eqns. 2.3-17, 2.3-20). `link` counts
     from 0. `central` marks a moment about the centre of gravity instead of the frame's origin.
     """
 
@@ -78,9 +78,9 @@ def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
             zero: set[str] = zero,
         ) -> None:
             if not zero & set(factors):
-                held = body.setdefault(factors, {})
+                entries_of_term = body.setdefault(factors, {})
                 for entry, multiple in entries.items():
-                    held[entry] = held.get(entry, 0) + multiple
+                    entries_of_term[entry] = entries_of_term.get(entry, 0) + multiple
 
         for moment in ("Ixx", "Iyy", "Izz"):
             put((same[moment],), {moment: 1})
@@ -101,8 +101,10 @@ def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
         put(("m",), {"m": 1})
         central = inertia.form == "principal"
         terms += [
-            InertialTerm(link, factors, tuple(held.items()), central and factors[0][0] == "I")
-            for factors, held in body.items()
+            InertialTerm(
+                link, factors, tuple(entries_of_term.items()), central and factors[0][0] == "I"
+            )
+            for factors, entries_of_term in body.items()
         ]
     terms += [
         InertialTerm(link, ("motor",), ())

@@ -88,9 +88,9 @@ def _half_sum(plus: Element, also: Element, minus: Element) -> Element:
     total: Element = {}
     for element, sign in ((plus, 1), (also, 1), (minus, -1)):
         for monomial, form in element.items():
-            held = total.setdefault(monomial, {})
+            form_total = total.setdefault(monomial, {})
             for key, value in form.items():
-                held[key] = held.get(key, 0) + sign * value / 2
+                form_total[key] = form_total.get(key, 0) + sign * value / 2
     return _without_zeros(total)
 
 

@@ -115,8 +115,8 @@ class LinkState:
 class NewtonEuler:
     """The recursive Newton-Euler equations over any kind of number (Luh, Walker and Paul 1980).
 
-    One text for rationals, floats, arrays and the expressions of generated code: nothing is asked
-    of numbers but sums, differences and products. Bodies are ten numbers each, in the order of
+    The same code serves rationals, floats, arrays and the expressions of generated code: it needs
+    sums, differences and products only. Bodies are ten numbers each, in the order of
     `BODY`, about the frame of the link that they belong to; motors are the inertia that each joint
     adds to its own.
 
@@ -129,8 +129,8 @@ class NewtonEuler:
 
     >>> from fractions import Fraction
     >>> from jaxcslc.derivation import LinkFrame, NewtonEuler
-    >>> rest = (1, 0)
-    >>> frame = LinkFrame(-1, False, rest, rest, rest, (0, 0, 0))
+    >>> straight = (1, 0)
+    >>> frame = LinkFrame(-1, False, straight, straight, straight, (0, 0, 0))
     >>> arm = NewtonEuler((frame,), (0, Fraction(-981, 100), 0))
     >>> arm.gravity_torque([[0, 0, 0, 0, 0, 0, 1, 0, 0, 2]])
     [Fraction(981, 100)]

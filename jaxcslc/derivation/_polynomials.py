@@ -95,13 +95,13 @@ class PositionRing:
         result: dict[Monomial, dict[Any, Any]] = {}
 
         def put(monomial: list[int], form: dict[Any, Any], factor: int) -> None:
-            held = result.setdefault(tuple(monomial), {})
+            form = result.setdefault(tuple(monomial), {})
             for key, value in form.items():
-                total = held.get(key, 0) + factor * value
+                total = form.get(key, 0) + factor * value
                 if total:
-                    held[key] = total
+                    form[key] = total
                 else:
-                    del held[key]
+                    del form[key]
 
         for angle, sign in self._angles_of(joint):
             cos, sin = 2 * angle, 2 * angle + 1

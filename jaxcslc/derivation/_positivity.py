@@ -29,7 +29,7 @@ def positive_by_construction(addends: Sequence[Addend], gravity: Sequence[str]) 
                 return False
             continue
         moment = factors[0].startswith("I")
-        # A principal moment is an integral about the centre of gravity: a form of its own.
+        # A principal moment is an integral about the centre of gravity: another form.
         form = forms.setdefault((link, addend.term.central), {})
         if factors[0] in _MOMENTS:
             for axis in _MOMENTS[factors[0]]:
@@ -46,17 +46,17 @@ def positive_by_construction(addends: Sequence[Addend], gravity: Sequence[str]) 
 
 
 def _add(form: dict[tuple[str, str], Fraction], a: str, b: str, value: Fraction) -> None:
-    """Add value * a * b to a form held as its symmetric matrix."""
+    """Add value * a * b to a form, stored as its symmetric matrix."""
     for key in ((a, b), (b, a)):
         form[key] = form.get(key, Fraction(0)) + value / 2
 
 
 def _positive_semidefinite(form: dict[tuple[str, str], Fraction]) -> bool:
-    """Symmetric elimination: a negative pivot, or a zero one with company, decides."""
+    """Symmetric elimination: a negative pivot, or a zero one in a row that is not zero, decides."""
     names = sorted({name for key in form for name in key})
     rows = [[form.get((a, b), Fraction(0)) for b in names] for a in names]
     while rows:
-        pivot, rest = rows[0], rows[1:]
+        pivot, remaining_rows = rows[0], rows[1:]
         if pivot[0] < 0 or (pivot[0] == 0 and any(pivot)):
             return False
         rows = [
@@ -64,6 +64,6 @@ def _positive_semidefinite(form: dict[tuple[str, str], Fraction]) -> bool:
                 value - row[0] * other / pivot[0] if pivot[0] else value
                 for value, other in zip(row[1:], pivot[1:], strict=True)
             ]
-            for row in rest
+            for row in remaining_rows
         ]
     return True

@@ -19,7 +19,7 @@ def direction(form: Form) -> tuple[Direction, Any]:
 
 
 class Basis:
-    """The minimum set of forms of which every form is a known combination (stage C.1.4).
+    """The minimum set of forms of which every form is a rational combination (stage C.1.4).
 
     Forms that differ by a multiple are one. Of those that remain, the simplest that are
     linearly independent are kept, fewest terms first; the others are rational combinations of
@@ -32,48 +32,48 @@ class Basis:
             key, multiple = direction(form)
             multiples.setdefault(key, []).append(multiple)
         candidates: list[tuple[Direction, Any]] = [
-            (key, _unit(found)) for key, found in multiples.items()
+            (key, _unit(factors)) for key, factors in multiples.items()
         ]
         candidates.sort(key=lambda item: (len(item[0]), label(_scaled(*item))))
         self.forms: list[Form] = []
         # Echelon rows: leading key -> (row, the same row as a combination of basis forms).
         self._rows: dict[Any, tuple[Form, dict[int, Any]]] = {}
-        self._known: dict[Direction, dict[int, Any]] = {}
+        self._combinations: dict[Direction, dict[int, Any]] = {}
         for key, unit in candidates:
             form = _scaled(key, unit)
-            rest, used = self._reduce(form)
-            if rest:
+            remainder, used = self._reduce(form)
+            if remainder:
                 index = len(self.forms)
                 self.forms.append(form)
-                self._known[key] = {index: 1 / unit}
+                self._combinations[key] = {index: 1 / unit}
                 combination = {i: -value for i, value in used.items()}
                 combination[index] = fmpq(1)
-                self._rows[min(rest)] = rest, combination
+                self._rows[min(remainder)] = remainder, combination
             else:
-                self._known[key] = {i: value / unit for i, value in used.items()}
+                self._combinations[key] = {i: value / unit for i, value in used.items()}
 
     def combination(self, form: Form) -> dict[int, Any]:
         """`form` as {index of basis form: rational}."""
         key, multiple = direction(form)
-        return {index: multiple * value for index, value in self._known[key].items()}
+        return {index: multiple * value for index, value in self._combinations[key].items()}
 
     def _reduce(self, form: Form) -> tuple[Form, dict[int, Any]]:
         """What is left of `form` after the rows so far, and the combination taken off."""
-        rest, used = dict(form), {}
+        remainder, used = dict(form), {}
         for lead in list(self._rows):
-            if lead in rest:
+            if lead in remainder:
                 row, combination = self._rows[lead]
-                factor = rest[lead] / row[lead]
+                factor = remainder[lead] / row[lead]
                 for key, value in row.items():
-                    total = rest.get(key, 0) - factor * value
+                    total = remainder.get(key, 0) - factor * value
                     if total:
-                        rest[key] = total
+                        remainder[key] = total
                     else:
-                        del rest[key]
+                        del remainder[key]
                 for index, value in combination.items():
                     total = used.get(index, 0) + factor * value
                     used[index] = total
-        return rest, {index: value for index, value in used.items() if value}
+        return remainder, {index: value for index, value in used.items() if value}
 
 
 def _scaled(key: Direction, unit: Any) -> Form:

@@ -60,7 +60,7 @@ def table(
 
     **Raises**
 
-    - `RobotError`: if the published inputs are not exactly those that the algebra found.
+    - `RobotError`: if the published inputs are not exactly those of the algebra.
     """
     inputs: dict[Monomial, int] = {}
     if published is not None and published.inputs:
@@ -91,16 +91,16 @@ def table(
 def _published_inputs(
     ring: PositionRing, elements: Mapping[Column, Element], labels: Sequence[str], source: str
 ) -> dict[Monomial, int]:
-    found = {monomial for element in elements.values() for monomial in element}
+    monomials = {monomial for element in elements.values() for monomial in element}
     inputs: dict[Monomial, int] = {}
     for label in labels:
         monomial = ring.parse(label)
-        if monomial is None or monomial not in found or monomial in inputs:
+        if monomial is None or monomial not in monomials or monomial in inputs:
             raise RobotError(
-                f"numbering ({source}): {label!r} is not an input of this robot, or stands twice"
+                f"numbering ({source}): {label!r} is not an input of this robot, or is listed twice"
             )
         inputs[monomial] = len(inputs)
-    if missing := found - set(inputs):
+    if missing := monomials - set(inputs):
         raise RobotError(
             f"numbering ({source}): input {ring.label(min(missing))!r} of this robot is not listed"
         )

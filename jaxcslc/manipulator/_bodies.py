@@ -15,7 +15,7 @@ from ._link_parameters import LinkParameters
 
 
 _ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively ...
-_NOTHING = 1e-15  # ... and absolutely [kg m²]: links of next to no mass are rounding throughout
+_SMALLEST = 1e-15  # ... and absolutely [kg m²]: inertias of links of next to no mass are rounding
 
 Pose = Float[np.ndarray, "4 4"]
 
@@ -37,7 +37,7 @@ class FileJoint(NamedTuple):
 
 
 class Body(NamedTuple):
-    """A body of a file: where it stands in its parent, what it weighs, how it moves."""
+    """A body of a file: its pose in its parent, its inertia, its joints."""
 
     name: str
     parent: int  # index of the body that carries it; -1 for the world itself
@@ -52,7 +52,7 @@ class BodyTree(NamedTuple):
 
     bodies: tuple[Body, ...]
     gravity: tuple[float, float, float]
-    ties: tuple[tuple[str, tuple[str, str]], ...]  # what closes loops, and the two that it ties
+    constraints: tuple[tuple[str, tuple[str, str]], ...]  # kind, and the two that it connects
 
     def path(self, body: int) -> Iterator[int]:
         """From a body to the world, both included."""
@@ -64,10 +64,10 @@ class BodyTree(NamedTuple):
 def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
     """The bodies and joints of a URDF or MJCF file, as MuJoCo's own loader understands them.
 
-    What can be seen, touched or driven is taken out before the file is compiled, so that no mesh
-    is looked for. Bodies without an inertial element weigh nothing in URDF, and what their
-    geometry says in MJCF; where that is a mesh, `inertia` is None. Numbers that no body can have
-    are a `fault` of the body: whoever asks for another part of the file need not mind.
+    Meshes, sensors, actuators and the like are removed before the file is compiled, so that no mesh
+    is read. Bodies without an inertial element have no mass in URDF, and that of their geometry
+    in MJCF; where that is a mesh, `inertia` is None. Numbers that no body can have are a `fault` of
+    the body: it matters only to a robot that the body is part of.
 
     **Raises**
 
@@ -81,21 +81,21 @@ def _read(path: Path, urdf: bool) -> BodyTree:
     try:
         spec = _parsed(path, urdf)
     except ValueError as error:
-        raise _refused(path, error) from None
+        raise _mujoco_error(path, error) from None
     for i, element in enumerate([*spec.bodies, *spec.joints]):
         element.name = element.name or f"unnamed {i}"
-    own = {body.name: _own_inertia(body) for body in spec.bodies if body.explicitinertial}
-    faults = {name: _fault(*numbers) for name, numbers in own.items()}
-    unknown = _without_looks(spec, urdf)
+    inertials = {body.name: _inertial(body) for body in spec.bodies if body.explicitinertial}
+    faults = {name: _fault(*numbers) for name, numbers in inertials.items()}
+    unknown = _without_geometry(spec, urdf)
     massless = {b.name for b in spec.bodies if not (b.explicitinertial or b.geoms)} - unknown
-    stated = _replaced_inertias(spec, {*own, *unknown, *massless})
-    ties = tuple(_ties(spec))
+    stated = _replaced_inertias(spec, {*inertials, *unknown, *massless})
+    constraints = tuple(_constraints(spec))
     _delete(spec.equalities, spec)
     spec.compiler.fusestatic = False
     try:
         model: Any = spec.compile()
     except ValueError as error:
-        raise _refused(path, error) from None
+        raise _mujoco_error(path, error) from None
     bodies: list[Body] = []
     for i in range(model.nbody):
         name = model.body(i).name
@@ -103,9 +103,9 @@ def _read(path: Path, urdf: bool) -> BodyTree:
         if name in unknown or faults.get(name):
             inertia = None
         elif name in massless:
-            inertia = _nothing()
-        elif name in own:
-            mass, _, tensor = own[name]
+            inertia = _massless()
+        elif name in inertials:
+            mass, _, tensor = inertials[name]
             inertia = LinkParameters(mass, stated[name], rotation @ tensor @ rotation.T)
         else:
             tensor = rotation @ np.diag(model.body_inertia[i]) @ rotation.T
@@ -116,7 +116,7 @@ def _read(path: Path, urdf: bool) -> BodyTree:
         joints = tuple(_joints(model, i))
         bodies.append(Body(name, parent, pose, inertia, joints, faults.get(name)))
     x, y, z = (float(g) for g in spec.option.gravity)
-    return BodyTree(tuple(bodies), (x, y, z), ties)
+    return BodyTree(tuple(bodies), (x, y, z), constraints)
 
 
 def _parsed(path: Path, urdf: bool) -> Any:
@@ -127,7 +127,7 @@ def _parsed(path: Path, urdf: bool) -> Any:
         return mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
     if path.suffix == ".xml":
         return mujoco.MjSpec.from_file(str(path))
-    # Read as included, the file finds what it includes itself where it stands.
+    # Read as an included file, it finds its own includes beside it.
     whole = f"<mujoco><include file={quoteattr(str(path.resolve()))}/></mujoco>"
     return mujoco.MjSpec.from_string(whole)
 
@@ -139,7 +139,7 @@ _handler = RLock()  # MuJoCo has one for all threads
 def _without_warnings() -> Generator[None]:
     """Keep MuJoCo from printing warnings, and from noting them in a file of the current folder.
 
-    They are about limits, looks and the like, which are not read.
+    They are about limits, geometry and the like, which are not read.
     """
     mujoco: Any = require("mujoco", "urdf")
 
@@ -158,8 +158,8 @@ def _without_warnings() -> Generator[None]:
 Stated = tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]
 
 
-def _own_inertia(body: Any) -> Stated:
-    """Mass, centre and tensor that an inertial element states, the tensor in its own axes."""
+def _inertial(body: Any) -> Stated:
+    """Mass, centre and tensor that an inertial element states, the tensor in the element's axes."""
     full = np.asarray(body.fullinertia)
     if np.isnan(full[0]):
         tensor = np.diag(np.asarray(body.inertia, dtype=float))
@@ -179,7 +179,7 @@ def _fault(
         return f"expected a mass of zero or more in kg, got {mass}"
     moments = np.linalg.eigvalsh(tensor)
     listed = ", ".join(f"{moment:.6g}" for moment in moments)
-    rounding = _ROUNDING * abs(moments[2]) + _NOTHING
+    rounding = _ROUNDING * abs(moments[2]) + _SMALLEST
     if moments[0] < -rounding:
         return (
             f"expected moments of inertia of zero or more in kg m², got principal moments {listed}"
@@ -192,8 +192,8 @@ def _fault(
     return None
 
 
-def _without_looks(spec: Any, urdf: bool) -> set[str]:
-    """Take out all that is no body and no joint; names bodies whose inertia would be a mesh's."""
+def _without_geometry(spec: Any, urdf: bool) -> set[str]:
+    """Remove all but bodies and joints. Returns names of bodies whose inertia would be a mesh's."""
     mujoco: Any = require("mujoco", "urdf")
 
     unknown: set[str] = set()
@@ -207,8 +207,8 @@ def _without_looks(spec: Any, urdf: bool) -> set[str]:
     }
     for body in spec.bodies:
         for geom in list(body.geoms):
-            weighs = not (geom.mass == 0 or geom.density == 0)
-            if geom.type not in primitive and weighs and not body.explicitinertial and not urdf:
+            has_mass = not (geom.mass == 0 or geom.density == 0)
+            if geom.type not in primitive and has_mass and not body.explicitinertial and not urdf:
                 unknown.add(body.name)
             if urdf or geom.type not in primitive or body.explicitinertial:
                 spec.delete(geom)
@@ -227,10 +227,10 @@ def _delete(elements: Any, spec: Any) -> None:
 
 
 def _replaced_inertias(spec: Any, names: set[str]) -> dict[str, Float[np.ndarray, "3"]]:
-    """Put a unit ball in place of stated inertias; returns the centres of gravity stated.
+    """Replace inertias by a unit ball's. Returns the centres of gravity that the file states.
 
-    MuJoCo compiles no moving body without mass, and rotates tensors to principal axes. What it is
-    still asked for are orientations, which files state in five ways.
+    MuJoCo compiles no moving body without mass, and rotates tensors to principal axes. It still
+    computes orientations, which files state in five ways.
     """
     centres: dict[str, Float[np.ndarray, 3]] = {}
     for body in spec.bodies:
@@ -243,7 +243,7 @@ def _replaced_inertias(spec: Any, names: set[str]) -> dict[str, Float[np.ndarray
     return centres
 
 
-def _ties(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
+def _constraints(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
     for equality in spec.equalities:
         if equality.active and equality.name1:
             kind = equality.type.name.removeprefix("mjEQ_").lower()
@@ -259,7 +259,7 @@ def _joints(model: Any, body: int) -> Iterator[FileJoint]:
     }
     for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
         name, dof = model.jnt(j).name, int(model.jnt_dofadr[j])
-        kind, word = kinds[int(model.jnt_type[j])]
+        kind, type_name = kinds[int(model.jnt_type[j])]
         fault = None
         for what, poly, at in (
             ("damping", getattr(model, "dof_dampingpoly", None), dof),
@@ -270,7 +270,7 @@ def _joints(model: Any, body: int) -> Iterator[FileJoint]:
         yield FileJoint(
             name,
             kind,
-            word,
+            type_name,
             model.jnt_axis[j].copy(),
             model.jnt_pos[j].copy(),
             float(model.qpos0[model.jnt_qposadr[j]]) if kind else 0.0,
@@ -293,10 +293,10 @@ def _rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def _nothing() -> LinkParameters:
+def _massless() -> LinkParameters:
     return LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
-def _refused(path: Path, error: ValueError) -> RobotError:
+def _mujoco_error(path: Path, error: ValueError) -> RobotError:
     """MuJoCo's message in one line."""
     return RobotError(f"{path}: {' '.join(str(error).split()).removeprefix('Error: ')}")

@@ -1,6 +1,6 @@
 class RobotError(ValueError):
     """A robot description that cannot be read, is contradictory, or is incomplete.
 
-    The message is one line: which file or argument, which joint or key, what was found and
-    what was expected.
+    The message is one line: which file or argument, which joint or key, what it is and what
+    was expected.
     """

@@ -15,9 +15,9 @@ FRICTION_TERMS = (
     "offset",
     "spring",
 )
-# Of joints whose slope nobody has said: gone to 5 % at 0.3 rad/s.
+# Of joints whose slope is not known: static friction decays to 5 % at 0.3 rad/s [s/rad].
 STATIC_SLOPE = 10.0
-# Words whose inputs say the same, and why: a fit could not tell their coefficients apart.
+# Kinds whose inputs are collinear, and why: a fit could not separate their coefficients.
 _COLLINEAR = (
     ("viscous", "asymmetric_viscous", "asymmetric_viscous is viscous in either direction"),
     ("dry", "asymmetric_dry", "asymmetric_dry is dry in either direction"),
@@ -26,7 +26,7 @@ _COLLINEAR = (
 
 
 class Coupling(NamedTuple):
-    """Two joints of which one motor turns a shaft that rubs and has inertia for both.
+    """Two joints that share a motor's shaft, which has friction and inertia.
 
     The shaft turns by `q[first] + ratio * q[second]`. Joints count from 1.
 
@@ -40,7 +40,7 @@ class Coupling(NamedTuple):
 
 
 def check_friction(terms: Sequence[str], where: str) -> None:
-    """**Raises** `RobotError` for words that are unknown, listed twice or say the same."""
+    """**Raises** `RobotError` for kinds that are unknown, listed twice or collinear."""
     if unknown := [term for term in terms if term not in FRICTION_TERMS]:
         raise RobotError(
             f"{where}: unknown friction term {unknown[0]!r};"
@@ -53,15 +53,18 @@ def check_friction(terms: Sequence[str], where: str) -> None:
             raise RobotError(f"{where}: friction terms {first} and {second} exclude: {why}")
 
 
-def check_own_friction(own: Sequence[Sequence[str] | None] | None, joints: int, where: str) -> None:
-    """**Raises** `RobotError` unless there is an entry a joint: its words, or None."""
-    if own is None:
+def check_joint_friction(
+    terms_of_joints: Sequence[Sequence[str] | None] | None, joints: int, where: str
+) -> None:
+    """**Raises** `RobotError` unless there is an entry a joint: its kinds of friction, or None."""
+    if terms_of_joints is None:
         return
-    if len(own) != joints:
+    if len(terms_of_joints) != joints:
         raise RobotError(
-            f"{where}: expected {joints} entries of own_friction, one a joint, got {len(own)}"
+            f"{where}: expected {joints} entries of joint_friction, one a joint,"
+            f" got {len(terms_of_joints)}"
         )
-    for i, terms in enumerate(own, start=1):
+    for i, terms in enumerate(terms_of_joints, start=1):
         if terms is not None:
             check_friction(terms, f"{where}, joint {i}")
 
@@ -86,7 +89,7 @@ def couplings(pairs: Sequence[Sequence[Any]], kinds: str, where: str) -> tuple[C
 
     **Raises** `RobotError` for anything but two different joints of one kind, once.
     """
-    found: list[Coupling] = []
+    checked: list[Coupling] = []
     for pair in pairs:
         at = f"{where}, coupled"
         if len(pair) not in (2, 3) or not all(
@@ -114,7 +117,7 @@ def couplings(pairs: Sequence[Sequence[Any]], kinds: str, where: str) -> tuple[C
                 f"{at}: joints {first} and {second} are revolute and prismatic;"
                 " expected two of one kind"
             )
-        if any({first, second} == {other.first, other.second} for other in found):
+        if any({first, second} == {other.first, other.second} for other in checked):
             raise RobotError(f"{at}: joints {first} and {second} are paired twice")
-        found.append(Coupling(first, second, float(ratio)))
-    return tuple(found)
+        checked.append(Coupling(first, second, float(ratio)))
+    return tuple(checked)

@@ -15,10 +15,12 @@ _EQUAL = ("Ixx", "Iyy", "Izz")
 
 @dataclass(frozen=True)
 class LinkInertia:
-    """Which inertial terms the algebra gives a link.
+    """Which inertial terms a link has in the algebra.
+
+    **Attributes**
 
     - `form`: `"full"` is the pseudo-inertia matrix of Eqn. 2.3-17: mass, first moments and the
-      full inertia tensor about the origin of the link's own frame. `"principal"` is the
+      full inertia tensor about the origin of the link's frame. `"principal"` is the
       principal-axis substitution of Eqn. 2.3-20: principal moments at the centre of gravity,
       whose axes are taken as parallel to the link frame, moved to the frame by the parallel
       axis theorem.

@@ -41,7 +41,7 @@ class Joint:
     variable is added to `theta` for a revolute joint ("R", rad) and to `d` for a prismatic one
     ("P", m). Along a serial chain `gamma` and `b` are zero, for they can be part of the row
     before; where a tree branches they are needed (Khalil and Kleinfinger 1986), and where the
-    base frame is given.
+    base frame is fixed.
 
     `parent` is the joint whose link carries this one: 1 for the first, 0 for the base, None for
     the joint before. `alpha`, `theta` and `gamma` are in rad, `a`, `d` and `b` in m.
@@ -63,7 +63,7 @@ class Joint:
 
 
 def parse_angle(value: object, where: str) -> float:
-    """An angle [rad] from a number or from a multiple of pi in words, as in `"-pi/2"`.
+    """An angle [rad] from a number or from a multiple of pi as text, as in `"-pi/2"`.
 
     **Raises**
 

@@ -43,7 +43,7 @@ class LinkParameters(eqx.Module):
 
 
 def seen_from(link: LinkParameters, pose: Float[Array | np.ndarray, "4 4"]) -> LinkParameters:
-    """A body's parameters in another frame, in which its own frame has the given pose.
+    """A body's parameters in another frame, in which the link's frame has pose `pose`.
 
     Motor inertia is of the joint and stays as it is.
     """

@@ -24,7 +24,7 @@ Moved = tuple[int, FileJoint]  # a body and one of its joints
 def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = None) -> Manipulator:
     """A robot from its description: TOML as in `docs/robots.md`, URDF, or MJCF.
 
-    URDF and MJCF are read by MuJoCo; meshes are not looked for. Chains and trees of revolute and
+    URDF and MJCF are read by MuJoCo; meshes are not read. Chains and trees of revolute and
     prismatic joints with any axes become modified Denavit-Hartenberg rows; bodies that are fixed
     together become one link. `robot.links` holds what the file says of the links, `viscous` and
     `dry` damping and friction loss, where it has any, and `robot.source` how the robot's frames
@@ -35,13 +35,13 @@ def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = N
 
     - `path`: a `.toml`, `.urdf`, `.xml` or `.mjcf` file.
     - `base`, `tip`: bodies (links, in URDF) between which the robot is; by default the whole
-      tree. Joints elsewhere are held at zero, and what they carry is part of the link.
+      tree. Joints elsewhere are fixed at zero, and what they carry is part of the link.
 
     **Raises**
 
-    - `RobotError`: one line that names the file, the joint or body, and what was expected. What
-      is not represented is refused by name: ball and free joints, closed loops, joints that mimic
-      others, inertias that no body has, all where they are part of the robot that is asked for.
+    - `RobotError`: one line that names the file, the joint or body, and what was expected: for ball
+      and free joints, closed loops, joints that mimic others and inertias that no body has, where
+      they are part of the robot.
 
     >>> import tempfile
     >>> arm = '''<robot name="arm"> <link name="floor"/> <link name="bar"> <inertial>
@@ -117,8 +117,8 @@ def _robot(
         gravity=_gravity(tree, start),
         friction=friction,
         links=links,
-        viscous=_given([joint.damping for joint in files]),
-        dry=_given([joint.friction_loss for joint in files]),
+        viscous=_unless_zero([joint.damping for joint in files]),
+        dry=_unless_zero([joint.friction_loss for joint in files]),
         source=Source(
             str(path),
             "urdf" if urdf else "mjcf",
@@ -135,7 +135,7 @@ def _robot(
 def _moving(
     tree: BodyTree, path: Path, base: str | None, tip: str | None
 ) -> tuple[int, list[Moved]]:
-    """The body that the robot stands on, and the joints that move it, in order."""
+    """The body that is the robot's base, and the robot's joints, in order."""
     names = [body.name for body in tree.bodies]
 
     def index(name: str, what: str) -> int:
@@ -170,7 +170,7 @@ def _only_what_is_represented(tree: BodyTree, moved: Sequence[Moved], path: Path
             )
     joints = {joint.name for _, joint in moved}
     bodies = {tree.bodies[body].name for body, _ in moved}
-    for kind, (first, second) in tree.ties:
+    for kind, (first, second) in tree.constraints:
         if kind.endswith("'joint'"):
             if first in joints:
                 raise RobotError(
@@ -203,7 +203,7 @@ def _gravity(tree: BodyTree, start: int) -> tuple[float, float, float]:
 
 
 def _attached(tree: BodyTree, start: int, numbers: Mapping[int, int]) -> dict[int, list[int]]:
-    """Bodies that are fixed to each link, or held at zero on it."""
+    """Bodies that are fixed to each link, or fixed at zero on it."""
     attached: dict[int, list[int]] = {number: [] for number in range(max(numbers.values()) + 1)}
     for i in range(len(tree.bodies)):
         if i not in numbers and start in tree.path(i):
@@ -222,43 +222,40 @@ def _links(
     poses: Sequence[Pose],
     frames: Sequence[Pose],
 ) -> tuple[tuple[LinkParameters, ...] | None, tuple[Pose, ...], tuple[LinkParameters | None, ...]]:
-    """Parameters of every link in its frame, where its body's frame lies, and what is fixed to it.
+    """Parameters of every link in its frame, poses of the bodies' frames, and what is fixed to it.
 
-    No parameters at all if those of one body are a mesh's, which nobody looked for.
+    No parameters at all if those of one body are a mesh's, which is not read.
     """
-    known = all(body.inertia is not None for body in _bodies(tree, numbers, attached))
+    complete = all(body.inertia is not None for body in _bodies(tree, numbers, attached))
     links: list[LinkParameters] = []
     placements: list[Pose] = []
     carried: list[LinkParameters | None] = []
     for number, (body, joint) in enumerate(moved):
         back = np.linalg.inv(frames[number])
         placements.append(back @ poses[body])
-        # Of several joints on a body the last carries it, and what is between them weighs nothing.
+        # Of several joints on a body the last carries it; the links between them have no mass.
         fixed = [(tree.bodies[i].inertia, poses[i]) for i in attached[number]]
-        rest = [seen_from(own, back @ pose) for own, pose in fixed if _weighs(own)]
-        carried.append(fixed_together(rest) if rest else None)
-        own = tree.bodies[body].inertia if numbers[body] == number else None
-        all_of_it = fixed_together(
-            [*([] if own is None else [seen_from(own, placements[-1])]), *rest]
-        )
+        attachments = [seen_from(x, back @ pose) for x, pose in fixed if _has_mass(x)]
+        carried.append(fixed_together(attachments) if attachments else None)
+        inertia = tree.bodies[body].inertia if numbers[body] == number else None
+        bare = [] if inertia is None else [seen_from(inertia, placements[-1])]
+        whole = fixed_together([*bare, *attachments])
         links.append(
-            LinkParameters(
-                all_of_it.mass, all_of_it.centre_of_gravity, all_of_it.inertia, joint.armature
-            )
+            LinkParameters(whole.mass, whole.centre_of_gravity, whole.inertia, joint.armature)
         )
-    return tuple(links) if known else None, tuple(placements), tuple(carried)
+    return tuple(links) if complete else None, tuple(placements), tuple(carried)
 
 
 def _bodies(
     tree: BodyTree, numbers: Mapping[int, int], attached: Mapping[int, Sequence[int]]
 ) -> Iterator[Body]:
-    for body in [*numbers, *(i for each in attached.values() for i in each)]:
+    for body in [*numbers, *(i for bodies in attached.values() for i in bodies)]:
         yield tree.bodies[body]
 
 
-def _weighs(inertia: LinkParameters | None) -> TypeGuard[LinkParameters]:
+def _has_mass(inertia: LinkParameters | None) -> TypeGuard[LinkParameters]:
     return inertia is not None and bool(inertia.mass or np.any(inertia.inertia))
 
 
-def _given(values: Sequence[float]) -> tuple[float, ...] | None:
+def _unless_zero(values: Sequence[float]) -> tuple[float, ...] | None:
     return tuple(values) if any(values) else None

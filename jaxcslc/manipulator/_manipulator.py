@@ -9,7 +9,7 @@ from ._friction import (
     FRICTION_TERMS,
     Coupling,
     check_friction,
-    check_own_friction,
+    check_joint_friction,
     check_slopes,
     couplings,
 )
@@ -29,12 +29,13 @@ class Manipulator:
     - `joints`: one `Joint` (a row of modified Denavit-Hartenberg parameters) a link.
     - `inertia`: one `LinkInertia` a link: which inertial terms exist.
     - `gravity`: gravity vector in the base frame [m/s²].
-    - `friction`: the friction terms of every joint's model: words of `docs/friction.md`, such as
+    - `friction`: the friction terms of every joint's model: kinds of `docs/friction.md`, such as
       `"viscous"`, `"dry"` (Eqn. 2.5-3) and `"offset"`, a constant torque.
     - `links`: the physical parameters of each link, where they are known.
     - `viscous`, `dry`: friction coefficients of each joint, where known [N m s/rad], [N m].
     - `numbering`: a published numbering to follow.
-    - `own_friction`: for each joint terms in place of `friction`, or None; or None for all.
+    - `joint_friction`: for each joint its terms where they differ from `friction`, else None;
+      None if all joints have `friction`.
     - `coupled`: pairs of joints that share a motor's inertia and friction.
     - `static_slopes`: of each joint's static friction, where known or guessed [s/rad or s/m].
     - `source`: the file that it was read from, if it was.
@@ -51,7 +52,7 @@ class Manipulator:
     viscous: tuple[float, ...] | None = dataclasses.field(default=None, compare=False)
     dry: tuple[float, ...] | None = dataclasses.field(default=None, compare=False)
     numbering: Numbering | None = None
-    own_friction: tuple[tuple[str, ...] | None, ...] | None = None
+    joint_friction: tuple[tuple[str, ...] | None, ...] | None = None
     coupled: tuple[Coupling, ...] = ()
     static_slopes: tuple[float, ...] | None = dataclasses.field(default=None, compare=False)
     source: Source | None = dataclasses.field(default=None, compare=False, repr=False)
@@ -69,10 +70,10 @@ class Manipulator:
                 )
         where = f"robot {self.name!r}"
         check_friction(self.friction, where)
-        check_own_friction(self.own_friction, n, where)
+        check_joint_friction(self.joint_friction, n, where)
         check_slopes(self.static_slopes, n, where)
         object.__setattr__(self, "coupled", couplings(self.coupled, self.kinds, where))
-        given = {
+        named = {
             length.symbol
             for joint in self.joints
             for _, _, length in joint.lengths
@@ -86,10 +87,10 @@ class Manipulator:
                 )
             for letter, shift, length in joint.lengths:
                 name = f"{letter}{i + shift}"
-                if length.symbol is None and not length.is_zero and name in given:
+                if length.symbol is None and not length.is_zero and name in named:
                     raise RobotError(
                         f"robot {self.name!r}, joint {i}, {letter}: the number {length.value} is"
-                        f" called {name!r} by its place, and another length has that name; name it"
+                        f" called {name!r} by its row, and another length has that name; name it"
                     )
 
     @property
@@ -142,7 +143,7 @@ class Manipulator:
         - `kinds`: `"R"` or `"P"` for each joint; all revolute if omitted.
         - `gravity`: gravity vector in the base frame [m/s²].
         - `inertia`: `"full"`, `"principal"` or a `LinkInertia`, for all links or one a link.
-        - `motor_inertia`: whether links given as a word have a motor inertia.
+        - `motor_inertia`: whether links of a form given by name have a motor inertia.
         - `friction`: terms of the friction model, see `Manipulator`.
         - `lengths`: values of named lengths [m].
 
@@ -188,7 +189,7 @@ class Manipulator:
                 )
             )
         unused_lengths(values, joints, f"robot {name!r}, lengths")
-        each: list[InertiaForm | LinkInertia] = (
+        inertias: list[InertiaForm | LinkInertia] = (
             [inertia] * len(rows) if isinstance(inertia, str | LinkInertia) else list(inertia)
         )
         return cls(
@@ -196,7 +197,7 @@ class Manipulator:
             joints=tuple(joints),
             inertia=tuple(
                 entry if isinstance(entry, LinkInertia) else LinkInertia(entry, motor=motor_inertia)
-                for entry in each
+                for entry in inertias
             ),
             gravity=_gravity(gravity, name),
             friction=tuple(friction),
@@ -216,9 +217,9 @@ class Manipulator:
 
     @property
     def friction_per_joint(self) -> tuple[tuple[str, ...], ...]:
-        """The friction terms of each joint: its own, or those of all."""
-        own = self.own_friction or (None,) * self.joint_count
-        return tuple(self.friction if terms is None else terms for terms in own)
+        """The friction terms of each joint: `joint_friction`, or else `friction`."""
+        per_joint = self.joint_friction or (None,) * self.joint_count
+        return tuple(self.friction if terms is None else terms for terms in per_joint)
 
     @property
     def friction_terms(self) -> tuple[str, ...]:
@@ -238,14 +239,14 @@ class Manipulator:
         (('viscous', 'dry'), ('viscous',))
         """
         if joint is None:
-            return dataclasses.replace(self, friction=terms, own_friction=None)
+            return dataclasses.replace(self, friction=terms, joint_friction=None)
         if not 1 <= joint <= self.joint_count:
             raise RobotError(
                 f"robot {self.name!r}: there is no joint {joint}; expected 1 to {self.joint_count}"
             )
-        own = list(self.own_friction or (None,) * self.joint_count)
-        own[joint - 1] = terms
-        return dataclasses.replace(self, own_friction=tuple(own))
+        per_joint = list(self.joint_friction or (None,) * self.joint_count)
+        per_joint[joint - 1] = terms
+        return dataclasses.replace(self, joint_friction=tuple(per_joint))
 
     def with_coupling(self, *pairs: Sequence[int | float]) -> "Manipulator":
         """The same robot, these pairs of joints coupled: `with_coupling((5, 6))`, from 1.
@@ -308,11 +309,11 @@ class Manipulator:
         return pandas.DataFrame(rows, index=range(1, self.joint_count + 1)).rename_axis("joint")
 
     def __repr__(self) -> str:
-        known = "known links" if self.links is not None else "unknown links"
+        links = "known links" if self.links is not None else "unknown links"
         carried = "" if self.parents == tuple(range(-1, self.joint_count - 1)) else ", a tree"
         return (
             f"Manipulator({self.name!r}: {self.joint_count} joints {self.kinds}{carried},"
-            f" {known}, friction {' '.join(self.friction) or 'none'})"
+            f" {links}, friction {' '.join(self.friction) or 'none'})"
         )
 
     def length_values(self) -> dict[str, float]:

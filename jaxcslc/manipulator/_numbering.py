@@ -3,7 +3,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Subnumbering:
-    """The order that a publication gives to the inputs and coefficients of a subnetwork.
+    """The published order of the inputs and coefficients of a subnetwork.
 
     `inputs` are products of sines and cosines as printed (`"c23*s4*c5"`). `coefficients` define
     each coefficient by one link that the publication prints: `(input, column, multiple)` says
@@ -19,8 +19,8 @@ class Subnumbering:
 class Numbering:
     """A published numbering of a robot's inputs and coefficients, such as Appendix B.
 
-    The derivation does not need one: it only permutes and scales what the algebra found, and
-    refuses a numbering that does not match it one to one.
+    The derivation does not need one: it only permutes and scales the algebra's inputs and
+    coefficients, and raises an error for a numbering that does not match them one to one.
     """
 
     source: str

@@ -44,11 +44,14 @@ class _Normal(NamedTuple):
 def modified_dh(axes: Sequence[Axis]) -> tuple[tuple[Joint, ...], tuple[Pose, ...]]:
     """Modified Denavit-Hartenberg rows of joints with any axes (Khalil and Kleinfinger 1986).
 
-    Every link's frame has its z along the link's own axis and its x along the common normal
+    Every link's frame has its z along the link's axis and its x along the common normal
     to the axis of the first joint that the link carries, so that `gamma` and `b` are zero along a
-    chain; only at other branches and at the base, whose frame is given, they are not.
+    chain; only at other branches and at the base, whose frame is fixed, they are not.
 
-    **Returns** the rows, and the (4, 4) pose of each link's frame in the base frame at zero.
+    **Returns**
+
+    - The rows.
+    - The (4, 4) pose of each link's frame in the base frame, joints at zero.
 
     >>> import numpy as np
     >>> x, y, z = np.eye(3)
@@ -68,12 +71,12 @@ def modified_dh(axes: Sequence[Axis]) -> tuple[tuple[Joint, ...], tuple[Pose, ..
         frame = frames[axis.parent] if axis.parent >= 0 else base
         normal = _common_normal(frame, axis)
         foot = normal.start + normal.length * normal.direction
-        own = _pose(foot, normal.direction, axis.direction)  # theta = 0, d = 0
+        link_frame = _pose(foot, normal.direction, axis.direction)  # theta = 0, d = 0
         if i in first_child:
-            onward = _common_normal(own, axes[first_child[i]])
-            own = _pose(onward.start, onward.direction, axis.direction)
-        rows.append(_row(frame, normal, own, axis))
-        frames.append(own)
+            onward = _common_normal(link_frame, axes[first_child[i]])
+            link_frame = _pose(onward.start, onward.direction, axis.direction)
+        rows.append(_row(frame, normal, link_frame, axis))
+        frames.append(link_frame)
     return tuple(rows), tuple(frames)
 
 
@@ -109,16 +112,16 @@ def _common_normal(frame: Pose, axis: Axis) -> _Normal:
     return _Normal(origin + along * z, direction, length, unique=True)
 
 
-def _row(frame: Pose, normal: _Normal, own: Pose, axis: Axis) -> Joint:
+def _row(frame: Pose, normal: _Normal, link_frame: Pose, axis: Axis) -> Joint:
     x, y, z = frame[:3, :3].T
     along = normal.direction
     foot = normal.start + normal.length * along
     gamma = math.atan2(along @ y, along @ x)
     alpha = math.atan2(np.cross(z, axis.direction) @ along, z @ axis.direction)
     across = np.cross(axis.direction, along)
-    theta = math.atan2(own[:3, 0] @ across, own[:3, 0] @ along)
+    theta = math.atan2(link_frame[:3, 0] @ across, link_frame[:3, 0] @ along)
     b = float((normal.start - frame[:3, 3]) @ z)
-    d = float((own[:3, 3] - foot) @ axis.direction)
+    d = float((link_frame[:3, 3] - foot) @ axis.direction)
     turning = axis.kind == "R"
     return Joint(
         axis.kind,

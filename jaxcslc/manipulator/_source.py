@@ -12,7 +12,7 @@ RobotFormat = Literal["toml", "urdf", "mjcf"]
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where a robot was read from, and how its links stand to the bodies of the file.
+    """The file that a robot was read from, and how its links correspond to the file's bodies.
 
     **Attributes**
 

@@ -106,12 +106,12 @@ def _bundled(name: str) -> Manipulator:
 
 
 def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
-    _known(document, _ROBOT_KEYS, where)
+    _check_keys(document, _ROBOT_KEYS, where)
     lengths = length_table(
         _table(document.get("lengths", {}), f"{where}, [lengths]"), f"{where}, [lengths]"
     )
     defaults = _table(document.get("links", {}), f"{where}, [links]")
-    _known(defaults, _DEFAULT_KEYS, f"{where}, [links]")
+    _check_keys(defaults, _DEFAULT_KEYS, f"{where}, [links]")
     entries = document.get("joint")
     if not isinstance(entries, list) or not entries:
         raise RobotError(f"{where}: expected at least one [[joint]]")
@@ -122,22 +122,22 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
     for i, entry in enumerate(entries, start=1):
         at = f"{where}, joint {i}"
         table = _table(entry, at)
-        _known(table, _JOINT_KEYS, at)
+        _check_keys(table, _JOINT_KEYS, at)
         joints.append(_joint(table, lengths, at))
         link = _table(table.get("link", {}), f"{at}, link")
-        _known(link, _LINK_KEYS, f"{at}, link")
+        _check_keys(link, _LINK_KEYS, f"{at}, link")
         inertia.append(_inertia(link, defaults, f"{at}, link"))
         links.append(_parameters(link, inertia[-1], f"{at}, link"))
     unused_lengths(lengths, joints, f"{where}, [lengths]")
 
-    given = [link for link in links if link is not None]
-    if given and len(given) != len(links):
+    known_links = [link for link in links if link is not None]
+    if known_links and len(known_links) != len(links):
         missing = links.index(None) + 1
         raise RobotError(
             f"{where}, joint {missing}, link: has no mass while other links have;"
             " give every link its parameters or none"
         )
-    friction = _words(document.get("friction", ["viscous", "dry"]), f"{where}, friction")
+    friction = _strings(document.get("friction", ["viscous", "dry"]), f"{where}, friction")
     gravity = document.get("gravity", [0.0, 0.0, -9.81])
     if not isinstance(gravity, list):
         raise RobotError(f"{where}, gravity: expected three numbers in m/s², got {gravity!r}")
@@ -148,9 +148,9 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
             inertia=tuple(inertia),
             gravity=(0.0, 0.0, 0.0),
             friction=tuple(friction),
-            own_friction=_own_friction(entries, where),
+            joint_friction=_joint_friction(entries, where),
             coupled=_coupled(document.get("coupled", []), joints, where),
-            links=tuple(given) if given else None,
+            links=tuple(known_links) if known_links else None,
         ).with_gravity(gravity)
     except RobotError as error:
         raise error if str(error).startswith(where) else RobotError(f"{where}: {error}") from None
@@ -198,7 +198,7 @@ def _inertia(link: Mapping[str, Any], defaults: Mapping[str, Any], at: str) -> L
     try:
         return LinkInertia(
             form=form,
-            zero=tuple(_words(link.get("zero", []), f"{at}, zero")),
+            zero=tuple(_strings(link.get("zero", []), f"{at}, zero")),
             equal=tuple(tuple(pair) for pair in equal),  # type: ignore[misc]
             motor=motor,
         )
@@ -240,7 +240,7 @@ def _parameters(link: Mapping[str, Any], inertia: LinkInertia, at: str) -> LinkP
 
 
 def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
-    """**Raises** `RobotError` where values contradict what `zero` and `equal` say of them."""
+    """**Raises** `RobotError` where values contradict `zero` and `equal`."""
     principal = inertia.form == "principal"
     tensor = np.asarray(link.inertia if principal else link.inertia_at_frame)
     values = {"m": float(link.mass)}
@@ -260,24 +260,24 @@ def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
 def _friction(
     entries: list[Any], term: str, friction: list[str], where: str
 ) -> tuple[float, ...] | None:
-    given: list[float] = []
+    values: list[float] = []
     for i, entry in enumerate(entries, start=1):
         if term in entry:
-            given.append(_number(entry[term], f"{where}, joint {i}, {term}"))
-            if given[-1] < 0:
+            values.append(_number(entry[term], f"{where}, joint {i}, {term}"))
+            if values[-1] < 0:
                 raise RobotError(
-                    f"{where}, joint {i}, {term}: expected zero or more, got {given[-1]}"
+                    f"{where}, joint {i}, {term}: expected zero or more, got {values[-1]}"
                 )
-    if not given:
+    if not values:
         return None
-    if len(given) != len(entries):
-        raise RobotError(f"{where}: {term} is given for {len(given)} of {len(entries)} joints")
+    if len(values) != len(entries):
+        raise RobotError(f"{where}: {term} is given for {len(values)} of {len(entries)} joints")
     if term not in friction:
         raise RobotError(
             f"{where}: joints have {term} friction, which is not among the terms of friction:"
             f" {', '.join(friction) or 'none'}"
         )
-    return tuple(given)
+    return tuple(values)
 
 
 def _static_slopes(entries: list[Any], robot: Manipulator, where: str) -> tuple[float, ...] | None:
@@ -293,14 +293,14 @@ def _static_slopes(entries: list[Any], robot: Manipulator, where: str) -> tuple[
     return tuple(slopes) if any("static_slope" in entry for entry in entries) else None
 
 
-def _own_friction(entries: list[Any], where: str) -> tuple[tuple[str, ...] | None, ...] | None:
-    own = tuple(
-        tuple(_words(entry["friction"], f"{where}, joint {i}, friction"))
+def _joint_friction(entries: list[Any], where: str) -> tuple[tuple[str, ...] | None, ...] | None:
+    per_joint = tuple(
+        tuple(_strings(entry["friction"], f"{where}, joint {i}, friction"))
         if "friction" in entry
         else None
         for i, entry in enumerate(entries, start=1)
     )
-    return own if any(terms is not None for terms in own) else None
+    return per_joint if any(terms is not None for terms in per_joint) else None
 
 
 def _coupled(value: Any, joints: list[Joint], where: str) -> tuple[Coupling, ...]:
@@ -312,11 +312,11 @@ def _coupled(value: Any, joints: list[Joint], where: str) -> tuple[Coupling, ...
 def _numbering(table: Any, where: str) -> Numbering:
     at = f"{where}, [numbering]"
     table = _table(table, at)
-    _known(table, {"source", "mass", "velocity", "gravity"}, at)
+    _check_keys(table, {"source", "mass", "velocity", "gravity"}, at)
 
     def part(name: str) -> Subnumbering:
         sub = _table(table.get(name, {}), f"{at}, {name}")
-        _known(sub, {"inputs", "coefficients"}, f"{at}, {name}")
+        _check_keys(sub, {"inputs", "coefficients"}, f"{at}, {name}")
         try:
             coefficients = tuple(
                 (str(entry), tuple(int(index) for index in column), float(multiple))
@@ -327,7 +327,7 @@ def _numbering(table: Any, where: str) -> Numbering:
                 f"{at}, {name}, coefficients: expected entries [input, [row, column], multiple]"
             ) from None
         return Subnumbering(
-            tuple(_words(sub.get("inputs", []), f"{at}, {name}, inputs")), coefficients
+            tuple(_strings(sub.get("inputs", []), f"{at}, {name}, inputs")), coefficients
         )
 
     return Numbering(str(table.get("source", "")), part("mass"), part("velocity"), part("gravity"))
@@ -339,7 +339,7 @@ def _table(value: Any, at: str) -> dict[str, Any]:
     return value  # pyright: ignore[reportUnknownVariableType]
 
 
-def _known(table: Mapping[str, Any], allowed: set[str], at: str) -> None:
+def _check_keys(table: Mapping[str, Any], allowed: set[str], at: str) -> None:
     if unknown := sorted(set(table) - allowed):
         raise RobotError(
             f"{at}: unknown key {unknown[0]!r}; expected some of {', '.join(sorted(allowed))}"
@@ -352,9 +352,9 @@ def _number(value: Any, at: str) -> float:
     return float(value)
 
 
-def _words(value: Any, at: str) -> list[str]:
-    if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-        raise RobotError(f"{at}: expected a list of words, got {value!r}")
+def _strings(value: Any, at: str) -> list[str]:
+    if not isinstance(value, list) or not all(isinstance(entry, str) for entry in value):
+        raise RobotError(f"{at}: expected a list of strings, got {value!r}")
     return value  # pyright: ignore[reportUnknownVariableType]
 
 

@@ -15,7 +15,7 @@ _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
 @dataclass(eq=False)
 class Element:
-    """An element of an XML file: its tag, its attributes, where it stands and what is in it."""
+    """An element of an XML file: its tag, its attributes, where it is and what is in it."""
 
     tag: str
     attributes: Mapping[str, str]
@@ -64,7 +64,7 @@ def parse_xml(text: bytes, where: str) -> Element:
         if count > _MOST_ELEMENTS:
             raise RobotError(f"{line()}: more than {_MOST_ELEMENTS} elements; no robot has")
         for name, value in attributes.items():
-            # MuJoCo would note it in a file of its own, in whatever folder this runs.
+            # MuJoCo would write a log file into the current folder.
             if "nan" in value.lower().split():
                 raise RobotError(f"{line()}: {name} of {tag} is {value!r}; expected numbers")
         element = Element(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex)
@@ -79,19 +79,19 @@ def parse_xml(text: bytes, where: str) -> Element:
         else:
             element.end = text.index(b">", parser.CurrentByteIndex) + 1
 
-    def refuse(what: str) -> Callable[..., None]:
-        def refused(*_: object) -> None:
+    def forbid(what: str) -> Callable[..., None]:
+        def raise_error(*_: object) -> None:
             raise RobotError(f"{line()}: {what}; expected none in a robot file")
 
-        return refused
+        return raise_error
 
     def line() -> str:
         return f"{where}, line {parser.CurrentLineNumber}"
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end
-    parser.StartDoctypeDeclHandler = refuse("has a document type declaration (<!DOCTYPE ...>)")
-    parser.EntityDeclHandler = refuse("declares an entity")
+    parser.StartDoctypeDeclHandler = forbid("has a document type declaration (<!DOCTYPE ...>)")
+    parser.EntityDeclHandler = forbid("declares an entity")
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:

@@ -247,11 +247,11 @@ MISTAKES = [
     ("a1 = 0.25", "'1a' = 1", r", \[lengths\]: expected a length in m or the name.*'1a'"),
     ("[lengths]\na1 = 0.25", "lengths = 3", r", \[lengths\]: expected a table, got 3"),
     ("[0, 0, -9.81]", "-9.81", ", gravity: expected three numbers in m/s², got -9.81"),
-    ('["viscous", "offset"]', '"viscous"', ", friction: expected a list of words, got 'viscous'"),
-    ('["viscous", "offset"]', "[1]", r", friction: expected a list of words, got \[1\]"),
+    ('["viscous", "offset"]', '"viscous"', ", friction: expected a list of strings, got 'viscous'"),
+    ('["viscous", "offset"]', "[1]", r", friction: expected a list of strings, got \[1\]"),
     ("motor = false", "motor = 'no'", ", joint 2, link, motor: expected true or false, got 'no'"),
     ('inertia = "full"', 'inertia = "half"', ", joint 2, link: inertia form must be 'full' or"),
-    ('["rx", "ry"]', '"rx"', ", joint 1, link, zero: expected a list of words, got 'rx'"),
+    ('["rx", "ry"]', '"rx"', ", joint 1, link, zero: expected a list of strings, got 'rx'"),
     ('["rx", "ry"]', '["Ixy"]', ", joint 1, link: zero entry 'Ixy' is unknown for a principal"),
     ('["rx", "ry"]', '["m"]', ", joint 1, link: a link of zero mass has no centre of gravity"),
     ('["rx", "ry"]', '["Ixx"]', r", joint 1, link: entries \('Ixx', 'Iyy'\) cannot be both equal"),
@@ -303,7 +303,7 @@ BROKEN = [
     ("[numbering.mass]\ninput = 1\n[[joint]]\n", r", \[numbering\], mass: unknown key 'input'"),
     (
         "[numbering.mass]\ninputs = [1]\n[[joint]]\n",
-        r", \[numbering\], mass, inputs: expected a list of words, got \[1\]",
+        r", \[numbering\], mass, inputs: expected a list of strings, got \[1\]",
     ),
     (
         "[numbering.gravity]\ncoefficients = [['s2', 2, 1]]\n[[joint]]\n",
@@ -446,7 +446,7 @@ def test_a_numbering_orders_and_scales(load: Callable[[str], Manipulator]) -> No
     [
         ('"c1*c12", "c1*s12"', '"c1*c12"', r"\(a sketch\): input 'c1\*s12' of this robot is not"),
         ('"1", "s1*s12"', '"1", "c9", "s1*s12"', r"\(a sketch\): 'c9' is not an input"),
-        ('"1", "s1*s12"', '"1", "1", "s1*s12"', r"\(a sketch\): '1' .* stands twice"),
+        ('"1", "s1*s12"', '"1", "1", "s1*s12"', r"\(a sketch\): '1' .* listed twice"),
         (', ["c1*s12", [1, 2], 1]', "", "lists 3 coefficients, the algebra has 4"),
         (
             '["c1*s12", [1, 2]',
