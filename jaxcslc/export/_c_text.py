@@ -27,7 +27,7 @@ def definitions(graph: Expressions) -> list[str]:
 def statements(graph: Expressions, outputs: Sequence[tuple[str, Value]]) -> list[str]:
     """C statements that assign values: `outputs` are left-hand sides and what they become.
 
-    What is used once is written where it is used; all else has a constant of its own.
+    A value that is used once is written where it is used; others become constants.
     """
     order = graph.needed(value for _, value in outputs)
     uses = dict.fromkeys(order, 0)

@@ -36,8 +36,7 @@ class ClosedForm:
         return variables + [self.q[i] for i, link in enumerate(chain.links) if link.prismatic]
 
     def torque(self, k: Float[np.ndarray, " inertial"]) -> list[Value]:
-        """Rigid-body torque of every joint, each one polynomial in positions, rates and
-        accelerations."""
+        """Rigid-body torque of every joint, a polynomial in positions, rates and accelerations."""
         n, algebra = self.algebra.robot.joint_count, self.algebra
         size = len(self.variables)
         joints: list[Polynomial] = [{} for _ in range(n)]

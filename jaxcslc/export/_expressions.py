@@ -22,8 +22,8 @@ class Expressions:
 
     Equal expressions are one value (value numbering): products and sums whatever the order of
     their terms, differences and products whatever their sign. Constants are folded; what is
-    multiplied by zero vanishes, with all that it alone needed. So one text for the equations of
-    motion gives code without what a robot's right angles and zero lengths make trivial.
+    multiplied by zero vanishes, with everything that only it needs. So the general equations of
+    motion give code without operations that right angles and zero lengths make trivial.
 
     >>> graph = Expressions()
     >>> x, y = graph.input("x"), graph.input("y")
@@ -144,7 +144,7 @@ class Value:
         return -graph._binary("subtract", y, x)  # pyright: ignore[reportPrivateUsage]
 
     def _without(self, term: "Value", *, negative: bool) -> "Value | None":
-        """This plus a term, or minus it, where that takes away one of its own two terms."""
+        """This plus a term, or minus it, where that cancels one of its two terms."""
         name, arguments = self.operation.name, self.operation.arguments
         if name not in ("add", "subtract") or term.index not in arguments:
             return None

@@ -20,10 +20,10 @@ from ._xml_edits import XmlEdits
 
 
 _FULL = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_INDICES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
-# What each format has words for, of all that torque depends on beside the bodies.
-HELD = {
+# What each format stores of all that torque depends on, beside the bodies.
+STORED = {
     "toml": ("viscous", "dry", "motor_inertia"),
     "urdf": ("viscous", "dry"),
     "mjcf": ("viscous", "dry", "motor_inertia"),
@@ -32,25 +32,29 @@ HELD = {
 
 def with_parameters(
     robot: Manipulator,
-    found: PhysicalParameters,
+    parameters: PhysicalParameters,
     text: bytes,
     *,
-    held: Collection[str],
+    stored: Collection[str],
     slopes: Mapping[int, float],
 ) -> bytes:
-    """A robot's file with other link parameters and friction in it, and nothing else changed.
+    """A robot's file with other link parameters and friction, and nothing else changed.
 
     **Arguments**
 
-    - `robot`: as read from the file; `robot.source` says what is where.
-    - `found`: its parameters; what the file has fixed to a link is taken off first.
-    - `text`: what the file holds: TOML, URDF or MJCF.
-    - `held`: words of friction that a TOML file takes numbers of; the rest stays as it is.
+    - `robot`: as read from the file; `robot.source` maps its links to the file's bodies.
+    - `parameters`: those to write; bodies that the file has fixed to a link are subtracted first.
+    - `text`: contents of the file: TOML, URDF or MJCF.
+    - `stored`: kinds of friction whose numbers are written to a TOML file; others stay as they are.
     - `slopes`: of static friction, by the joint, from 0; for TOML.
 
     In URDF and MJCF, masses, centres and tensors go into the bodies' inertial elements, damping
     and friction loss to their joints, motor inertia to MJCF's armature. Bodies fixed to a link
-    keep what the file says of them. In TOML what is listed as zero stays zero.
+    keep their numbers. In TOML what is listed as zero stays zero.
+
+    **Returns**
+
+    - The new contents of the file.
 
     **Raises**
 
@@ -59,7 +63,7 @@ def with_parameters(
     """
     source = robot.source
     if source is None or source.format == "toml":
-        return _toml(robot, found, text, held, slopes)
+        return _toml(robot, parameters, text, stored, slopes)
     if len(set(source.links)) < len(source.links):
         twice = next(name for name in source.links if source.links.count(name) > 1)
         raise RobotError(
@@ -68,25 +72,25 @@ def with_parameters(
         )
     bodies = [
         seen_from(_remainder(source, i, link), np.linalg.inv(source.placements[i]))
-        for i, link in enumerate(found.links)
+        for i, link in enumerate(parameters.links)
     ]
     root = parse_xml(text, source.path)
     write = _urdf if source.format == "urdf" else _mjcf
     edits = XmlEdits(text)
-    write(root, source, bodies, found, edits)
+    write(root, source, bodies, parameters, edits)
     return edits.text()
 
 
 def _remainder(source: Source, i: int, link: LinkParameters) -> LinkParameters:
-    """A link without what else the file has fixed to its body."""
+    """A link without the bodies that the file has fixed to it."""
     carried = source.carried[i]
     if carried is None:
         return link
     body = body_of(link) - body_of(carried)
     if np.linalg.eigvalsh(pseudo_inertia(body))[0] <= 0:
         raise RobotError(
-            f"{source.path}: what is left of link {source.links[i]!r} without what the file has"
-            " fixed to it is no possible body; find parameters with fixed=robot.source.carried"
+            f"{source.path}: link {source.links[i]!r} without the bodies that the file has fixed to"
+            " it is no possible body; use physical_parameters with fixed=robot.source.carried"
         )
     return link_of(body, float(link.motor_inertia))
 
@@ -95,53 +99,53 @@ def _urdf(
     root: Element,
     source: Source,
     bodies: Sequence[LinkParameters],
-    found: PhysicalParameters,
+    parameters: PhysicalParameters,
     edits: XmlEdits,
 ) -> None:
     links = {element.attributes.get("name", ""): element for element in root.all("link")}
     joints = {element.attributes.get("name", ""): element for element in root.all("joint")}
     for i, (joint, name, body) in enumerate(zip(source.joints, source.links, bodies, strict=True)):
-        link = _found(links, name, "link", source)
+        link = _element(links, name, "link", source)
         inertial = link.first("inertial")
         if inertial is None:
             origin, mass, tensor = _urdf_numbers(body, np.eye(3))
             edits.insert(
                 link,
-                f"<inertial>\n  <origin {_words(origin)}/>\n  <mass {_words(mass)}/>\n"
-                f"  <inertia {_words(tensor)}/>\n</inertial>",
+                f"<inertial>\n  <origin {_text(origin)}/>\n  <mass {_text(mass)}/>\n"
+                f"  <inertia {_text(tensor)}/>\n</inertial>",
             )
         else:
-            place = inertial.first("origin")
-            angles = (place.attributes.get("rpy", "") if place else "").split() or ["0"] * 3
-            origin, mass, tensor = _urdf_numbers(body, _from_rpy([float(x) for x in angles]))
-            for tag, words in (("inertia", tensor), ("mass", mass), ("origin", origin)):
+            origin = inertial.first("origin")
+            angles = (origin.attributes.get("rpy", "") if origin else "").split() or ["0"] * 3
+            position, mass, tensor = _urdf_numbers(body, _from_rpy([float(x) for x in angles]))
+            for tag, attributes in (("inertia", tensor), ("mass", mass), ("origin", position)):
                 element = inertial.first(tag)
                 if element is None:
-                    edits.insert(inertial, f"<{tag} {_words(words)}/>")
+                    edits.insert(inertial, f"<{tag} {_text(attributes)}/>")
                 else:
-                    edits.set(element, words)
-        words = {
-            word: _number(found.friction[term][i])
-            for word, term in (("damping", "viscous"), ("friction", "dry"))
-            if term in found.friction
+                    edits.set(element, attributes)
+        drive = {
+            attribute: _number(parameters.friction[kind][i])
+            for attribute, kind in (("damping", "viscous"), ("friction", "dry"))
+            if kind in parameters.friction
         }
-        element = _found(joints, joint, "joint", source)
+        element = _element(joints, joint, "joint", source)
         dynamics = element.first("dynamics")
         if dynamics is not None:
-            edits.set(dynamics, words)
-        elif words:
-            edits.insert(element, f"<dynamics {_words(words)}/>")
+            edits.set(dynamics, drive)
+        elif drive:
+            edits.insert(element, f"<dynamics {_text(drive)}/>")
 
 
 def _urdf_numbers(
     body: LinkParameters, axes: Float[np.ndarray, "3 3"]
 ) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
-    """Attributes of origin, mass and inertia, the tensor in the inertial element's own axes."""
+    """Attributes of origin, mass and inertia, the tensor in the inertial element's axes."""
     tensor = axes.T @ np.asarray(body.inertia) @ axes
     return (
         {"xyz": _numbers(body.centre_of_gravity)},
         {"value": _number(body.mass)},
-        {name: _number(tensor[place]) for name, place in zip(_FULL, _PLACES, strict=True)},
+        {name: _number(tensor[index]) for name, index in zip(_FULL, _INDICES, strict=True)},
     )
 
 
@@ -161,7 +165,7 @@ def _mjcf(
     root: Element,
     source: Source,
     bodies: Sequence[LinkParameters],
-    found: PhysicalParameters,
+    parameters: PhysicalParameters,
     edits: XmlEdits,
 ) -> None:
     elements: dict[str, Element] = {}
@@ -172,34 +176,34 @@ def _mjcf(
         if element.tag == "body":
             elements[element.attributes.get("name", "")] = element
     for i, (joint, name, body) in enumerate(zip(source.joints, source.links, bodies, strict=True)):
-        element = _found(elements, name, "body", source)
+        element = _element(elements, name, "body", source)
         tensor = np.asarray(body.inertia)
-        words = {
+        attributes = {
             "pos": _numbers(body.centre_of_gravity),
             "mass": _number(body.mass),
-            "fullinertia": _numbers([tensor[place] for place in _PLACES]),
+            "fullinertia": _numbers([tensor[index] for index in _INDICES]),
         }
-        own = element.all("joint")
-        named = {child.attributes.get("name", ""): child for child in own}
-        hinge = own[0] if len(own) == 1 else _found(named, joint, "joint", source)
+        joints = element.all("joint")
+        named = {child.attributes.get("name", ""): child for child in joints}
+        hinge = joints[0] if len(joints) == 1 else _element(named, joint, "joint", source)
         terms = {
-            "damping": found.friction.get("viscous"),
-            "frictionloss": found.friction.get("dry"),
+            "damping": parameters.friction.get("viscous"),
+            "frictionloss": parameters.friction.get("dry"),
         }
-        drive = {word: _number(values[i]) for word, values in terms.items() if values is not None}
-        edits.set(hinge, drive | {"armature": _number(found.links[i].motor_inertia)})
+        drive = {name: _number(x[i]) for name, x in terms.items() if x is not None}
+        edits.set(hinge, drive | {"armature": _number(parameters.links[i].motor_inertia)})
         inertial = element.first("inertial")
         if inertial is None:
-            edits.insert(element, f"<inertial {_words(words)}/>")
+            edits.insert(element, f"<inertial {_text(attributes)}/>")
         else:
-            edits.set(inertial, words, without=_ORIENTATIONS)
+            edits.set(inertial, attributes, without=_ORIENTATIONS)
 
 
 def _toml(
     robot: Manipulator,
-    found: PhysicalParameters,
+    parameters: PhysicalParameters,
     text: bytes,
-    held: Collection[str],
+    stored: Collection[str],
     slopes: Mapping[int, float],
 ) -> bytes:
     import tomlkit
@@ -207,7 +211,7 @@ def _toml(
     document = tomlkit.parse(text.decode("utf-8"))
     entries = cast(list[Any], document["joint"])
     for i, (entry, inertia, link) in enumerate(
-        zip(entries, robot.inertia, found.links, strict=True)
+        zip(entries, robot.inertia, parameters.links, strict=True)
     ):
         if "link" not in entry:
             entry["link"] = tomlkit.table()
@@ -229,23 +233,23 @@ def _toml(
         if inertia.motor:
             table["motor_inertia"] = float(link.motor_inertia)
         for term in ("viscous", "dry"):
-            if term in held and term in found.friction:
-                entry[term] = float(found.friction[term][i])
+            if term in stored and term in parameters.friction:
+                entry[term] = float(parameters.friction[term][i])
         if i in slopes:
             entry["static_slope"] = slopes[i]
     return tomlkit.dumps(document).encode("utf-8")
 
 
-def _found(elements: Mapping[str, Element], name: str, what: str, source: Source) -> Element:
+def _element(elements: Mapping[str, Element], name: str, what: str, source: Source) -> Element:
     if name not in elements:
         raise RobotError(
-            f"{source.path}: {what} {name!r} stands in no element of this file (included or"
+            f"{source.path}: {what} {name!r} is no element of this file (included or"
             " unnamed ones cannot be written)"
         )
     return elements[name]
 
 
-def _words(attributes: Mapping[str, str]) -> str:
+def _text(attributes: Mapping[str, str]) -> str:
     return " ".join(f'{name}="{value}"' for name, value in attributes.items())
 
 

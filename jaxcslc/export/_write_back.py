@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ..identification import PhysicalParameters
 from ..manipulator import LinkParameters, Manipulator, RobotError, load_robot
 from ..network import CSLC, derive
-from ._parameter_files import HELD, with_parameters
+from ._parameter_files import STORED, with_parameters
 
 
 States = tuple[
@@ -23,18 +23,18 @@ States = tuple[
 
 @dataclass(frozen=True, eq=False)
 class WrittenRobot:
-    """A robot's file with identified parameters, and the proof that it holds them.
+    """A robot's file with identified parameters, and how well it reproduces their torque.
 
     - `path`: of the file.
     - `robot`: as it was read again from the file.
-    - `left_out`: names of coefficients that the file has no place for.
+    - `left_out`: names of coefficients that the file cannot store.
     - `rms`, `largest`: (n,) difference between the torque that the file predicts and that of the
       parameters, those left out aside, over the states [N m or N]: rounding.
 
     >>> import jaxcslc as jc
     >>> robot = jc.puma560()
-    >>> nothing = np.zeros(robot.joint_count)
-    >>> jc.WrittenRobot(Path("arm.toml"), robot, ("ko1",), nothing, nothing).left_out
+    >>> zeros = np.zeros(robot.joint_count)
+    >>> jc.WrittenRobot(Path("arm.toml"), robot, ("ko1",), zeros, zeros).left_out
     ('ko1',)
     """
 
@@ -46,25 +46,29 @@ class WrittenRobot:
 
 
 def write_robot(
-    network: CSLC, found: PhysicalParameters, path: str | Path, *, states: States | None = None
+    network: CSLC, parameters: PhysicalParameters, path: str | Path, *, states: States | None = None
 ) -> WrittenRobot:
-    """Writes physical parameters into a copy of the robot's own file, and reads it again.
+    """Writes physical parameters into a copy of the robot's file, and reads it again.
 
     Nothing but numbers of links and joints changes: comments, layout and all that is not dynamics
     stay byte by byte as they are. TOML, URDF and MJCF. TOML takes viscous and dry friction for all
-    joints or for none: where some joint has not the word, its keys stay as they are. Slopes of
+    joints or for none: where some joint has no such term, its keys stay as they are. Slopes of
     static friction go to the TOML joints that have it. A payload is no part of the robot: it is
     left out, and the file is that of the arm without it.
 
     **Arguments**
 
     - `network`: derived from a robot that was read from a file (`load_robot`).
-    - `found`: from `physical_parameters`, with `fixed=network.robot.source.carried` for URDF and
-      MJCF, so that fixed bodies keep what the file says of them.
-    - `path`: of the file to write, of the same kind; the robot's own is allowed. Folders that are
-      missing are made.
+    - `parameters`: from `physical_parameters`, with `fixed=network.robot.source.carried` for URDF
+      and MJCF, so that fixed bodies keep their numbers.
+    - `path`: of the file to write, of the same kind; the robot's file itself is allowed.
+      Missing folders are made.
     - `states`: positions, velocities and accelerations at which the file's torques are compared,
       (states, n) each; random ones if omitted.
+
+    **Returns**
+
+    - The file, read again, and the difference of its torques from those of the parameters.
 
     **Raises**
 
@@ -82,8 +86,8 @@ def write_robot(
     ...     torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
     ...     torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
     ...     patterns = jc.Patterns(t[:, 0], *motion, torque, pairs, pairs)
-    ...     found = jc.physical_parameters(network, jc.LeastSquares().fit(network, patterns))
-    ...     written = jc.write_robot(network, found, folder / "identified.toml")
+    ...     parameters = jc.physical_parameters(network, jc.LeastSquares().fit(network, patterns))
+    ...     written = jc.write_robot(network, parameters, folder / "identified.toml")
     ...     text = written.path.read_text()
     >>> "# hinge" in text, "mass = " in text, bool(written.largest.max() < 1e-9)
     (True, True, True)
@@ -92,14 +96,14 @@ def write_robot(
     source = robot.source
     if source is None:
         raise RobotError(f"robot {robot.name!r} was read from no file; expected one to write to")
-    own = Path(source.path)
-    if path.suffix.lower() != own.suffix.lower():
-        raise RobotError(f"{path}: expected a name ending in {own.suffix}, as {own.name}")
-    # What the file has words for may not be what the network was derived with.
-    filed = load_robot(own, base=source.base, tip=source.tip)
-    held = _held(network, filed)
+    original = Path(source.path)
+    if path.suffix.lower() != original.suffix.lower():
+        raise RobotError(f"{path}: expected a name ending in {original.suffix}, as {original.name}")
+    # The file's friction model may not be that of the network.
+    filed = load_robot(original, base=source.base, tip=source.tip)
+    stored = _stored(network, filed)
     slopes = _slopes(network, filed) if source.format == "toml" else {}
-    text = with_parameters(robot, found, own.read_bytes(), held=held, slopes=slopes)
+    text = with_parameters(robot, parameters, original.read_bytes(), stored=stored, slopes=slopes)
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.stem}.part{path.suffix}")
     with _named(scratch, path):
@@ -116,25 +120,26 @@ def write_robot(
     if again.links is None:
         raise RobotError(f"{path}: read again, it has no link parameters")
     drives: dict[str, Any] = {
-        word: values
-        for word, values in (("viscous", again.viscous), ("dry", again.dry))
-        if values is not None and word in held and word in found.friction
+        kind: values
+        for kind, values in (("viscous", again.viscous), ("dry", again.dry))
+        if values is not None and kind in stored and kind in parameters.friction
     }
     from_file = file_network.coefficients_from(again.links, **drives)
-    links = [link if "motor_inertia" in held else _without_motor(link) for link in found.links]
-    known: dict[str, Any] = {
-        word: found.friction[word]
-        for word in ("viscous", "dry")
-        if word in held and word in found.friction
+    has_motors = "motor_inertia" in stored
+    links = [link if has_motors else _without_motor(link) for link in parameters.links]
+    friction: dict[str, Any] = {
+        kind: parameters.friction[kind]
+        for kind in ("viscous", "dry")
+        if kind in stored and kind in parameters.friction
     }
-    wanted = network.coefficients_from(links, **known)
+    wanted = network.coefficients_from(links, **friction)
     change = np.asarray(file_network.torque(from_file, q, qd, qdd)) - np.asarray(
         network.torque(wanted, q, qd, qdd)
     )
     return WrittenRobot(
         path,
         again,
-        tuple(_left_out(network, found, held)),
+        tuple(_left_out(network, parameters, stored)),
         np.sqrt(np.mean(change**2, axis=0)),
         np.max(np.abs(change), axis=0),
     )
@@ -142,7 +147,7 @@ def write_robot(
 
 @contextlib.contextmanager
 def _named(scratch: Path, path: Path) -> Generator[None]:
-    """Errors that name the file that was asked for, not the one that it is first written to."""
+    """Errors name the file to be written, not the temporary one."""
     try:
         yield
     except RobotError as error:
@@ -151,15 +156,15 @@ def _named(scratch: Path, path: Path) -> Generator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
-def _held(network: CSLC, filed: Manipulator) -> tuple[str, ...]:
-    """What the file takes numbers of. TOML: a word of every joint of the network and the file."""
+def _stored(network: CSLC, filed: Manipulator) -> tuple[str, ...]:
+    """What the file can store: for TOML, kinds of every joint of both the network and the file."""
     assert filed.source is not None
-    words = HELD[filed.source.format]
+    kinds = STORED[filed.source.format]
     if filed.source.format != "toml":
-        return words
+        return kinds
     joints = (*network.robot.friction_per_joint, *filed.friction_per_joint)
     return tuple(
-        word for word in words if word == "motor_inertia" or all(word in j for j in joints)
+        kind for kind in kinds if kind == "motor_inertia" or all(kind in j for j in joints)
     )
 
 
@@ -167,12 +172,12 @@ def _slopes(network: CSLC, filed: Manipulator) -> dict[int, float]:
     """The network's slopes of joints that have static friction in the file too."""
     if network.static_slopes is None:
         return {}
-    words = zip(network.robot.friction_per_joint, filed.friction_per_joint, strict=True)
-    given = np.asarray(network.static_slopes, float)
+    kinds = zip(network.robot.friction_per_joint, filed.friction_per_joint, strict=True)
+    slopes = np.asarray(network.static_slopes, float)
     return {
-        joint: float(given[joint])
-        for joint, (own, file) in enumerate(words)
-        if "static" in own and "static" in file
+        joint: float(slopes[joint])
+        for joint, (of_network, of_file) in enumerate(kinds)
+        if "static" in of_network and "static" in of_file
     }
 
 
@@ -180,12 +185,13 @@ def _without_motor(link: LinkParameters) -> LinkParameters:
     return dataclasses.replace(link, motor_inertia=0.0)
 
 
-def _left_out(network: CSLC, found: PhysicalParameters, held: tuple[str, ...]) -> list[str]:
+def _left_out(network: CSLC, parameters: PhysicalParameters, stored: tuple[str, ...]) -> list[str]:
     names: list[str] = []
-    if "motor_inertia" not in held:
-        names += [f"Im{i}" for i, x in enumerate(found.links, start=1) if float(x.motor_inertia)]
+    if "motor_inertia" not in stored:
+        links = enumerate(parameters.links, start=1)
+        names += [f"Im{i}" for i, link in links if float(link.motor_inertia)]
     for term in network.input_terms:
-        if term.kind not in held:
+        if term.kind not in stored:
             names += term.names
     return names + list(network.names[network.layout.payload])
 

@@ -18,7 +18,7 @@ class _Change:
 
 
 class XmlEdits:
-    """Changes of an XML text that leave every byte alone that they do not name.
+    """Changes of an XML text that leave all other bytes as they are.
 
     Attributes are set, taken away or added in their element's tag; new elements go before an
     element's first child. Comments, whitespace, quotes and the order of attributes stay.
@@ -44,7 +44,7 @@ class XmlEdits:
         change.removed |= set(without)
 
     def insert(self, element: Element, child: str) -> None:
-        """A new first child, on a line of its own if the others are; its further lines are
+        """A new first child, on a separate line if the others are; its further lines are
         indented like its first."""
         change = self._changes.setdefault(element.start, _Change(element))
         change.children.append(child.encode())
@@ -63,39 +63,39 @@ class XmlEdits:
         return text
 
     def _with_children(self, tag: bytes, change: _Change) -> bytes:
-        own = _indentation(self._text, change.element.start)
-        inner = own + b"  "
+        outer = _indentation(self._text, change.element.start)
+        inner = outer + b"  "
         if change.element.children:
             inner = _indentation(self._text, change.element.children[0].start)
         lines = b"".join(inner + child.replace(b"\n", inner) for child in change.children)
         if tag.endswith(b"/>"):
             name = change.element.tag.encode()
-            return tag[:-2].rstrip() + b">" + lines + own + b"</" + name + b">"
+            return tag[:-2].rstrip() + b">" + lines + outer + b"</" + name + b">"
         return tag + lines
 
 
 def _with_attributes(tag: bytes, change: _Change) -> bytes:
-    left = {name.encode(): value.encode() for name, value in change.attributes.items()}
+    new = {name.encode(): value.encode() for name, value in change.attributes.items()}
     removed = {name.encode() for name in change.removed}
 
     def changed(match: re.Match[bytes]) -> bytes:
         name, quoted = match[2], match[3]
         if name in removed:
             return b""
-        if name not in left:
+        if name not in new:
             return match[0]
-        return match[0][: -len(quoted)] + quoted[:1] + left.pop(name) + quoted[:1]
+        return match[0][: -len(quoted)] + quoted[:1] + new.pop(name) + quoted[:1]
 
     tag = _ATTRIBUTE.sub(changed, tag)
     end = b"/>" if tag.endswith(b"/>") else b">"
     body = tag[: -len(end)]
     bare = body.rstrip()
-    added = b"".join(b' %s="%s"' % pair for pair in left.items())
+    added = b"".join(b' %s="%s"' % pair for pair in new.items())
     return bare + added + body[len(bare) :] + end
 
 
 def _indentation(text: bytes, start: int) -> bytes:
-    """What stands between an element and the line before; nothing if it begins no line."""
+    """Line break and spaces before an element; empty if it does not begin a line."""
     before = text[:start]
     space = before[len(before.rstrip()) :]
     return space[space.rfind(b"\n") :] if b"\n" in space else b""

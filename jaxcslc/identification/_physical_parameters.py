@@ -25,23 +25,23 @@ class POSSIBILITY(eqx.Enumeration):
         "The solver stopped before it reached its accuracy: the parameters are possible, but"
         " there may be nearer ones."
     )
-    failed = "The solver found no possible parameters: check units, covariance and prior."
+    failed = "The solver failed to find possible parameters: check units, covariance and prior."
 
 
 @dataclass(frozen=True, eq=False)
 class PhysicalParameters:
-    """Link parameters that can exist, and the coefficients that they imply.
+    """Physically possible link parameters, and the coefficients that they imply.
 
     **Attributes**
 
     - `names`: of the coefficients.
     - `links`: one a joint, `fixed` bodies included: positive mass, positive definite
       pseudo-inertia, motor inertia of zero or more.
-    - `own`: the same without the `fixed` bodies.
-    - `friction`: friction coefficients by word, as `CSLC.coefficients_from` takes them.
+    - `links_without_fixed`: the same without the `fixed` bodies.
+    - `friction`: friction coefficients by kind, as `CSLC.coefficients_from` takes them.
     - `k`: (p,) the coefficients that all of these imply.
     - `distance`: root mean square change of the determined coefficients against the fit, in
-      standard errors: what being possible cost.
+      standard errors.
     - `torque_distance`: (n,) root mean square change of each joint's torque over the patterns
       [N m or N]; NaN where no patterns were given.
     - `result`: a member of `POSSIBILITY`.
@@ -54,14 +54,14 @@ class PhysicalParameters:
     >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
     >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
     >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> found = jc.physical_parameters(network, fit)
-    >>> bool(found.links[0].mass > 0), found.to_pandas().shape[0]
+    >>> parameters = jc.physical_parameters(network, fit)
+    >>> bool(parameters.links[0].mass > 0), parameters.to_pandas().shape[0]
     (True, 1)
     """
 
     names: tuple[str, ...]
     links: tuple[LinkParameters, ...]
-    own: tuple[LinkParameters, ...]
+    links_without_fixed: tuple[LinkParameters, ...]
     friction: Mapping[str, Float[np.ndarray, "..."]]
     k: Float[np.ndarray, " coefficients"]
     distance: float
@@ -88,10 +88,11 @@ class PhysicalParameters:
     def __repr__(self) -> str:
         masses = ", ".join(f"{float(link.mass):.3g}" for link in self.links)
         torque = ", ".join(f"{value:.3g}" for value in self.torque_distance)
-        moved = "" if np.all(np.isnan(self.torque_distance)) else f", torque moved by [{torque}]"
+        measured = not np.all(np.isnan(self.torque_distance))
+        change = f", torque changed by [{torque}]" if measured else ""
         return (
             f"PhysicalParameters({len(self.links)} links of [{masses}] kg,"
-            f" {self.distance:.3g} standard errors from the fit{moved})"
+            f" {self.distance:.3g} standard errors from the fit{change})"
         )
 
 
@@ -107,10 +108,10 @@ def physical_parameters(
     least: float = 1e-3,
     throw: bool = True,
 ) -> PhysicalParameters:
-    """Masses, centres of gravity and inertia tensors that can exist, nearest to those identified.
+    """The physically possible masses, centres of gravity and inertia tensors nearest to a fit.
 
-    Identified coefficients are combinations of link parameters, and nothing keeps them from
-    being combinations that no robot has. Every body has a positive definite pseudo-inertia matrix
+    Identified coefficients are combinations of link parameters, and may be combinations that no
+    robot has. Every body has a positive definite pseudo-inertia matrix
     ∫ (x, 1)(x, 1)ᵀ dm, and every such matrix is a body's (Wensing, Kim and Slotine 2018); torque
     is linear in its entries. So the possible parameters nearest to a fit are the solution of a
     semidefinite programme (Sousa and Cortesão 2014): it minimises
@@ -121,27 +122,31 @@ def physical_parameters(
     pseudo-inertia in units of the prior's: with J₀ = L Lᵀ, J̃ = L⁻¹ J L⁻ᵀ. Its distance from 1 is
     the second-order part of the distances between bodies that depend on neither units nor frames
     (Lee, Wensing and Park 2020). Motor inertias and friction that is positive by construction are
-    kept from being negative; they are the `other`, in units of their own size.
+    bounded by zero; they are the `other`, in units of their size.
 
     Links with zeros, equal moments or principal axes (`LinkInertia`) keep them. Principal axes
     make the problem bilinear: it is then solved by a bounded search that starts at the prior.
-    Moments and masses that are listed as zero, which no body has, are left to the prior: listing
-    them says that the torque does not see them.
+    Moments and masses that are listed as zero, which no body has, stay at the prior: the torque
+    does not depend on them.
 
     **Arguments**
 
     - `network`: p coefficients.
     - `fit`: of `LeastSquares`; `k`, `covariance` and `undetermined` are used.
-    - `prior`: links to keep to where the data say nothing; `network.robot.links` if omitted, or
-      else balls of equal mass between the joints. Links that cannot exist are filled up first.
-    - `fixed`: for each link a body that is part of it and known, such as a gripper's, or None.
-      What is left without it must be possible.
+    - `prior`: links that decide what the data do not determine; `network.robot.links` if omitted,
+      or else balls of equal mass between the joints. Impossible links are made possible first.
+    - `fixed`: for each link a known body that is part of it, such as a gripper, or None. The link
+      without it is possible too.
     - `patterns`: over which `torque_distance` is measured.
-    - `motors`: whether joints have motor inertia where the network says so; False holds it at zero,
-      as for a file that has no word for it.
+    - `motors`: whether joints have motor inertia where the network has it; False fixes it at zero,
+      as for a file format without it.
     - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts.
     - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
-    - `throw`: raise if no possible parameters were found instead of returning the result code.
+    - `throw`: raise an error if the solver fails, instead of returning the result code.
+
+    **Returns**
+
+    - The parameters, and their distance from the fit.
 
     **Raises**
 
@@ -149,6 +154,7 @@ def physical_parameters(
       or part out of range, for a fit that is not finite, and for bodies fixed to links with
       principal axes.
     - `RuntimeError`: with `throw`, if the solver fails.
+    - `ImportError`: without the conic solver (the extra `inertia`), where it is needed.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -159,14 +165,15 @@ def physical_parameters(
     ...     k = np.array([-0.5, 0.3, 0.0, 0.2, 0.05])
     ...     covariance = np.diag([0.4, 1e-3, 1e-3, 1e-3, 1e-3]) ** 2
     ...     undetermined = np.zeros((5, 5))
-    >>> found = jc.physical_parameters(network, Fit())
-    >>> bool(found.k[0] > 0), round(float(found.k[1]), 2), float(found.links[0].mass) > 0
+    >>> parameters = jc.physical_parameters(network, Fit())
+    >>> k = parameters.k
+    >>> bool(k[0] > 0), round(float(k[1]), 2), float(parameters.links[0].mass) > 0
     (True, 0.3, True)
     """
     n = network.joint_count
-    for name, given in (("prior", prior), ("fixed", fixed)):
-        if given is not None and len(given) != n:
-            raise ValueError(f"{name}: expected {n} entries, one a joint, got {len(given)}")
+    for name, links in (("prior", prior), ("fixed", fixed)):
+        if links is not None and len(links) != n:
+            raise ValueError(f"{name}: expected {n} entries, one a joint, got {len(links)}")
     if not 0 < prior_weight < np.inf:
         raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
     if not 0 < least < 1:
@@ -191,24 +198,28 @@ def physical_parameters(
         code = POSSIBILITY.successful if converged else POSSIBILITY.inexact
 
     inertia = network.robot.inertia
-    driven = np.array([motors and kind.motor for kind in inertia], bool)
-    rotors = np.zeros(n)
-    rotors[driven] = others[: driven.sum()]
+    motor_mask = np.array([motors and kind.motor for kind in inertia], bool)
+    motor_count = int(motor_mask.sum())
+    motor_inertias = np.zeros(n)
+    motor_inertias[motor_mask] = others[:motor_count]
     links = tuple(
         constrained(kind, link_of(body, float(motor)))
-        for kind, body, motor in zip(inertia, bodies + problem.fixed, rotors, strict=True)
+        for kind, body, motor in zip(inertia, bodies + problem.fixed, motor_inertias, strict=True)
     )
-    free = bodies_of(links) - problem.fixed
+    without_fixed = bodies_of(links) - problem.fixed
     k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
     k += problem.of_others @ (others / problem.scales)
-    moved = problem.whitening @ (k - problem.k)
+    change = problem.whitening @ (k - problem.k)
     return PhysicalParameters(
         network.names,
         links,
-        tuple(link_of(body, float(motor)) for body, motor in zip(free, rotors, strict=True)),
+        tuple(
+            link_of(body, float(motor))
+            for body, motor in zip(without_fixed, motor_inertias, strict=True)
+        ),
         _friction(network, k),
         k,
-        float(np.sqrt(np.mean(moved**2))) if moved.size else 0.0,
+        float(np.sqrt(np.mean(change**2))) if change.size else 0.0,
         _torque_distance(network, k - problem.k, patterns),
         code,
     )
@@ -228,7 +239,7 @@ def _friction(
 def _torque_distance(
     network: CSLC, change: Float[np.ndarray, " coefficients"], patterns: Patterns | None
 ) -> Float[np.ndarray, " joints"]:
-    """Root mean square torque of a change of coefficients over the patterns that count."""
+    """Root mean square torque of a change of coefficients over the patterns of the mask."""
     if patterns is None:
         return np.full(network.joint_count, np.nan)
     torque = np.asarray(network.torque(change, patterns.q, patterns.qd, patterns.qdd))

@@ -12,8 +12,8 @@ from jaxcslc.derivation import Algebra, Table, constant_values, derive_algebra
 
 
 # B.1.3 and B.3.3, by hand. `rz6` is the thesis's 6_r_z, `Izz6` its p6_I_zz, `Im6` its m_I_6. The
-# scan reads an index z as a 2 in places (kM20, kM25, kM26, kG2 and kG5: `4_r_2`, which no link
-# has) and p6 as 16 in kM18; those are mended here, nothing else is.
+# scan reads an index z as a 2 in some entries (kM20, kM25, kM26, kG2 and kG5: `4_r_2`, which no
+# link has) and p6 as 16 in kM18; those are corrected here, nothing else is.
 MASS = [
     "-d4*rz6*m6",
     "a3*rz6*m6",
@@ -78,11 +78,11 @@ def polynomial(expression: str) -> sympy.Expr:
 
 def factors(label: str) -> dict[str, int]:
     """`"c23*s4*c5^2"` as Appendix B's data writes it: {factor: power}."""
-    found: dict[str, int] = {}
+    powers: dict[str, int] = {}
     for factor in [] if label == "1" else label.split("*"):
         name, _, power = factor.partition("^")
-        found[name] = int(power or 1)
-    return found
+        powers[name] = int(power or 1)
+    return powers
 
 
 def links(algebra: Algebra, table: Table) -> dict[tuple[int, tuple[int, ...]], dict[str, Fraction]]:
@@ -106,7 +106,7 @@ def test_counts(
     assert len(table.inputs) == len(table.labels) == inputs
     assert len(table.links) == links
     assert len(table.columns) == nodes
-    # The velocity subnetwork uses 19 of the 26; the thesis's text says 17, its own table 19.
+    # The velocity subnetwork uses 19 of the 26; the thesis's text says 17, its table 19.
     assert len(table.coefficients) == coefficients
 
 
@@ -158,7 +158,9 @@ def test_names_in_order(algebra: Algebra) -> None:
 
 @pytest.mark.parametrize("name", list(PRINTED))
 def test_every_expression(algebra: Algebra, name: str) -> None:
-    (coefficient,) = [each for each in algebra.coefficients if each.name == name]
+    (coefficient,) = [
+        coefficient for coefficient in algebra.coefficients if coefficient.name == name
+    ]
     printed, derived = polynomial(PRINTED[name]), polynomial(coefficient.expression)
     # Link 6 is round, and its Iyy is written as Ixx in the thesis as in the derivation.
     assert sympy.expand(printed - derived) == 0
@@ -181,7 +183,7 @@ def test_armstrongs_values(algebra: Algebra, appendix_b: dict[str, Any], name: s
     """Each printed expression, evaluated by SymPy, gives the printed value to four digits."""
     robot = jaxcslc.puma560().with_gravity((0, 0, -ARMSTRONG_GRAVITY))
     assert robot.links is not None
-    # `g` is the size of gravity: in the thesis's expressions it stands without a sign.
+    # `g` is the size of gravity: in the thesis's expressions it has no sign.
     values = constant_values(robot) | {"g": ARMSTRONG_GRAVITY}
     for i, link in enumerate(robot.links, start=1):
         values |= {f"m{i}": float(link.mass), f"Im{i}": float(link.motor_inertia)}
@@ -207,5 +209,9 @@ def test_g_is_the_size_of_gravity() -> None:
 
 
 def test_units(algebra: Algebra) -> None:
-    assert {each.unit for each in algebra.coefficients if each.group == "mass"} == {"kg m²"}
-    assert {each.unit for each in algebra.coefficients if each.group == "gravity"} == {"N m"}
+    assert {
+        coefficient.unit for coefficient in algebra.coefficients if coefficient.group == "mass"
+    } == {"kg m²"}
+    assert {
+        coefficient.unit for coefficient in algebra.coefficients if coefficient.group == "gravity"
+    } == {"N m"}

@@ -146,7 +146,7 @@ def test_each_is_one_term_and_what_is_regrouped_into_it(
     for index, coefficient in zip(algebra.base_terms, algebra.coefficients, strict=True):
         assert coefficient.addends[0].term == algebra.terms[index]
         assert not coefficient.addends[0].constants
-    assert [each.name for each in algebra.coefficients] == [
+    assert [coefficient.name for coefficient in algebra.coefficients] == [
         f"kB{i}" for i in range(1, len(algebra.coefficients) + 1)
     ]
 
@@ -167,11 +167,11 @@ def test_pinocchios_torque_needs_nothing_else(
     model = pinocchio_chain(robot)
     data = model.createData()
     # Pinocchio's order: m, m r, Ixx Ixy Iyy Ixz Iyz Izz, about the frame's origin as ours.
-    theirs: list[tuple[str, ...]] = [
+    pinocchio_terms: list[tuple[str, ...]] = [
         *(("m",), ("m", "rx"), ("m", "ry"), ("m", "rz")),
         *(("Ixx",), ("Ixy",), ("Iyy",), ("Ixz",), ("Iyz",), ("Izz",)),
     ]
-    columns = [10 * term.link + theirs.index(term.factors) for term in algebra.terms]
+    columns = [10 * term.link + pinocchio_terms.index(term.factors) for term in algebra.terms]
     for _ in range(5):
         regressor = pin.computeJointTorqueRegressor(
             model, data, *rng.uniform(-3, 3, (3, model.nv))
@@ -181,13 +181,13 @@ def test_pinocchios_torque_needs_nothing_else(
 
 def test_gravity_decides_what_is_visible() -> None:
     planar = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    assert [each.expression for each in derive_algebra(planar, "numeric").coefficients] == [
-        *("Izz1 + Im1", "m1*rx1", "m1*ry1")
-    ]
+    assert [
+        coefficient.expression for coefficient in derive_algebra(planar, "numeric").coefficients
+    ] == [*("Izz1 + Im1", "m1*rx1", "m1*ry1")]
     weightless = planar.with_gravity((0, 0, 0))
-    assert [each.expression for each in derive_algebra(weightless, "numeric").coefficients] == [
-        "Izz1 + Im1"
-    ]
+    assert [
+        coefficient.expression for coefficient in derive_algebra(weightless, "numeric").coefficients
+    ] == ["Izz1 + Im1"]
 
 
 def test_two_link_planar_arm() -> None:
@@ -195,7 +195,9 @@ def test_two_link_planar_arm() -> None:
     robot = Manipulator.from_modified_dh(
         [(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0), motor_inertia=False
     )
-    assert [each.expression for each in derive_algebra(robot, "numeric").coefficients] == [
+    assert [
+        coefficient.expression for coefficient in derive_algebra(robot, "numeric").coefficients
+    ] == [
         *("Izz1 + 0.25*m2", "m1*rx1 + 0.5*m2", "m1*ry1"),
         *("Izz2", "m2*rx2", "m2*ry2"),
     ]

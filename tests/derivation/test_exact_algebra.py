@@ -263,24 +263,25 @@ def test_numeric_lengths_need_values() -> None:
 def test_units_of_a_prismatic_joint() -> None:
     slide = Manipulator.from_modified_dh([("pi/2", 0, 0, 0)], kinds="P")
     ((expression, unit),) = (
-        (each.expression, each.unit) for each in derive_algebra(slide, "numeric").coefficients
+        (coefficient.expression, coefficient.unit)
+        for coefficient in derive_algebra(slide, "numeric").coefficients
     )
     assert (expression, unit) == ("m1 + Im1", "kg")
 
 
 def test_a_link_without_inertia_has_no_terms() -> None:
-    nothing = LinkInertia(
+    massless = LinkInertia(
         "full",
         zero=("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"),
         motor=False,
     )
     robot = Manipulator.from_modified_dh(
-        [(0, 0, 0, 0), ("pi/2", 0.3, 0, 0)], inertia=[nothing, "full"]
+        [(0, 0, 0, 0), ("pi/2", 0.3, 0, 0)], inertia=[massless, "full"]
     )
     for lengths in ("symbolic", "numeric"):
         terms = derive_algebra(robot, lengths).terms
         assert {term.link for term in terms} == {1}
-    alone = Manipulator.from_modified_dh([(0, 0, 0, 0)], inertia=nothing)
+    alone = Manipulator.from_modified_dh([(0, 0, 0, 0)], inertia=massless)
     assert derive_algebra(alone, "numeric").coefficients == ()
 
 

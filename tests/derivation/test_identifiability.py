@@ -17,19 +17,19 @@ _BODY = ("m", "m*rx", "m*ry", "m*rz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
 
 def numeric_verdicts(model: Any, rng: np.random.Generator) -> dict[str, str]:
-    """Oracle: a parameter is told alone if the regressor's rank falls without its column."""
+    """Oracle: a parameter is identifiable alone if the rank falls without its column."""
     import pinocchio as pin
 
     data = model.createData()
     blocks: list[np.ndarray] = []
     for _ in range(60):
         q, qd, qdd = rng.uniform(-3, 3, (3, model.nv))
-        own = pin.computeJointTorqueRegressor(model, data, q, qd, qdd)
-        blocks.append(np.hstack([own, np.diag(qdd)]))
+        link_columns = pin.computeJointTorqueRegressor(model, data, q, qd, qdd)
+        blocks.append(np.hstack([link_columns, np.diag(qdd)]))
     regressor = np.vstack(blocks)
     norms = np.linalg.norm(regressor, axis=0)
-    seen = norms > 1e-9 * norms.max()
-    columns = np.where(seen, regressor / np.where(seen, norms, 1.0), 0.0)
+    visible = norms > 1e-9 * norms.max()
+    columns = np.where(visible, regressor / np.where(visible, norms, 1.0), 0.0)
 
     def rank(matrix: np.ndarray) -> int:
         return int(np.linalg.matrix_rank(matrix, tol=1e-8))
@@ -40,15 +40,15 @@ def numeric_verdicts(model: Any, rng: np.random.Generator) -> dict[str, str]:
         for link in range(1, model.nv + 1)
         for name in _BODY
     ] + [f"Im{link}" for link in range(1, model.nv + 1)]
-    found: dict[str, str] = {}
+    verdicts: dict[str, str] = {}
     for i, name in enumerate(names):
-        if not seen[i]:
-            found[name] = "not at all"
+        if not visible[i]:
+            verdicts[name] = "not at all"
         elif rank(np.delete(columns, i, axis=1)) < whole:
-            found[name] = "alone"
+            verdicts[name] = "alone"
         else:
-            found[name] = "only in combinations"
-    return found
+            verdicts[name] = "only in combinations"
+    return verdicts
 
 
 @pytest.mark.parametrize("name", ["puma560", "stanford", "ur5"])
@@ -80,7 +80,7 @@ def _bare(coefficient: jc.Coefficient) -> list[Any]:
 
 
 def test_symbols_tell_no_more_than_numbers() -> None:
-    """What is told alone whatever the lengths are is told alone at these."""
+    """What is identifiable alone for all lengths is so at these."""
     robot = jc.puma560()
     symbolic, numeric = (
         {row.parameter: row.verdict for row in structural_identifiability(derive_algebra(robot, l))}

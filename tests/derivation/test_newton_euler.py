@@ -77,13 +77,13 @@ class _State:
 
     def variables(self, algebra: Algebra) -> list[Any]:
         """Of the tables: cosine and sine of every running sum of angles, prismatic positions."""
-        found: list[Any] = []
+        variables: list[Any] = []
         for angle in algebra.chain.angles:
             total: Any = (fmpq(1), fmpq(0))
             for joint, sign in angle.terms:
                 total = compose(total, self.q[joint], sign)
-            found += total
-        return found + [
+            variables += total
+        return variables + [
             q for q, kind in zip(self.q, algebra.robot.kinds, strict=True) if kind == "P"
         ]
 
@@ -145,8 +145,8 @@ def test_the_parts_agree(robot: jc.Manipulator) -> None:
     assert mass == [list(column) for column in zip(*mass, strict=True)]
     bias = recursion.torque(bodies, motors, state.qd, still)
     moved = [
-        sum(x * y for x, y in zip(row, state.qdd, strict=True)) + rest
-        for row, rest in zip(mass, bias, strict=True)
+        sum(x * y for x, y in zip(row, state.qdd, strict=True)) + offset
+        for row, offset in zip(mass, bias, strict=True)
     ]
     assert recursion.torque(bodies, motors, state.qd, state.qdd) == moved
     assert recursion.torque(bodies, motors, still, still) == recursion.gravity_torque(bodies)

@@ -23,8 +23,9 @@ def algebra() -> Algebra:
 def bodies(rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Values of every symbol of Appendix B for random possible PUMAs of random lengths.
 
-    Principal moments obey the triangle inequality: each is a sum of two second moments. Bodies,
-    lengths and motors have independent sizes, over two decades, or one would drown the others.
+    Principal moments obey the triangle inequality: every moment is a sum of two second moments.
+    Bodies, lengths and motors have independent sizes, over two decades, or one would hide the
+    others.
     """
 
     def sizes(*shape: int) -> np.ndarray:
@@ -51,10 +52,10 @@ def evaluate(expression: str, values: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def test_those_of_the_thesis_are_found(algebra: Algebra, appendix_b: dict[str, Any]) -> None:
-    found = {each.name for each in algebra.coefficients if each.positive}
+    positive = {coefficient.name for coefficient in algebra.coefficients if coefficient.positive}
     assert set(appendix_b["positive_by_construction"]) == {"kM4", "kM6", "kM9", "kM11"}
-    # The thesis names sums of moments; complete squares such as m4 (rz4 + d4)² are found besides.
-    assert found == {
+    # The thesis names sums of moments; complete squares such as m4 (rz4 + d4)² are found too.
+    assert positive == {
         *("kM4", "kM6", "kM9", "kM11"),
         *("kM13", "kM16", "kM22", "kM23", "kM25", "kM26"),
     }
@@ -65,9 +66,13 @@ def test_exactly_those_are_positive_for_every_body(
 ) -> None:
     values = bodies(rng)
     always = {
-        each.name for each in algebra.coefficients if np.all(evaluate(each.expression, values) > 0)
+        coefficient.name
+        for coefficient in algebra.coefficients
+        if np.all(evaluate(coefficient.expression, values) > 0)
     }
-    assert always == {each.name for each in algebra.coefficients if each.positive}
+    assert always == {
+        coefficient.name for coefficient in algebra.coefficients if coefficient.positive
+    }
 
 
 @pytest.mark.parametrize("form", ["full", "principal"])
@@ -83,7 +88,7 @@ def test_holds_for_other_arms(
     rows = [("pi/2", 0.3, -0.2, 0.0), ("-pi/2", -0.4, 0.1, 0.3), (0.0, 0.5, 0.2, 0.0)]
     robot = Manipulator.from_modified_dh(rows, kinds=kinds, inertia=form, friction=())
     network = jaxcslc.derive(robot, lengths=lengths)
-    positive = [each.positive for each in network.coefficients]
+    positive = [coefficient.positive for coefficient in network.coefficients]
     assert any(positive)
     for _ in range(50):
         links = random_links(rng, 3, principal=form == "principal")

@@ -45,8 +45,8 @@ def test_the_torque_is_the_same(
     assert links is not None
     network = jc.derive(jc.puma560().with_friction(), lengths=kept)
     state = jnp.asarray(rng.normal(size=(3, 5, 6)))
-    found = network.torque(network.coefficients_from(links), *state)
-    assert_allclose(found, symbolic.torque(symbolic.coefficients_from(links), *state), atol=1e-12)
+    torque = network.torque(network.coefficients_from(links), *state)
+    assert_allclose(torque, symbolic.torque(symbolic.coefficients_from(links), *state), atol=1e-12)
 
 
 def test_every_symbol_kept_is_the_symbolic_form_without_its_numbering() -> None:

@@ -35,7 +35,9 @@ def _tree() -> jc.Manipulator:
     )
 
 
-_WORDS = _tree().with_friction("asymmetric_viscous", "asymmetric_dry", "static", "root", "spring")
+_ALL_KINDS = _tree().with_friction(
+    "asymmetric_viscous", "asymmetric_dry", "static", "root", "spring"
+)
 
 
 def _agrees(network: jc.CSLC, k: Any, call: Any, rng: np.random.Generator) -> None:
@@ -53,14 +55,14 @@ def _agrees(network: jc.CSLC, k: Any, call: Any, rng: np.random.Generator) -> No
     )(k, q, qd, qdd)
     largest = float(jnp.max(jnp.abs(expected[0])))
     for i in range(_STATES):
-        found = (
+        computed = (
             call("torque", q[i], qd[i], qdd[i], size=n),
             call("mass_matrix", q[i], size=n * n).reshape(n, n),
             call("gravity", q[i], size=n),
             call("regressor", q[i], qd[i], qdd[i], size=n * p).reshape(n, p),
         )
-        for mine, theirs in zip(found, expected, strict=True):
-            np.testing.assert_allclose(mine, theirs[i], rtol=_ROUNDING, atol=_ROUNDING * largest)
+        for actual, desired in zip(computed, expected, strict=True):
+            np.testing.assert_allclose(actual, desired[i], rtol=_ROUNDING, atol=_ROUNDING * largest)
 
 
 def test_puma560(puma: jc.CSLC, compiled: Compiled, rng: np.random.Generator) -> None:
@@ -69,7 +71,7 @@ def test_puma560(puma: jc.CSLC, compiled: Compiled, rng: np.random.Generator) ->
     _agrees(puma, k, compiled(jc.c_code(puma, k)), rng)
 
 
-def test_puma560_of_known_links(
+def test_puma560_of_possible_links(
     puma: jc.CSLC, puma_k: Any, compiled: Compiled, rng: np.random.Generator
 ) -> None:
     """Those of links have less to compute."""
@@ -85,7 +87,7 @@ def test_panda(compiled: Compiled, rng: np.random.Generator) -> None:
     code = jc.c_code(network, k)
     _agrees(network, k, compiled(code), rng)
     assert code.operations["torque"] < 700
-    # Sine and cosine once per angle in each function.
+    # Sine and cosine once per angle in every function.
     for function in code.source.split("\nvoid ")[1:]:
         assert len(re.findall(r"sin\(", function)) == len(set(re.findall(r"sin\(.*?\)", function)))
 
@@ -94,9 +96,9 @@ def test_panda(compiled: Compiled, rng: np.random.Generator) -> None:
     ("robot", "lengths"),
     [
         pytest.param(
-            _WORDS.with_coupling((1, 3, 0.5)).with_static_slopes([1.0, 2.0, 3.0, 4.0]),
+            _ALL_KINDS.with_coupling((1, 3, 0.5)).with_static_slopes([1.0, 2.0, 3.0, 4.0]),
             "numeric",
-            id="every word, a coupling",
+            id="every kind, a coupling",
         ),
         pytest.param(
             _tree().with_friction("viscous", "dry", "offset"), "symbolic", id="offsets, symbols"
@@ -106,7 +108,7 @@ def test_panda(compiled: Compiled, rng: np.random.Generator) -> None:
 def test_a_tree(
     robot: jc.Manipulator, lengths: Any, compiled: Compiled, rng: np.random.Generator
 ) -> None:
-    """Branches, a prismatic joint, and every word of the friction model; at rest too, where
+    """Branches, a prismatic joint, and every kind of friction; at rest too, where
     sgn(0) = 0 and nothing is divided by."""
     network = jc.derive(robot, lengths=lengths)
     k = rng.normal(size=network.size)
@@ -127,8 +129,8 @@ def test_the_text(puma: jc.CSLC, puma_k: Any) -> None:
     """Self-contained, and says what it is."""
     code = jc.c_code(puma, puma_k, name="arm")
     assert re.findall(r"#include (.*)", code.source) == ["<math.h>", '"arm.h"']
-    for word in ("malloc", "static double x", "for (", "while"):
-        assert word not in code.source
+    for text in ("malloc", "static double x", "for (", "while"):
+        assert text not in code.source
     for name in ("torque", "mass_matrix", "gravity", "regressor"):
         assert f"void arm_{name}(const double q[6]" in code.header
     assert "PUMA 560" in code.header and "revolute [rad, N m]" in code.header
@@ -180,9 +182,9 @@ def test_a_payload_beside_the_closed_form(
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)
 
 
-def test_a_payload_of_a_tree_with_every_friction_word(
+def test_a_payload_of_a_tree_with_every_kind_of_friction(
     compiled: Compiled, rng: np.random.Generator
 ) -> None:
-    network = jc.derive(_WORDS.with_coupling((1, 3)), lengths="numeric").with_payload(2)
+    network = jc.derive(_ALL_KINDS.with_coupling((1, 3)), lengths="numeric").with_payload(2)
     k = rng.normal(size=network.size)
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)

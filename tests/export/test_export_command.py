@@ -69,11 +69,11 @@ def arm(tmp_path: Path) -> Path:
     return tmp_path / "arm.toml"
 
 
-def refused(result: Result, *words: str) -> None:
+def check_error(result: Result, *texts: str) -> None:
     assert result.exit_code == 2, result.output
     (line,) = result.stderr.strip().splitlines()
-    for word in words:
-        assert word in line
+    for text in texts:
+        assert text in line
     assert "RuntimeWarning" not in line
 
 
@@ -81,33 +81,33 @@ def derived(path: Path) -> jc.CSLC:
     return jc.derive(jc.load_robot(path), lengths="numeric")
 
 
-def test_another_geometry_is_refused(arm: Path, tmp_path: Path) -> None:
+def test_another_geometry_is_check_error(arm: Path, tmp_path: Path) -> None:
     """Names and their number agree; a length does not."""
-    path = identification(derived(arm), tmp_path / "found.json")
+    path = identification(derived(arm), tmp_path / "fit.json")
     other = tmp_path / "other.toml"
     other.write_text(ARM.replace("0.4", "0.5"))
     result = run(other, path, "-o", tmp_path / "out.toml")
-    refused(result, "expected an identification of this robot")
+    check_error(result, "expected an identification of this robot")
     pairs = zip(derived(arm).coefficients, derived(other).coefficients, strict=True)
     first = next((a, b) for a, b in pairs if a.expression != b.expression)
-    refused(result, first[0].name, first[0].expression, first[1].expression)
+    check_error(result, first[0].name, first[0].expression, first[1].expression)
     assert not (tmp_path / "out.toml").exists()
 
 
 def test_an_older_file_goes_by_name(arm: Path, tmp_path: Path) -> None:
     older: dict[str, Any] = {"expressions": None, "coupled": None, "friction": None}
-    path = identification(derived(arm), tmp_path / "found.json", **older)
+    path = identification(derived(arm), tmp_path / "fit.json", **older)
     result = run(arm, path, "-o", tmp_path / "out.toml")
     assert result.exit_code == 0, result.output
-    path = identification(derived(arm), tmp_path / "found.json", **older, robot="leg")
-    refused(run(arm, path, "-o", tmp_path / "out.toml"), "'leg'", "'arm'", "of this robot")
+    path = identification(derived(arm), tmp_path / "fit.json", **older, robot="leg")
+    check_error(run(arm, path, "-o", tmp_path / "out.toml"), "'leg'", "'arm'", "of this robot")
 
 
-def test_other_couplings_are_refused(tmp_path: Path) -> None:
+def test_other_couplings_are_check_error(tmp_path: Path) -> None:
     arm = tmp_path / "arm.toml"
     arm.write_text(f"coupled = [[1, 2]]\n{ARM}")
-    path = identification(derived(arm), tmp_path / "found.json", coupled=[[1, 2, -1.0]])
-    refused(run(arm, path, "-o", tmp_path / "out.toml"), "[[1, 2, -1.0]]", "[[1, 2, 1.0]]")
+    path = identification(derived(arm), tmp_path / "fit.json", coupled=[[1, 2, -1.0]])
+    check_error(run(arm, path, "-o", tmp_path / "out.toml"), "[[1, 2, -1.0]]", "[[1, 2, 1.0]]")
 
 
 def test_friction_that_the_file_has_no_words_for(tmp_path: Path) -> None:
@@ -116,20 +116,20 @@ def test_friction_that_the_file_has_no_words_for(tmp_path: Path) -> None:
     arm.write_text(URDF)
     robot = jc.load_robot(arm).with_friction("viscous", "dry", "offset").with_coupling((1, 2))
     network = jc.derive(robot, lengths="numeric")
-    path = identification(network, tmp_path / "found.json")
+    path = identification(network, tmp_path / "fit.json")
     result = run(arm, path, "-o", tmp_path / "new" / "out.urdf")
     assert result.exit_code == 0, result.output
     assert "no place for ko1, ko2, kcm1_2, kcv1_2, kcd1_2: left out" in result.output
     result = run(arm, path, "--c", "-o", tmp_path / "code" / "out.c")
     assert result.exit_code == 0, result.output
     assert "void arm_torque" in (tmp_path / "code" / "out.h").read_text()
-    path = identification(network, tmp_path / "found.json", friction=["sticky"])
-    refused(run(arm, path), "found.json", "unknown friction term 'sticky'")
+    path = identification(network, tmp_path / "fit.json", friction=["sticky"])
+    check_error(run(arm, path), "fit.json", "unknown friction term 'sticky'")
 
 
 def test_the_robots_own_file(arm: Path, tmp_path: Path) -> None:
-    path = identification(derived(arm), tmp_path / "found.json")
-    refused(run(arm, path, "-o", tmp_path / "." / "arm.toml"), "arm.toml", "--overwrite")
+    path = identification(derived(arm), tmp_path / "fit.json")
+    check_error(run(arm, path, "-o", tmp_path / "." / "arm.toml"), "arm.toml", "--overwrite")
     assert arm.read_text() == ARM
     result = run(arm, path, "-o", arm, "--overwrite")
     assert result.exit_code == 0, result.output
@@ -141,7 +141,7 @@ def _first(document: dict[str, Any], name: str, value: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         (lambda document: _first(document, "k", 1e300), "expected finite coefficients"),
         (lambda document: _first(document, "k", -1e13), "expected finite coefficients"),
@@ -153,25 +153,25 @@ def _first(document: dict[str, Any], name: str, value: Any) -> None:
         ),
         (lambda document: document.update(expressions=["m1"]), "expressions"),
         (lambda document: document.update(friction="dry"), "friction: expected a list"),
-        (lambda document: document.update(coupled=[3]), "found.json"),
+        (lambda document: document.update(coupled=[3]), "fit.json"),
     ],
 )
 @pytest.mark.parametrize("extra", [(), ("--c",)])
 def test_numbers_of_no_robot(
     change: Callable[[dict[str, Any]], None],
-    words: str,
+    message: str,
     extra: tuple[str, ...],
     arm: Path,
     tmp_path: Path,
 ) -> None:
-    path = identification(derived(arm), tmp_path / "found.json")
+    path = identification(derived(arm), tmp_path / "fit.json")
     document = json.loads(path.read_text())
     change(document)
     path.write_text(json.dumps(document))
-    refused(run(arm, path, *extra), "found.json", words)
+    check_error(run(arm, path, *extra), "fit.json", message)
 
 
 def test_a_folder_that_is_a_file(arm: Path, tmp_path: Path) -> None:
-    path = identification(derived(arm), tmp_path / "found.json")
+    path = identification(derived(arm), tmp_path / "fit.json")
     for name, extra in (("out.toml", ()), ("out.c", ("--c",))):
-        refused(run(arm, path, "-o", path / name, *extra), "found.json")
+        check_error(run(arm, path, "-o", path / name, *extra), "fit.json")

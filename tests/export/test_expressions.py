@@ -11,7 +11,7 @@ from jaxcslc.export._expressions import Expressions, Value
 
 
 def value(graph: Expressions, index: int, inputs: dict[str, float]) -> float:
-    """An interpreter of its own."""
+    """A second interpreter."""
     operation = graph.operations[index]
     arguments = [value(graph, i, inputs) for i in operation.arguments]
     match operation.name:
@@ -111,6 +111,6 @@ def test_nested_polynomials(rng: np.random.Generator) -> None:
         factor * float(np.prod(np.array(list(inputs.values())) ** np.array(powers)))
         for powers, factor in polynomial.items()
     )
-    found = value(graph, nested(graph, polynomial, variables).index, inputs)
-    assert math.isclose(found, expected, rel_tol=1e-12)
+    result = value(graph, nested(graph, polynomial, variables).index, inputs)
+    assert math.isclose(result, expected, rel_tol=1e-12)
     assert nested(graph, {}, variables).is_zero

@@ -107,7 +107,7 @@ class Fit(NamedTuple):
     undetermined: Float[np.ndarray, "rows coefficients"]
 
 
-def found_near(network: jc.CSLC, rng: np.random.Generator) -> jc.PhysicalParameters:
+def parameters_near(network: jc.CSLC, rng: np.random.Generator) -> jc.PhysicalParameters:
     """Coefficients that differ from the file's, and bodies nearest to them."""
     robot = network.robot
     assert robot.links is not None and robot.source is not None
@@ -139,8 +139,8 @@ def changed_lines(before: str, after: str) -> list[str]:
 
 def test_the_file_predicts_what_was_found(file: Path, rng: np.random.Generator) -> None:
     network = jc.derive(jc.load_robot(file), lengths="numeric")
-    found = found_near(network, rng)
-    written = jc.write_robot(network, found, file.with_stem("written"))
+    parameters = parameters_near(network, rng)
+    written = jc.write_robot(network, parameters, file.with_stem("written"))
     assert written.left_out == ()
     assert np.all(written.largest < _ROUNDING)
     assert np.all(written.rms <= written.largest)
@@ -148,14 +148,14 @@ def test_the_file_predicts_what_was_found(file: Path, rng: np.random.Generator) 
     k = network.coefficients_from(
         written.robot.links, viscous=written.robot.viscous, dry=written.robot.dry
     )
-    np.testing.assert_allclose(np.asarray(k), found.k, atol=_ROUNDING)
+    np.testing.assert_allclose(np.asarray(k), parameters.k, atol=_ROUNDING)
 
 
 def test_nothing_else_changes(file: Path, rng: np.random.Generator) -> None:
-    """Every line that differs holds a number of a body or a drive; without numbers the rest is
+    """Every line that differs holds a number of a body or a drive; without numbers the text is
     the same but for elements that were missing."""
     network = jc.derive(jc.load_robot(file), lengths="numeric")
-    jc.write_robot(network, found_near(network, rng), path := file.with_stem("written"))
+    jc.write_robot(network, parameters_near(network, rng), path := file.with_stem("written"))
     before, after = file.read_text(), path.read_text()
     words = {
         ".urdf": "mass|origin|inertia|dynamics|inertial|link name=.fore|</link|elbow",
@@ -174,10 +174,10 @@ def test_nothing_else_changes(file: Path, rng: np.random.Generator) -> None:
 
 def test_writing_twice_is_writing_once(file: Path, rng: np.random.Generator) -> None:
     network = jc.derive(jc.load_robot(file), lengths="numeric")
-    found = found_near(network, rng)
-    written = jc.write_robot(network, found, file.with_stem("once"))
+    parameters = parameters_near(network, rng)
+    written = jc.write_robot(network, parameters, file.with_stem("once"))
     again = jc.derive(written.robot, lengths="numeric")
-    jc.write_robot(again, found, file.with_stem("twice"))
+    jc.write_robot(again, parameters, file.with_stem("twice"))
     assert file.with_stem("twice").read_bytes() == file.with_stem("once").read_bytes()
 
 
@@ -185,10 +185,10 @@ def test_a_payload_is_no_part_of_the_robot(file: Path, rng: np.random.Generator)
     """The file is that of the arm without it, and says that it was left out."""
     network = jc.derive(jc.load_robot(file), lengths="numeric")
     loaded = network.with_payload()
-    found = found_near(loaded, rng)
-    assert found.k.shape == (loaded.size,)
-    written = jc.write_robot(loaded, found, file.with_stem("loaded"))
-    jc.write_robot(network, found, file.with_stem("alone"))
+    parameters = parameters_near(loaded, rng)
+    assert parameters.k.shape == (loaded.size,)
+    written = jc.write_robot(loaded, parameters, file.with_stem("loaded"))
+    jc.write_robot(network, parameters, file.with_stem("alone"))
     assert written.left_out == loaded.names[loaded.layout.payload]
     assert np.max(written.largest) < _ROUNDING
     assert file.with_stem("loaded").read_bytes() == file.with_stem("alone").read_bytes()
@@ -199,28 +199,30 @@ def test_pinocchio_reads_the_same(tmp_path: Path, rng: np.random.Generator) -> N
     path = tmp_path / "arm.urdf"
     path.write_text(URDF)
     network = jc.derive(jc.load_robot(path), lengths="numeric")
-    found = found_near(network, rng)
-    jc.write_robot(network, found, tmp_path / "written.urdf")
+    parameters = parameters_near(network, rng)
+    jc.write_robot(network, parameters, tmp_path / "written.urdf")
     model = pinocchio.buildModelFromUrdf(str(tmp_path / "written.urdf"))
     data = model.createData()
     q, qd, qdd = rng.uniform(-1, 1, (3, 2))
     # A continuous joint is a point of the circle to Pinocchio.
     theirs = pinocchio.rnea(model, data, np.array([np.cos(q[0]), np.sin(q[0]), q[1]]), qd, qdd)
-    friction = np.asarray(network.friction_term(found.k, qd))
-    mine = np.asarray(network.torque(found.k, q, qd, qdd)) - friction
+    friction = np.asarray(network.friction_term(parameters.k, qd))
+    mine = np.asarray(network.torque(parameters.k, q, qd, qdd)) - friction
     np.testing.assert_allclose(mine, theirs, atol=1e-9)
 
 
 def test_fixed_bodies_keep_theirs(tmp_path: Path, rng: np.random.Generator) -> None:
-    """The tool is bolted on: its element stays, and the forearm holds the rest."""
+    """The tool is bolted on: its element stays, and the forearm has what remains."""
     path = tmp_path / "arm.urdf"
     path.write_text(URDF)
     network = jc.derive(jc.load_robot(path), lengths="numeric")
-    found = found_near(network, rng)
-    jc.write_robot(network, found, tmp_path / "written.urdf")
+    parameters = parameters_near(network, rng)
+    jc.write_robot(network, parameters, tmp_path / "written.urdf")
     tool = re.search(r'<link name="tool">.*?</link>', URDF, re.DOTALL)
     assert tool is not None and tool[0] in (tmp_path / "written.urdf").read_text()
-    assert float(found.links[1].mass) - float(found.own[1].mass) == pytest.approx(0.3)
+    assert float(parameters.links[1].mass) - float(
+        parameters.links_without_fixed[1].mass
+    ) == pytest.approx(0.3)
 
 
 def test_what_urdf_has_no_words_for(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -231,24 +233,24 @@ def test_what_urdf_has_no_words_for(tmp_path: Path, rng: np.random.Generator) ->
     k = rng.uniform(0.5, 1.0, network.size)
     fit = Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k))))
     assert robot.source is not None
-    found = jc.physical_parameters(network, fit, fixed=robot.source.carried)
-    written = jc.write_robot(network, found, tmp_path / "written.urdf")
+    parameters = jc.physical_parameters(network, fit, fixed=robot.source.carried)
+    written = jc.write_robot(network, parameters, tmp_path / "written.urdf")
     assert {"ko1", "ko2"} <= set(written.left_out) <= {"ko1", "ko2", "Im1", "Im2"}
     assert np.all(written.largest < _ROUNDING)
 
 
 def test_what_is_fixed_cannot_be_forgotten(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Parameters that leave no body beside the tool are refused, and no file is written."""
+    """Parameters that leave no body beside the tool are an error, and no file is written."""
     path = tmp_path / "arm.urdf"
     path.write_text(URDF)
     network = jc.derive(jc.load_robot(path), lengths="numeric")
     light = jc.LinkParameters(0.1, np.zeros(3), 1e-4 * np.eye(3))
     k = np.asarray(network.coefficients_from([light, light]))
-    found = jc.physical_parameters(
+    parameters = jc.physical_parameters(
         network, Fit(k, 1e-8 * np.eye(len(k)), np.zeros((0, len(k)))), (light, light)
     )
     with pytest.raises(jc.RobotError, match="'fore' without what the file has fixed"):
-        jc.write_robot(network, found, tmp_path / "written.urdf")
+        jc.write_robot(network, parameters, tmp_path / "written.urdf")
     assert [entry.name for entry in tmp_path.iterdir()] == ["arm.urdf"]
 
 
@@ -257,49 +259,53 @@ PER_JOINT = TOML.replace('name = "arm"', 'friction = ["viscous", "dry", "static"
 
 def test_words_of_some_joints(tmp_path: Path, rng: np.random.Generator) -> None:
     """TOML takes viscous friction of all joints or none: here none, and dry of all. Slopes of
-    static friction go where the word is."""
+    static friction go where the term is."""
     path = tmp_path / "arm.toml"
     words = 'friction = ["asymmetric_viscous", "dry"]\na = "a1"'
     text = PER_JOINT.replace('a = "a1"', words)
     path.write_text(text.replace("viscous = 0.1\n", "").replace("viscous = 0.3\n", ""))
     network = jc.derive(jc.load_robot(path), lengths="numeric").with_static_slopes([7.5, 1.0])
     k = rng.uniform(0.5, 1.0, network.size)
-    found = jc.physical_parameters(network, Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k)))))
-    written = jc.write_robot(network, found, tmp_path / "written.toml")
+    parameters = jc.physical_parameters(
+        network, Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k))))
+    )
+    written = jc.write_robot(network, parameters, tmp_path / "written.toml")
     assert written.left_out == ("kv1", "ks1", "kvp2", "kvn2")
     assert np.all(written.largest < _ROUNDING)
     assert written.robot.viscous is None
-    np.testing.assert_allclose(written.robot.dry or (), found.friction["dry"])
+    np.testing.assert_allclose(written.robot.dry or (), parameters.friction["dry"])
     assert written.robot.static_slopes is not None and written.robot.static_slopes[0] == 7.5
     assert written.path.read_text().count("static_slope") == 1
 
 
 def test_words_that_only_the_network_has(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Nothing is written that the file's own words forbid."""
+    """Nothing is written that the file's friction model forbids."""
     path = tmp_path / "arm.toml"
     dry = re.compile(r"^dry = .*\n", re.MULTILINE)
     path.write_text(dry.sub("", TOML.replace('name = "arm"', 'friction = ["viscous"]\nname="arm"')))
     robot = jc.load_robot(path).with_friction("viscous", "dry", "static")
     network = jc.derive(robot, lengths="numeric")
     k = rng.uniform(0.5, 1.0, network.size)
-    found = jc.physical_parameters(network, Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k)))))
-    written = jc.write_robot(network, found, tmp_path / "written.toml")
+    parameters = jc.physical_parameters(
+        network, Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k))))
+    )
+    written = jc.write_robot(network, parameters, tmp_path / "written.toml")
     assert written.left_out == ("kd1", "kd2", "ks1", "ks2")
     assert np.all(written.largest < _ROUNDING)
     assert "static_slope" not in written.path.read_text()
-    np.testing.assert_allclose(written.robot.viscous or (), found.friction["viscous"])
+    np.testing.assert_allclose(written.robot.viscous or (), parameters.friction["viscous"])
 
 
 def test_folders(file: Path, rng: np.random.Generator) -> None:
     """Missing ones are made; errors name what was asked for and not what is written first."""
     network = jc.derive(jc.load_robot(file), lengths="numeric")
-    found = found_near(network, rng)
-    written = jc.write_robot(network, found, file.parent / "some" / "where" / file.name)
+    parameters = parameters_near(network, rng)
+    written = jc.write_robot(network, parameters, file.parent / "some" / "where" / file.name)
     assert written.path.exists() and len(list(written.path.parent.iterdir())) == 1
     taken = file.parent / f"taken{file.suffix}"
     taken.mkdir()
     with pytest.raises(OSError, match=f"'{taken}'") as caught:
-        jc.write_robot(network, found, taken)
+        jc.write_robot(network, parameters, taken)
     assert ".part" not in str(caught.value)
 
 
@@ -345,23 +351,23 @@ def test_bodies_of_several_joints_are_refused(
     path = tmp_path / "arm.xml"
     path.write_text(change(MJCF))
     network = jc.derive(jc.load_robot(path), lengths="numeric")
-    found = found_near(network, rng)
+    parameters = parameters_near(network, rng)
     if words is None:
-        jc.write_robot(network, found, tmp_path / "written.xml")
+        jc.write_robot(network, parameters, tmp_path / "written.xml")
         return
     with pytest.raises(jc.RobotError, match=words):
-        jc.write_robot(network, found, tmp_path / "written.xml")
+        jc.write_robot(network, parameters, tmp_path / "written.xml")
     assert not (tmp_path / "written.xml").exists()
 
 
 def test_wrong_files(puma: jc.CSLC, puma_k: Any, tmp_path: Path) -> None:
     k = np.asarray(puma_k)
     fit = Fit(k, 1e-4 * np.eye(len(k)), np.zeros((0, len(k))))
-    found = jc.physical_parameters(puma, fit)
+    parameters = jc.physical_parameters(puma, fit)
     with pytest.raises(jc.RobotError, match="was read from no file"):
-        jc.write_robot(puma, found, tmp_path / "puma.toml")
+        jc.write_robot(puma, parameters, tmp_path / "puma.toml")
     path = tmp_path / "arm.toml"
     path.write_text(TOML)
     network = jc.derive(jc.load_robot(path))
     with pytest.raises(jc.RobotError, match=r"expected a name ending in \.toml"):
-        jc.write_robot(network, found, tmp_path / "arm.urdf")
+        jc.write_robot(network, parameters, tmp_path / "arm.urdf")

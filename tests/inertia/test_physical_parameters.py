@@ -1,4 +1,4 @@
-"""From coefficients to bodies that can exist: identities, independent oracles, what is held."""
+"""From coefficients to bodies that can exist: identities, independent oracles, fixed bodies."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -35,7 +35,7 @@ class Fit(NamedTuple):
     undetermined: Float[np.ndarray, "rows coefficients"]
 
 
-def known(k: Any, error: float = 0.01) -> Fit:
+def fit_of(k: Any, error: float = 0.01) -> Fit:
     """A fit of the same standard error everywhere."""
     k = np.asarray(k, float)
     return Fit(k, error**2 * np.eye(len(k)), np.zeros((0, len(k))))
@@ -74,10 +74,10 @@ class TestBodies:
         self, random_links: Callable[..., Links], rng: np.random.Generator
     ) -> None:
         (link,) = random_links(rng, 1)
-        theirs = pinocchio.Inertia(
+        inertia = pinocchio.Inertia(
             float(link.mass), np.asarray(link.centre_of_gravity), np.asarray(link.inertia)
         )
-        expected = pinocchio.PseudoInertia.FromInertia(theirs).toMatrix()
+        expected = pinocchio.PseudoInertia.FromInertia(inertia).toMatrix()
         np.testing.assert_allclose(pseudo_inertia(body_of(link)), expected, atol=_ROUNDING)
 
     def test_there_and_back(
@@ -103,10 +103,10 @@ class TestBodies:
         centre = np.array(links[1].centre_of_gravity) * [1, 0, 1]
         links[1] = jc.LinkParameters(links[1].mass, centre, links[1].inertia, 0.1)
         bodies, motors = body_map(network.algebra)
-        found = np.einsum("ile,le->i", bodies, bodies_of(links))
-        found += motors @ np.array([float(link.motor_inertia) for link in links])
-        expected = np.asarray(network.coefficients_from(links))[: len(found)]
-        np.testing.assert_allclose(found, expected, atol=_ROUNDING)
+        k = np.einsum("ile,le->i", bodies, bodies_of(links))
+        k += motors @ np.array([float(link.motor_inertia) for link in links])
+        expected = np.asarray(network.coefficients_from(links))[: len(k)]
+        np.testing.assert_allclose(k, expected, atol=_ROUNDING)
 
     def test_undetermined_changes_cost_nothing(self, rng: np.random.Generator) -> None:
         """The metric's square is the added sum of squared residuals over their variance."""
@@ -128,25 +128,25 @@ class TestIdentity:
     def test_possible_coefficients_stay(
         self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator
     ) -> None:
-        """What bodies have, is had by bodies."""
+        """Coefficients of possible bodies stay as they are."""
         links = random_links(rng, 3)
         k = elbow.coefficients_from(links, viscous=[1.0, 2.0, 3.0], dry=[0.1, 0.2, 0.3])
-        found = jc.physical_parameters(elbow, known(k, 1e-7))
-        assert found.result == POSSIBILITY.successful
-        np.testing.assert_allclose(found.k, np.asarray(k), atol=1e-6)
-        np.testing.assert_allclose(np.asarray(found.viscous), [1, 2, 3], atol=1e-6)
-        again = elbow.coefficients_from(found.links, **dict[str, Any](found.friction))
-        np.testing.assert_allclose(np.asarray(again), found.k, atol=_ROUNDING)
+        parameters = jc.physical_parameters(elbow, fit_of(k, 1e-7))
+        assert parameters.result == POSSIBILITY.successful
+        np.testing.assert_allclose(parameters.k, np.asarray(k), atol=1e-6)
+        np.testing.assert_allclose(np.asarray(parameters.viscous), [1, 2, 3], atol=1e-6)
+        again = elbow.coefficients_from(parameters.links, **dict[str, Any](parameters.friction))
+        np.testing.assert_allclose(np.asarray(again), parameters.k, atol=_ROUNDING)
 
     def test_the_prior_is_its_own_answer(
         self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator
     ) -> None:
         links = random_links(rng, 3)
         k = elbow.coefficients_from(links, viscous=[1.0] * 3, dry=[0.1] * 3)
-        found = jc.physical_parameters(elbow, known(k), links)
-        for mine, truth in zip(found.links, links, strict=True):
-            np.testing.assert_allclose(body_of(mine), body_of(truth), atol=1e-8)
-            assert float(mine.motor_inertia) == pytest.approx(float(truth.motor_inertia))
+        parameters = jc.physical_parameters(elbow, fit_of(k), links)
+        for body, truth in zip(parameters.links, links, strict=True):
+            np.testing.assert_allclose(body_of(body), body_of(truth), atol=1e-8)
+            assert float(body.motor_inertia) == pytest.approx(float(truth.motor_inertia))
 
     def test_principal_axes_stay_principal(
         self, random_links: Callable[..., Links], rng: np.random.Generator
@@ -171,14 +171,14 @@ class TestIdentity:
                 links[i].mass, np.array(links[i].centre_of_gravity) * free, tensor, 0.1
             )
         k = network.coefficients_from(links, viscous=[1.0] * 3, dry=[0.1] * 3)
-        found = jc.physical_parameters(network, known(k, 1e-6))
-        np.testing.assert_allclose(found.k, np.asarray(k), atol=1e-5)
-        tensors = np.stack([np.asarray(link.inertia) for link in found.links])
+        parameters = jc.physical_parameters(network, fit_of(k, 1e-6))
+        np.testing.assert_allclose(parameters.k, np.asarray(k), atol=1e-5)
+        tensors = np.stack([np.asarray(link.inertia) for link in parameters.links])
         assert np.count_nonzero(tensors) == 9
         assert tensors[2, 0, 0] == pytest.approx(tensors[2, 1, 1])
-        assert np.asarray(found.links[1].centre_of_gravity)[1] == 0.0
-        again = network.coefficients_from(found.links, **dict[str, Any](found.friction))
-        np.testing.assert_allclose(np.asarray(again), found.k, atol=_ROUNDING)
+        assert np.asarray(parameters.links[1].centre_of_gravity)[1] == 0.0
+        again = network.coefficients_from(parameters.links, **dict[str, Any](parameters.friction))
+        np.testing.assert_allclose(np.asarray(again), parameters.k, atol=_ROUNDING)
 
     def test_of_an_identification(self, elbow: jc.CSLC, random_links: Any, rng: Any) -> None:
         """From patterns with noise: within the fit's standard errors, and the distance is the
@@ -192,31 +192,31 @@ class TestIdentity:
             np.arange(300.0), q, qd, qdd, torque + rng.normal(size=q.shape), every, every
         )
         fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(elbow, patterns)
-        found = jc.physical_parameters(elbow, fit, patterns=patterns)
-        change = np.asarray(elbow.torque(found.k - np.asarray(fit.k), q, qd, qdd))
-        np.testing.assert_allclose(found.torque_distance, np.sqrt(np.mean(change**2, 0)))
-        assert found.distance < 1.0
-        assert min(float(spectrum(link)[0]) for link in found.links) > 0
+        parameters = jc.physical_parameters(elbow, fit, patterns=patterns)
+        change = np.asarray(elbow.torque(parameters.k - np.asarray(fit.k), q, qd, qdd))
+        np.testing.assert_allclose(parameters.torque_distance, np.sqrt(np.mean(change**2, 0)))
+        assert parameters.distance < 1.0
+        assert min(float(spectrum(link)[0]) for link in parameters.links) > 0
 
 
 class TestImpossible:
     def test_negative_inertia_is_lifted_to_the_least(self, pendulum: jc.CSLC) -> None:
         """By hand: the nearest motor and body of a negative moment have almost none."""
-        found = jc.physical_parameters(pendulum, known([-0.5, 0.3, 0.0, 0.2, 0.05]))
-        assert 0 < found.k[0] < 0.1
-        np.testing.assert_allclose(found.k[3:], [0.2, 0.05], atol=1e-3)
-        assert float(found.links[0].motor_inertia) == pytest.approx(0.0, abs=1e-6)
+        parameters = jc.physical_parameters(pendulum, fit_of([-0.5, 0.3, 0.0, 0.2, 0.05]))
+        assert 0 < parameters.k[0] < 0.1
+        np.testing.assert_allclose(parameters.k[3:], [0.2, 0.05], atol=1e-3)
+        assert float(parameters.links[0].motor_inertia) == pytest.approx(0.0, abs=1e-6)
 
     def test_nearest_on_the_boundary(self, pendulum: jc.CSLC) -> None:
-        """Only kB1 is known well: it stays, and a body that can have it is found."""
+        """Only kB1 is certain: it stays, and so does a body that has it."""
         fit = Fit(
             np.array([1e-3, 1.0, 0.0, 0.1, 0.1]),
             np.diag([1e-5, 1e-1, 1e-5, 1e-3, 1e-3]) ** 2,
             np.zeros((0, 5)),
         )
-        found = jc.physical_parameters(pendulum, fit)
-        assert found.k[0] == pytest.approx(1e-3, rel=0.05)
-        assert np.all(np.linalg.eigvalsh(np.asarray(found.links[0].inertia)) > 0)
+        parameters = jc.physical_parameters(pendulum, fit)
+        assert parameters.k[0] == pytest.approx(1e-3, rel=0.05)
+        assert np.all(np.linalg.eigvalsh(np.asarray(parameters.links[0].inertia)) > 0)
 
     def test_eigenvalues_are_no_less_than_asked_for(
         self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator
@@ -224,94 +224,100 @@ class TestImpossible:
         prior = random_links(rng, 3)
         k = rng.normal(size=elbow.size)
         for least in (1e-3, 0.1):
-            found = jc.physical_parameters(elbow, known(k), prior, least=least)
-            for mine, before in zip(found.links, prior, strict=True):
+            parameters = jc.physical_parameters(elbow, fit_of(k), prior, least=least)
+            for body, before in zip(parameters.links, prior, strict=True):
                 scale = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(body_of(before))))
-                unit = scale @ pseudo_inertia(body_of(mine)) @ scale.T
+                unit = scale @ pseudo_inertia(body_of(body)) @ scale.T
                 lowest = float(np.linalg.eigvalsh(unit)[0])
                 assert lowest > least - _SOLVER
-            assert np.all(np.asarray(found.viscous) >= 0) and np.all(np.asarray(found.dry) >= 0)
-            assert all(float(link.motor_inertia) >= 0 for link in found.links)
+            assert np.all(np.asarray(parameters.viscous) >= 0) and np.all(
+                np.asarray(parameters.dry) >= 0
+            )
+            assert all(float(link.motor_inertia) >= 0 for link in parameters.links)
 
     def test_nothing_possible_is_nearer(
         self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator
     ) -> None:
         """Optimality of a convex programme: no step towards any possible robot is downhill."""
         prior = random_links(rng, 3)
-        fit = known(rng.normal(size=elbow.size))
+        fit = fit_of(rng.normal(size=elbow.size))
         weak = 1e-4
-        found = jc.physical_parameters(elbow, fit, prior, prior_weight=weak, least=1e-6)
+        parameters = jc.physical_parameters(elbow, fit, prior, prior_weight=weak, least=1e-6)
 
         def cost(k: Float[np.ndarray, " _"]) -> float:
             return float(np.sum((k - fit.k) ** 2)) / 0.01**2
 
-        own = cost(found.k)
+        lowest = cost(parameters.k)
         for _ in range(20):
             other = random_links(rng, 3)
             k = np.asarray(
                 elbow.coefficients_from(other, viscous=rng.uniform(0, 1, 3), dry=[0.5] * 3)
             )
             step = 1e-3
-            assert cost(found.k + step * (k - found.k)) > own * (1 - 1e-5)
+            assert cost(parameters.k + step * (k - parameters.k)) > lowest * (1 - 1e-5)
 
 
 class TestFixedBodies:
-    def test_they_stay_and_the_rest_is_possible(
+    def test_they_stay_and_the_other_bodies_are_possible(
         self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator
     ) -> None:
         links, gripper = random_links(rng, 3), random_links(rng, 1)[0]
         whole = link_of(body_of(links[2]) + body_of(gripper), float(links[2].motor_inertia))
         k = elbow.coefficients_from((*links[:2], whole), viscous=[1.0] * 3, dry=[0.1] * 3)
-        found = jc.physical_parameters(elbow, known(k), fixed=(None, None, gripper))
+        parameters = jc.physical_parameters(elbow, fit_of(k), fixed=(None, None, gripper))
         np.testing.assert_allclose(
-            body_of(found.links[2]) - body_of(found.own[2]), body_of(gripper), atol=_ROUNDING
+            body_of(parameters.links[2]) - body_of(parameters.links_without_fixed[2]),
+            body_of(gripper),
+            atol=_ROUNDING,
         )
-        assert spectrum(found.own[2])[0] > 0
-        np.testing.assert_allclose(found.k, np.asarray(k), atol=0.05)
+        assert spectrum(parameters.links_without_fixed[2])[0] > 0
+        np.testing.assert_allclose(parameters.k, np.asarray(k), atol=0.05)
 
-    def test_a_body_too_heavy_for_the_data_holds(self, pendulum: jc.CSLC) -> None:
-        """What is fixed is fixed, whatever the coefficients say."""
+    def test_a_body_too_heavy_for_the_data_stays(self, pendulum: jc.CSLC) -> None:
+        """A fixed body stays, whatever the coefficients."""
         lead = jc.LinkParameters(50.0, np.array([1.0, 0, 0]), np.eye(3))
-        found = jc.physical_parameters(pendulum, known([1.0, 0.3, 0.0, 0.2, 0.05]), fixed=(lead,))
-        assert found.k[0] > 51.0
-        assert float(found.links[0].mass) > 50.0
+        parameters = jc.physical_parameters(
+            pendulum, fit_of([1.0, 0.3, 0.0, 0.2, 0.05]), fixed=(lead,)
+        )
+        assert parameters.k[0] > 51.0
+        assert float(parameters.links[0].mass) > 50.0
 
     def test_not_on_principal_axes(self) -> None:
         robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], inertia="principal")
         network = jc.derive(robot)
         ball = jc.LinkParameters(1.0, np.zeros(3), np.eye(3))
         with pytest.raises(ValueError, match="full inertia tensors only"):
-            jc.physical_parameters(network, known(np.ones(network.size)), fixed=(ball,))
+            jc.physical_parameters(network, fit_of(np.ones(network.size)), fixed=(ball,))
 
 
-def test_all_friction_words_come_back(rng: np.random.Generator) -> None:
+def test_all_kinds_of_friction_come_back(rng: np.random.Generator) -> None:
     """In the form that `coefficients_from` takes."""
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), ("pi/2", 0.2, 0, 0)])
     robot = robot.with_friction("asymmetric_viscous", "asymmetric_dry", "static", "spring")
     network = jc.derive(robot.with_coupling((1, 2)), lengths="numeric")
-    found = jc.physical_parameters(network, known(rng.uniform(0.5, 1.0, network.size)))
-    assert found.friction["asymmetric_dry"].shape == (2, 2)
-    assert found.friction["coupled"].shape == (1, 3)
-    again = network.coefficients_from(found.links, **dict[str, Any](found.friction))
-    np.testing.assert_allclose(np.asarray(again), found.k, atol=_ROUNDING)
+    parameters = jc.physical_parameters(network, fit_of(rng.uniform(0.5, 1.0, network.size)))
+    assert parameters.friction["asymmetric_dry"].shape == (2, 2)
+    assert parameters.friction["coupled"].shape == (1, 3)
+    again = network.coefficients_from(parameters.links, **dict[str, Any](parameters.friction))
+    np.testing.assert_allclose(np.asarray(again), parameters.k, atol=_ROUNDING)
 
 
-def test_motors_can_be_held_at_zero(elbow: jc.CSLC, rng: np.random.Generator) -> None:
-    found = jc.physical_parameters(elbow, known(rng.normal(size=elbow.size)), motors=False)
-    assert [float(link.motor_inertia) for link in found.links] == [0.0, 0.0, 0.0]
+def test_motors_can_be_fixed_at_zero(elbow: jc.CSLC, rng: np.random.Generator) -> None:
+    parameters = jc.physical_parameters(elbow, fit_of(rng.normal(size=elbow.size)), motors=False)
+    assert [float(link.motor_inertia) for link in parameters.links] == [0.0, 0.0, 0.0]
 
 
 def test_reads_well(elbow: jc.CSLC) -> None:
-    found = jc.physical_parameters(elbow, known(np.ones(elbow.size)))
-    assert repr(found).startswith("PhysicalParameters(3 links of [")
-    table = found.to_pandas()
+    parameters = jc.physical_parameters(elbow, fit_of(np.ones(elbow.size)))
+    assert repr(parameters).startswith("PhysicalParameters(3 links of [")
+    table = parameters.to_pandas()
     assert table.index.tolist() == [1, 2, 3]
-    assert table.loc[2, "mass"] == float(found.links[1].mass)
+    assert table.loc[2, "mass"] == float(parameters.links[1].mass)
     assert {"rx", "Ixz", "motor_inertia"} <= set(table.columns)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         ({"prior": ()}, "prior: expected 3 entries, one a joint, got 0"),
         ({"fixed": (None,)}, "fixed: expected 3 entries"),
@@ -319,13 +325,13 @@ def test_reads_well(elbow: jc.CSLC) -> None:
         ({"least": 1.0}, "least: expected a number between 0 and 1"),
     ],
 )
-def test_wrong_arguments(elbow: jc.CSLC, arguments: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        jc.physical_parameters(elbow, known(np.ones(elbow.size)), **arguments)
+def test_wrong_arguments(elbow: jc.CSLC, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        jc.physical_parameters(elbow, fit_of(np.ones(elbow.size)), **arguments)
 
 
 def test_a_fit_that_does_not_fit(elbow: jc.CSLC) -> None:
     with pytest.raises(ValueError, match=f"expected {elbow.size} coefficients"):
-        jc.physical_parameters(elbow, known(np.ones(2)))
+        jc.physical_parameters(elbow, fit_of(np.ones(2)))
     with pytest.raises(ValueError, match="not finite"):
-        jc.physical_parameters(elbow, known(np.full(elbow.size, np.nan)))
+        jc.physical_parameters(elbow, fit_of(np.full(elbow.size, np.nan)))

@@ -25,7 +25,7 @@ for line in sys.stdin:
     name, arguments = json.loads(line)
     try:
         functions[name](**{key: tuples(value) for key, value in arguments.items()})
-        outcome = "nothing", ""
+        outcome = "no error", ""
     except Exception as error:
         outcome = type(error).__name__, str(error)
     print(json.dumps(outcome))
@@ -34,10 +34,10 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="session")
 def outcomes() -> Callable[[Sequence[Call]], list[Outcome]]:
-    """Calls functions in a process of their own: what each raises, and its message.
+    """Calls functions in a separate process: what they raise, and its message.
 
     In a test run annotations are checked, which would stop many a wrong value before the function
-    sees it. Users run without, and are to get the library's own words.
+    sees it. Users run without, and must get the library's message.
     """
 
     def run(calls: Sequence[Call]) -> list[Outcome]:
@@ -50,8 +50,8 @@ def outcomes() -> Callable[[Sequence[Call]], list[Outcome]]:
             encoding="utf-8",
             check=True,
         )
-        found = [tuple(json.loads(line)) for line in done.stdout.splitlines()]
-        assert len(found) == len(calls)
-        return found
+        outcomes_of_calls = [tuple(json.loads(line)) for line in done.stdout.splitlines()]
+        assert len(outcomes_of_calls) == len(calls)
+        return outcomes_of_calls
 
     return run

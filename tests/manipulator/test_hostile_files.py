@@ -159,12 +159,12 @@ NO_BODIES = {
 
 @pytest.mark.parametrize("name", NO_BODIES)
 def test_inertias_matter_where_they_move(tmp_path: Path, name: str) -> None:
-    """One that no body has is refused in a link or on it, but not in the base or elsewhere."""
+    """One that no body has is an error in a link or on it, but not in the base or elsewhere."""
     path = tmp_path / "arm.urdf"
     x = NO_BODIES[name]
     hand = (link("c"), joint("k", "b", "c"))
     path.write_text(urdf(*ARM, *hand, x, joint("fixed to c", "c", "x", "fixed")))
-    for part in ({}, {"tip": "c"}, {"tip": "b"}):  # x is held at zero on what moves
+    for part in ({}, {"tip": "c"}, {"tip": "b"}):  # x is fixed at zero on a moving link
         with pytest.raises(jc.RobotError, match="body 'x': "):
             jc.load_robot(path, **part)
     path.write_text(urdf(*ARM, *hand, x, joint("beside", "a", "x")))
@@ -196,7 +196,7 @@ LIMITS = '<limit lower="1" upper="1" effort="1" velocity="1"/>'  # equal: MuJoCo
 def test_mujoco_s_warnings_go_nowhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Neither to the terminal nor to a file of its own, and a handler that was set is kept."""
+    """Neither to the terminal nor to a log file, and a handler that was set is kept."""
     path = tmp_path / "arm.urdf"
     here = tmp_path / "here"
     here.mkdir()

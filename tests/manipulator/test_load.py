@@ -39,12 +39,12 @@ def rigid_torque(robot: jc.Manipulator) -> Callable[..., np.ndarray]:
     return lambda *state: np.asarray(network.torque(k, *state))
 
 
-def disagreement(found: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.max(np.abs(found - expected)) / np.max(np.abs(expected)))
+def disagreement(actual: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.max(np.abs(actual - expected)) / np.max(np.abs(expected)))
 
 
 class Oracle(NamedTuple):
-    """Pinocchio's model of the same part of a file, joints in its own order."""
+    """Pinocchio's model of the same part of a file, joints in Pinocchio's order."""
 
     model: Any
     data: Any
@@ -86,8 +86,8 @@ class Oracle(NamedTuple):
         ]
         matrix = np.concatenate(rows)
         norms = np.linalg.norm(matrix, axis=0)
-        felt = norms > 1e-9 * np.max(norms)  # the others are rounding, and would be scaled up
-        singular = np.linalg.svd(matrix[:, felt] / norms[felt], compute_uv=False)
+        visible = norms > 1e-9 * np.max(norms)  # the others are rounding, and would be scaled up
+        singular = np.linalg.svd(matrix[:, visible] / norms[visible], compute_uv=False)
         return int(np.sum(singular > 1e-9 * singular[0]))
 
 
@@ -146,21 +146,21 @@ def test_inertial_origins_turn_the_tensor(rng: np.random.Generator, tmp_path: Pa
     ],
 )
 def test_mjcf_is_mujocos(rng: np.random.Generator, file: str, part: dict[str, str]) -> None:
-    """Rigid torque, armature included, on 1,000 states; joints off the part held at zero."""
+    """Rigid torque, armature included, on 1,000 states; joints off the part fixed at zero."""
     robot = jc.load_robot(DATA / file, **part)
     assert robot.source is not None
     model: Any = compiled(DATA / file, part.get("base"))
     model.dof_damping[:], model.dof_frictionloss[:] = 0.0, 0.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data: Any = mujoco.MjData(model)
-    places = [model.joint(name).dofadr[0] for name in robot.source.joints]
+    dofs = [model.joint(name).dofadr[0] for name in robot.source.joints]
     q, qd, qdd = states(rng, STATES, robot.joint_count)
     expected = np.empty_like(q)
     for i in range(STATES):
         data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0.0, 0.0
-        data.qpos[places], data.qvel[places], data.qacc[places] = q[i], qd[i], qdd[i]
+        data.qpos[dofs], data.qvel[dofs], data.qacc[dofs] = q[i], qd[i], qdd[i]
         mujoco.mj_inverse(model, data)
-        expected[i] = data.qfrc_inverse[places]
+        expected[i] = data.qfrc_inverse[dofs]
     assert disagreement(rigid_torque(robot)(q, qd, qdd), expected) < AGREEMENT
 
 
@@ -223,7 +223,7 @@ def test_a_mesh_s_inertia_is_not_guessed(tmp_path: Path) -> None:
 
 
 def test_bodies_without_geometry_weigh_nothing(tmp_path: Path) -> None:
-    """Frames, and what has only geometry that weighs nothing, add nothing to their link."""
+    """Frames, and bodies whose geometry has no mass, add nothing to their link."""
     looks = '<geom type="mesh" mesh="m" mass="0"/>'
     path = tmp_path / "frames.xml"
     path.write_text(

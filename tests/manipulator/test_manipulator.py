@@ -1,4 +1,4 @@
-"""Robots made in Python: what rows mean, what variants keep, what is refused."""
+"""Robots made in Python: what rows mean, what variants keep, what is an error."""
 
 import dataclasses
 import math
@@ -42,8 +42,8 @@ def test_inertia_for_all_links_or_for_each() -> None:
     alike = Manipulator.from_modified_dh(ROWS, inertia="principal", motor_inertia=False)
     assert alike.inertia == (LinkInertia("principal", motor=False),) * 2
     assert Manipulator.from_modified_dh(ROWS, inertia=round_link).inertia == (round_link,) * 2
-    each = Manipulator.from_modified_dh(ROWS, inertia=["full", round_link])
-    assert each.inertia == (LinkInertia("full"), round_link)
+    mixed = Manipulator.from_modified_dh(ROWS, inertia=["full", round_link])
+    assert mixed.inertia == (LinkInertia("full"), round_link)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_robots_are_values() -> None:
 
 
 def changed(row: int, entry: int, value: object) -> list[Any]:
-    rows: list[list[object]] = [list(each) for each in ROWS]
+    rows: list[list[object]] = [list(row) for row in ROWS]
     rows[row][entry] = value
     return rows
 
@@ -151,7 +151,7 @@ CONTRADICTORY: list[tuple[dict[str, Any], str]] = [
     ),
     ({"form": "principal", "zero": ["m"]}, "a link of zero mass has no centre of gravity"),
 ]
-# Refused in other words, or not at all.
+# Other messages, or no error.
 TO_REFUSE: list[tuple[dict[str, Any], str]] = [
     ({"rows": changed(0, 0, "pi/0")}, "joint 1, alpha"),  # ZeroDivisionError
     # Values of named lengths are not looked at, as those of a file are.
@@ -175,19 +175,19 @@ def refusals(outcomes: Callable[..., list[tuple[str, str]]]) -> dict[str, tuple[
 def test_refused(
     refusals: dict[str, tuple[str, str]], arguments: dict[str, Any], message: str
 ) -> None:
-    kind, found = refusals[str(arguments)]
+    kind, text = refusals[str(arguments)]
     assert kind == "RobotError"
-    assert re.search(message, found), found
-    assert "\n" not in found
+    assert re.search(message, text), text
+    assert "\n" not in text
 
 
 @pytest.mark.parametrize(("arguments", "message"), TO_REFUSE, ids=str)
 def test_to_be_refused(
     refusals: dict[str, tuple[str, str]], arguments: dict[str, Any], message: str
 ) -> None:
-    kind, found = refusals[str(arguments)]
+    kind, text = refusals[str(arguments)]
     assert kind == "RobotError"
-    assert re.search(message, found), found
+    assert re.search(message, text), text
 
 
 @pytest.mark.parametrize("field", ["links", "viscous", "dry"])
@@ -197,7 +197,7 @@ def test_one_entry_a_joint(field: str) -> None:
 
 
 def test_three_equal_moments() -> None:
-    """A homogeneous sphere: either it is written with one moment, or it is refused."""
+    """A homogeneous sphere: either it is written with one moment, or it is an error."""
     from jaxcslc.derivation import derive_algebra
 
     sphere = LinkInertia(

@@ -324,7 +324,7 @@ NOT_OF_THE_FILE = [
     ('"-pi/2"', '"pi/0"', ", joint 2, alpha"),
     ('inertia = "full"', "inertia = [1, 1, 1]", ", joint 2, link"),
 ]
-# Contradictions that are read without a word.
+# Contradictions that are read without an error.
 UNSEEN = [
     # A centre of gravity away from where `zero` puts it.
     ("[0, 0, 0.1]", "[0.2, 0, 0.1]", ", joint 1, link"),
@@ -341,9 +341,9 @@ UNSEEN = [
 LONELY_MOTOR = "[[joint]]\n[joint.link]\nmotor_inertia = 0.3\n"
 
 
-def mistaken(found: str, replacement: str) -> str:
-    assert ARM.count(found) >= 1
-    return ARM.replace(found, replacement, 1)
+def mistaken(original: str, replacement: str) -> str:
+    assert ARM.count(original) >= 1
+    return ARM.replace(original, replacement, 1)
 
 
 @pytest.fixture(scope="module")
@@ -356,22 +356,22 @@ def refusals(
     paths = [tmp_path_factory.mktemp("robot") / "arm.toml" for _ in texts]
     for path, text in zip(paths, texts, strict=True):
         path.write_text(text, encoding="utf-8")
-    found = outcomes([("load_robot", {"path": str(path)}) for path in paths])
-    return dict(zip(texts, found, strict=True))
+    text = outcomes([("load_robot", {"path": str(path)}) for path in paths])
+    return dict(zip(texts, text, strict=True))
 
 
 def assert_refused(outcome: tuple[str, str], message: str) -> None:
-    kind, found = outcome
-    assert kind == "RobotError", found
-    assert re.search(r"[/\\]arm\.toml" + message, found), found
-    assert "\n" not in found
+    kind, text = outcome
+    assert kind == "RobotError", text
+    assert re.search(r"[/\\]arm\.toml" + message, text), text
+    assert "\n" not in text
 
 
-@pytest.mark.parametrize(("found", "replacement", "message"), MISTAKES)
+@pytest.mark.parametrize(("original", "replacement", "message"), MISTAKES)
 def test_mistakes(
-    refusals: dict[str, tuple[str, str]], found: str, replacement: str, message: str
+    refusals: dict[str, tuple[str, str]], original: str, replacement: str, message: str
 ) -> None:
-    assert_refused(refusals[mistaken(found, replacement)], message)
+    assert_refused(refusals[mistaken(original, replacement)], message)
 
 
 @pytest.mark.parametrize(("text", "message"), BROKEN)
@@ -379,18 +379,18 @@ def test_broken_files(refusals: dict[str, tuple[str, str]], text: str, message: 
     assert_refused(refusals[text], message)
 
 
-@pytest.mark.parametrize(("found", "replacement", "message"), NOT_OF_THE_FILE)
+@pytest.mark.parametrize(("original", "replacement", "message"), NOT_OF_THE_FILE)
 def test_the_file_is_named(
-    refusals: dict[str, tuple[str, str]], found: str, replacement: str, message: str
+    refusals: dict[str, tuple[str, str]], original: str, replacement: str, message: str
 ) -> None:
-    assert_refused(refusals[mistaken(found, replacement)], message)
+    assert_refused(refusals[mistaken(original, replacement)], message)
 
 
-@pytest.mark.parametrize(("found", "replacement", "message"), UNSEEN)
+@pytest.mark.parametrize(("original", "replacement", "message"), UNSEEN)
 def test_contradictions(
-    refusals: dict[str, tuple[str, str]], found: str, replacement: str, message: str
+    refusals: dict[str, tuple[str, str]], original: str, replacement: str, message: str
 ) -> None:
-    assert_refused(refusals[mistaken(found, replacement)], message)
+    assert_refused(refusals[mistaken(original, replacement)], message)
 
 
 def test_a_motor_inertia_without_a_mass(refusals: dict[str, tuple[str, str]]) -> None:
@@ -429,7 +429,7 @@ coefficients = [["1", [1, 1], 1], ["1", [2, 2], 1], ["c1*c12", [1, 2], 1], ["c1*
 def test_a_numbering_orders_and_scales(load: Callable[[str], Manipulator]) -> None:
     """A planar arm, by hand: gravity along the axes, so that the mass matrix is all there is."""
     algebra = derive_algebra(load(NUMBERED), "symbolic")
-    assert [(each.name, each.expression) for each in algebra.coefficients] == [
+    assert [(c.name, c.expression) for c in algebra.coefficients] == [
         ("kM1", "Izz1 + Izz2 + a1^2*m2"),
         ("kM2", "Izz2"),
         ("kM3", "a1*m2*rx2"),
@@ -442,7 +442,7 @@ def test_a_numbering_orders_and_scales(load: Callable[[str], Manipulator]) -> No
 
 
 @pytest.mark.parametrize(
-    ("found", "replacement", "message"),
+    ("original", "replacement", "message"),
     [
         ('"c1*c12", "c1*s12"', '"c1*c12"', r"\(a sketch\): input 'c1\*s12' of this robot is not"),
         ('"1", "s1*s12"', '"1", "c9", "s1*s12"', r"\(a sketch\): 'c9' is not an input"),
@@ -461,10 +461,10 @@ def test_a_numbering_orders_and_scales(load: Callable[[str], Manipulator]) -> No
     ],
 )
 def test_a_numbering_that_does_not_fit(
-    load: Callable[[str], Manipulator], found: str, replacement: str, message: str
+    load: Callable[[str], Manipulator], original: str, replacement: str, message: str
 ) -> None:
-    assert found in NUMBERED
-    robot = load(NUMBERED.replace(found, replacement, 1))
+    assert original in NUMBERED
+    robot = load(NUMBERED.replace(original, replacement, 1))
 
     def derived() -> Any:
         algebra = derive_algebra(robot, "symbolic")

@@ -1,4 +1,4 @@
-"""Friction words and coupled joints, as arguments and in robot files."""
+"""Kinds of friction and coupled joints, as arguments and in robot files."""
 
 from pathlib import Path
 from typing import Any
