@@ -31,7 +31,7 @@ def base_parameters(
 
     Every element of M and G is, at every position, a linear form in `terms`. The base
     parameters are a basis of the span of these forms, here its reduced row echelon form: each
-    is one term plus a rational combination of terms that nothing else depends on. That
+    is one term plus a rational combination of terms that affect torque in no other way. That
     makes it canonical: it depends on the order of the terms alone.
 
     The span is built from the forms at random positions until three further ones add nothing,

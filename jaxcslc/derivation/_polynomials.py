@@ -95,13 +95,13 @@ class PositionRing:
         result: dict[Monomial, dict[Any, Any]] = {}
 
         def put(monomial: list[int], form: dict[Any, Any], factor: int) -> None:
-            form = result.setdefault(tuple(monomial), {})
+            target = result.setdefault(tuple(monomial), {})
             for key, value in form.items():
-                total = form.get(key, 0) + factor * value
+                total = target.get(key, 0) + factor * value
                 if total:
-                    form[key] = total
+                    target[key] = total
                 else:
-                    del form[key]
+                    del target[key]
 
         for angle, sign in self._angles_of(joint):
             cos, sin = 2 * angle, 2 * angle + 1

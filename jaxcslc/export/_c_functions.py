@@ -4,8 +4,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..network import CSLC, RigidBodyTables
-from ._c_friction import coupled_inertias, friction_entries
+from ..network import CSLC
+from ._c_inputs import input_entries, input_inertias
 from ._expressions import Expressions, Motion, Value
 from ._rigid_body import (
     AbstractRigidBody,
@@ -34,14 +34,14 @@ class Dynamics:
 
 def torque(dynamics: Dynamics) -> list[Value]:
     total = dynamics.rigid_body.torque()
-    for joint, index, value in friction_entries(dynamics.network, dynamics.motion):
+    for joint, index, value in input_entries(dynamics.network, dynamics.motion):
         total[joint] = total[joint] + value * float(dynamics.k[index])
     return total
 
 
 def mass_matrix(dynamics: Dynamics) -> list[Value]:
     rows = dynamics.rigid_body.mass_matrix()
-    for i, j, value in coupled_inertias(dynamics.network, dynamics.k):
+    for i, j, value in input_inertias(dynamics.network, dynamics.k):
         rows[i][j] = rows[i][j] + value
         rows[j][i] = rows[i][j]
     return [value for row in rows for value in row]
@@ -57,12 +57,11 @@ def regressor(dynamics: Dynamics) -> list[Value] | None:
     if rigid is None:
         return None
     layout = network.layout
-    columns = layout.indices("rigid_body", *(["payload"] if network.payload else [])).tolist()
     rows = [[motion.graph.constant(0.0)] * layout.size for _ in rigid]
+    inertial = layout.inertial.stop
     for row, values in zip(rows, rigid, strict=True):
-        for column, value in zip(columns, values, strict=True):
-            row[column] = value
-    for joint, index, value in friction_entries(network, motion):
+        row[layout.inertial], row[layout.payload] = values[:inertial], values[inertial:]
+    for joint, index, value in input_entries(network, motion):
         rows[joint][index] = rows[joint][index] + value
     return [value for row in rows for value in row]
 
@@ -140,7 +139,7 @@ def _rigid_bodies(
         bodies = bodies_of_coefficients(network, k)
         if bodies is not None:
             yield lambda motion: RecursiveRigidBody(motion, network, bodies)
-        if isinstance(network.rigid_body, RigidBodyTables):
+        if network.rigid_body.has_tables:
             yield lambda motion: TabulatedRigidBody(motion, network, k)
 
     return list(candidates())

@@ -72,6 +72,7 @@ def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
     **Raises**
 
     - `RobotError`: in one line, from MuJoCo.
+    - `MissingExtraError`: without MuJoCo.
     """
     with _without_warnings():
         return _read(path, urdf)
@@ -120,8 +121,7 @@ def _read(path: Path, urdf: bool) -> BodyTree:
 
 
 def _parsed(path: Path, urdf: bool) -> Any:
-    mujoco: Any = require("mujoco", "urdf")  # not needed by those who have no such file
-
+    mujoco: Any = require("mujoco", "urdf")
     # MuJoCo chooses its reader by the suffix, and has none for ".URDF" and ".mjcf".
     if urdf:
         return mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))

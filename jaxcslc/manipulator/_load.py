@@ -42,6 +42,7 @@ def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = N
     - `RobotError`: one line that names the file, the joint or body, and what was expected: for ball
       and free joints, closed loops, joints that mimic others and inertias that no body has, where
       they are part of the robot.
+    - `MissingExtraError`: for URDF and MJCF, without MuJoCo (the extra `urdf`).
 
     >>> import tempfile
     >>> arm = '''<robot name="arm"> <link name="floor"/> <link name="bar"> <inertial>

@@ -1,5 +1,6 @@
 """From coefficients to bodies that can exist: identities, independent oracles, fixed bodies."""
 
+import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -335,3 +336,14 @@ def test_a_fit_that_does_not_fit(elbow: jc.CSLC) -> None:
         jc.physical_parameters(elbow, fit_of(np.ones(2)))
     with pytest.raises(ValueError, match="not finite"):
         jc.physical_parameters(elbow, fit_of(np.full(elbow.size, np.nan)))
+
+
+def test_a_missing_conic_solver_is_named(
+    pendulum: jc.CSLC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only where it is needed: possible coefficients are their own answer."""
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    possible = np.array([1.0, 0.3, 0.0, 0.2, 0.05])
+    assert jc.physical_parameters(pendulum, fit_of(possible)).result == POSSIBILITY.successful
+    with pytest.raises(ImportError, match=r"pip install 'jaxcslc\[inertia\]'"):
+        jc.physical_parameters(pendulum, fit_of(-possible))

@@ -356,8 +356,8 @@ def refusals(
     paths = [tmp_path_factory.mktemp("robot") / "arm.toml" for _ in texts]
     for path, text in zip(paths, texts, strict=True):
         path.write_text(text, encoding="utf-8")
-    text = outcomes([("load_robot", {"path": str(path)}) for path in paths])
-    return dict(zip(texts, text, strict=True))
+    results = outcomes([("load_robot", {"path": str(path)}) for path in paths])
+    return dict(zip(texts, results, strict=True))
 
 
 def assert_refused(outcome: tuple[str, str], message: str) -> None:

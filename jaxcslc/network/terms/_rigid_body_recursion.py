@@ -70,6 +70,11 @@ class RigidBodyRecursion(AbstractTerm):
         )
 
     @property
+    def has_tables(self) -> bool:
+        """Whether the closed form is small enough to be computed from its tables."""
+        return False
+
+    @property
     def parts(self) -> tuple[str, ...]:
         return ("mass", "velocity", "gravity")
 

@@ -43,6 +43,11 @@ class RigidBodyTables(AbstractTerm):
         )
 
     @property
+    def has_tables(self) -> bool:
+        """Whether the closed form is small enough to be computed from its tables."""
+        return True
+
+    @property
     def parts(self) -> tuple[str, ...]:
         return ("mass", "velocity", "gravity")
 

@@ -43,10 +43,12 @@ class CFunctions(AbstractFunctions):
         return self.graph.apply("cos", x)
 
 
-def friction_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]:
-    """The regressor's entries beside the rigid body's: joint, coefficient, value.
+def input_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]:
+    """The regressor's entries beside the rigid body's: friction, offsets, springs, coupled joints.
 
-    Everything that the network adds to it: friction, offsets, springs, coupled joints.
+    **Returns**
+
+    - Joint, coefficient and value of each.
     """
     functions = CFunctions(motion.graph)
     entries: list[tuple[int, int, Value]] = []
@@ -57,12 +59,14 @@ def friction_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Valu
     return entries
 
 
-def coupled_inertias(
+def input_inertias(
     network: CSLC, k: Float[np.ndarray, " coefficients"]
 ) -> list[tuple[int, int, float]]:
     """What terms beside the rigid body add to the mass matrix above its diagonal.
 
-    **Returns** row, column and value.
+    **Returns**
+
+    - Row, column and value of each.
     """
     entries: list[tuple[int, int, float]] = []
     for term in network.input_terms:
