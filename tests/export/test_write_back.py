@@ -249,7 +249,7 @@ def test_what_is_fixed_cannot_be_forgotten(tmp_path: Path, rng: np.random.Genera
     parameters = jc.physical_parameters(
         network, Fit(k, 1e-8 * np.eye(len(k)), np.zeros((0, len(k)))), (light, light)
     )
-    with pytest.raises(jc.RobotError, match="'fore' without what the file has fixed"):
+    with pytest.raises(jc.RobotError, match="'fore' without the bodies that the file has fixed"):
         jc.write_robot(network, parameters, tmp_path / "written.urdf")
     assert [entry.name for entry in tmp_path.iterdir()] == ["arm.urdf"]
 

@@ -131,7 +131,7 @@ def _with_friction(robot: Manipulator, document: dict[str, Any], path: Path) -> 
     for name, value in (("friction", terms), ("coupled", pairs)):
         if value is not None and not isinstance(value, list):
             raise ValueError(f"{path}: {name}: expected a list")
-    if robot.own_friction is not None:
+    if robot.joint_friction is not None:
         return robot
     try:
         if terms is not None and tuple(terms) != robot.friction:
