@@ -33,8 +33,11 @@ class Angle:
     Where consecutive revolute axes are parallel, only the sum of their angles turns the links
     behind them (thesis 2.6.2). Taking the sum as the variable keeps the tables small.
 
-    `terms` are (joint, sign) pairs, joints counted from 0. With `wide`, as for robots of ten and
-    more joints, labels keep the numbers apart: q1 + q2 is `1_2`, because `12` is q12.
+    **Attributes**
+
+    - `terms`: (joint, sign) pairs, joints counted from 0.
+    - `wide`: whether labels separate the numbers, as for robots of ten and more joints: q1 + q2 is
+      `1_2`, because `12` is q12.
     """
 
     terms: tuple[tuple[int, int], ...]
@@ -52,16 +55,27 @@ class Angle:
 
 @dataclass(frozen=True)
 class ChainLink:
-    """How a link's frame follows from its parent's, with exact constant rotations."""
+    """How a link's frame follows from its parent's, with exact constant rotations.
 
-    parent: int  # -1: the base
+    **Attributes**
+
+    - `parent`: index of the link that carries it; -1 for the base.
+    - `prismatic`: whether its joint slides along z; otherwise it turns about z.
+    - `branch`, `twist`: rotations by gamma and alpha.
+    - `joins_group`: whether its axis is parallel or antiparallel to the axis before.
+    - `side`: direction of its axis within the group of parallel axes, +1 or -1.
+    - `angle`: index of the group's running angle after this joint.
+    - `offset`: the constant part of that angle.
+    """
+
+    parent: int
     prismatic: bool
-    branch: Rotation  # gamma
-    twist: Rotation  # alpha
-    joins_group: bool  # its axis is parallel or antiparallel to the axis before
-    side: int  # +1 or -1: direction of its axis within the group of parallel axes
-    angle: int | None  # index of the group's running angle after this joint
-    offset: Rotation  # the constant part of that angle
+    branch: Rotation
+    twist: Rotation
+    joins_group: bool
+    side: int
+    angle: int | None
+    offset: Rotation
 
 
 @dataclass(frozen=True)
@@ -117,11 +131,14 @@ class Chain:
 
 @dataclass(frozen=True)
 class LinkTwists:
-    """Unit velocities of one link, expressed in its own frame.
+    """Unit velocities of one link, expressed in its frame.
 
-    `angular[j]` and `linear[j]` are the angular velocity of the link and the velocity of its
-    frame's origin when joint j alone moves at unit rate, for j up to the link: zero for joints
-    that do not carry it; `gravity` is the gravity vector.
+    **Attributes**
+
+    - `angular`, `linear`: for every joint up to the link's, the angular velocity of the link and
+      the velocity of its frame's origin when this joint alone moves at unit rate; zero for joints
+      that do not carry the link.
+    - `gravity`: the gravity vector.
     """
 
     angular: tuple[Vector, ...]
@@ -140,10 +157,10 @@ def link_twists(
     gravity: Vector,
     reduce: Reduce = unchanged,
 ) -> tuple[LinkTwists, ...]:
-    """The columns of every link's geometric Jacobian, in the link's own frame.
+    """The columns of every link's geometric Jacobian, in the link's frame.
 
     They are what Eqn. 2.3-24 needs of the transforms: dT_i/dq_j = T_i X_j, where X_j is the
-    4 x 4 twist of joint j seen from frame i, so that the rotation in T_i drops out of the
+    4 x 4 twist of joint j in frame i, so that the rotation in T_i drops out of the
     trace: Tr(dT_i/dq_j I_i dT_i'/dq_k) = Tr(X_j I_i X_k'). Multiplying the transforms out first,
     as the equation is written, gives the same polynomials through ones that are far larger.
 

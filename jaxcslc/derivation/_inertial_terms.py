@@ -18,9 +18,13 @@ _FIRST_MOMENTS = BODY[6:9]
 class InertialTerm:
     """One product of a link's physical parameters, and where it is in the link's inertia.
 
-    `factors` multiply each other: `("Ixx",)`, `("m", "rx", "ry")`, `("motor",)`. `body` says how
-    much of it each of the ten entries of `BODY` contains (Eqns. 2.3-17, 2.3-20). `link` counts
-    from 0. `central` marks a moment about the centre of gravity instead of the frame's origin.
+    **Attributes**
+
+    - `link`: counted from 0.
+    - `factors`: `("Ixx",)`, `("m", "rx", "ry")`, `("motor",)`, to be multiplied.
+    - `body`: entries of `BODY` that contain the product, with their multiples of it (Eqns. 2.3-17,
+      2.3-20).
+    - `central`: whether it is a moment about the centre of gravity instead of the frame's origin.
     """
 
     link: int

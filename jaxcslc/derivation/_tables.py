@@ -14,8 +14,10 @@ Column = tuple[int, ...]  # (row, column) of M, (i, j, k) of c_ijk or (joint,) o
 class Link:
     """A link of the network: from an input to an element, weighted by coefficients.
 
-    `input` and `column` index the table's `inputs` and `columns`; `weights` are
-    (coefficient, multiple) pairs, coefficients counted from 0 in the network's vector.
+    **Attributes**
+
+    - `input`, `column`: indices into the table's `inputs` and `columns`.
+    - `weights`: (coefficient, multiple) pairs, coefficients counted from 0 in the network's vector.
     """
 
     input: int

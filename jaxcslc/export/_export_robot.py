@@ -10,18 +10,18 @@ from ..identification.solver import Identification
 from ..motion import Patterns
 from ..network import CSLC
 from ._c_code import CCode
-from ._write_back import WrittenRobot, write_robot
+from ._write_back import WrittenRobot, random_states, write_robot
 
 
 @dataclass(frozen=True, eq=False)
 class RobotExport:
-    """A robot file with identified parameters, and how they were found.
+    """A robot file with identified parameters, and their distance from the fit.
 
     `print` shows what `jaxcslc export` prints.
 
     **Attributes**
 
-    - `network`: that was identified.
+    - `network`: of the identified robot.
     - `parameters`: the possible link parameters nearest to the identified coefficients.
     - `written`: the file, and the torques that it predicts when it is read again.
     - `measured`: whether torques were compared over recorded motion, not over random states.
@@ -71,20 +71,24 @@ def export_robot(
 ) -> RobotExport:
     """Writes the possible parameters nearest to an identification into a copy of the robot's file.
 
-    Bodies that the robot's file fixes to a link keep what it says of them; motor inertia is zero
+    Bodies that the robot's file fixes to a link keep their numbers; motor inertia is zero
     where the format has none.
 
     **Arguments**
 
     - `network`: derived from a robot that was read from a file.
     - `fit`: of this network.
-    - `path`: of the file to write, of the same kind as the robot's own.
+    - `path`: of the file to write, of the same kind as the robot's.
     - `motion`: states at which torques are compared; random ones if omitted.
-    - `progress`: is called with a few words at the start of each step.
+    - `progress`: is called with a short text at the start of every step.
 
-    **Returns** a `RobotExport`.
+    **Returns**
 
-    **Raises** as `physical_parameters` and `write_robot`.
+    - The parameters, the written file, and how well it reproduces their torque.
+
+    **Raises**
+
+    - The errors of `physical_parameters` and `write_robot`.
 
     >>> import tempfile
     >>> import numpy as np, jaxcslc as jc
@@ -108,7 +112,7 @@ def export_robot(
     carried = source.carried if source is not None else None
     fixed = carried if carried is not None and any(body is not None for body in carried) else None
     motors = source is None or source.format != "urdf"
-    states = _random_states(network.joint_count) if motion is None else motion
+    states = _state_patterns(network.joint_count) if motion is None else motion
     report("fitting possible bodies")
     parameters = physical_parameters(network, fit, fixed=fixed, patterns=states, motors=motors)
     report("writing and reading again")
@@ -124,7 +128,9 @@ def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
     - `code`: from `c_code`.
     - `path`: of the source file; by default the code's name in the current folder.
 
-    **Returns** source and header.
+    **Returns**
+
+    - Paths of source and header.
 
     **Raises**
 
@@ -143,9 +149,8 @@ def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
     return source, header
 
 
-def _random_states(joints: int) -> Patterns:
-    """A hundred random states, as patterns without torques."""
-    unit = np.random.default_rng(0).uniform(-1, 1, (3, 100, joints))
-    q, qd, qdd = unit * [[[np.pi]], [[1.0]], [[1.0]]]
+def _state_patterns(joints: int) -> Patterns:
+    """Random states as patterns without torques."""
+    q, qd, qdd = random_states(joints)
     mask = np.ones(q.shape, bool)
-    return Patterns(np.arange(100.0), q, qd, qdd, 0 * q, mask, mask)
+    return Patterns(np.arange(float(len(q))), q, qd, qdd, 0 * q, mask, mask)

@@ -115,7 +115,7 @@ def write_robot(
             with contextlib.suppress(OSError):
                 scratch.unlink(missing_ok=True)
     again = load_robot(path, base=source.base, tip=source.tip)
-    q, qd, qdd = _random_states(network.joint_count) if states is None else states
+    q, qd, qdd = random_states(network.joint_count) if states is None else states
     file_network = derive(again, lengths=network.algebra.lengths)
     if again.links is None:
         raise RobotError(f"{path}: read again, it has no link parameters")
@@ -196,7 +196,8 @@ def _left_out(network: CSLC, parameters: PhysicalParameters, stored: tuple[str, 
     return names + list(network.names[network.layout.payload])
 
 
-def _random_states(n: int) -> States:
+def random_states(n: int) -> States:
+    """A hundred states at which torques of an arm are compared."""
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.uniform(-1, 1, (3, 100, n))
     return np.pi * q, qd, qdd

@@ -40,7 +40,12 @@ class Coupling(NamedTuple):
 
 
 def check_friction(terms: Sequence[str], where: str) -> None:
-    """**Raises** `RobotError` for kinds that are unknown, listed twice or collinear."""
+    """Checks the kinds of a friction model.
+
+    **Raises**
+
+    - `RobotError`: for kinds that are unknown, listed twice or collinear.
+    """
     if unknown := [term for term in terms if term not in FRICTION_TERMS]:
         raise RobotError(
             f"{where}: unknown friction term {unknown[0]!r};"
@@ -56,7 +61,12 @@ def check_friction(terms: Sequence[str], where: str) -> None:
 def check_joint_friction(
     terms_of_joints: Sequence[Sequence[str] | None] | None, joints: int, where: str
 ) -> None:
-    """**Raises** `RobotError` unless there is an entry a joint: its kinds of friction, or None."""
+    """Checks the friction models of single joints.
+
+    **Raises**
+
+    - `RobotError`: unless there is an entry a joint, its kinds of friction or None.
+    """
     if terms_of_joints is None:
         return
     if len(terms_of_joints) != joints:
@@ -70,7 +80,12 @@ def check_joint_friction(
 
 
 def check_slopes(slopes: Sequence[float] | None, joints: int, where: str) -> None:
-    """**Raises** `RobotError` unless there is a positive, finite slope a joint."""
+    """Checks slopes of static friction.
+
+    **Raises**
+
+    - `RobotError`: unless there is a positive, finite slope a joint.
+    """
     if slopes is None:
         return
     if len(slopes) != joints:
@@ -85,9 +100,11 @@ def check_slopes(slopes: Sequence[float] | None, joints: int, where: str) -> Non
 
 
 def couplings(pairs: Sequence[Sequence[Any]], kinds: str, where: str) -> tuple[Coupling, ...]:
-    """Pairs of joints, counted from 1, each with a ratio or without.
+    """Pairs of joints, counted from 1, with or without a ratio.
 
-    **Raises** `RobotError` for anything but two different joints of one kind, once.
+    **Raises**
+
+    - `RobotError`: for anything but two different joints of one kind, once.
     """
     checked: list[Coupling] = []
     for pair in pairs:

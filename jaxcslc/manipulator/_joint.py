@@ -19,9 +19,13 @@ _SYMBOL = re.compile(r"^[A-Za-z][A-Za-z_]*\d*$")
 class Length:
     """A constant length or offset of the kinematics: a number, a symbol, or a named number.
 
-    `value` is in m and may be None for a symbol whose value nobody has measured; `symbol` is
-    the name that the algebra uses when lengths are kept symbolic. A length that is zero by
-    frame placement has value 0 and no symbol: it never appears in an expression.
+    A length that is zero by the choice of frames has value 0 and no symbol: it never appears in an
+    expression.
+
+    **Attributes**
+
+    - `value`: [m]; None for a symbol of unknown value.
+    - `symbol`: the name that the algebra uses when lengths are kept symbolic.
     """
 
     value: float | None = 0.0
@@ -43,8 +47,13 @@ class Joint:
     before; where a tree branches they are needed (Khalil and Kleinfinger 1986), and where the
     base frame is fixed.
 
-    `parent` is the joint whose link carries this one: 1 for the first, 0 for the base, None for
-    the joint before. `alpha`, `theta` and `gamma` are in rad, `a`, `d` and `b` in m.
+    **Attributes**
+
+    - `kind`: `"R"` or `"P"`.
+    - `alpha`, `theta`, `gamma`: angles [rad].
+    - `a`, `d`, `b`: lengths [m].
+    - `parent`: the joint whose link carries this one: 1 for the first, 0 for the base, None for
+      the joint before.
     """
 
     kind: JointKind
@@ -95,7 +104,11 @@ def parse_angle(value: object, where: str) -> float:
 def parse_length(value: object, lengths: dict[str, float], where: str) -> Length:
     """A `Length` from a number [m] or from a symbol, with its value if `lengths` has one.
 
-    A symbol is letters followed by an optional number, as in `a2`. **Raises** as `parse_angle`.
+    A symbol is letters followed by an optional number, as in `a2`.
+
+    **Raises**
+
+    - `RobotError`: if `value` is neither; `where` says which entry it was.
 
     >>> parse_length("a2", {"a2": 0.4318}, "a of joint 3")
     Length(value=0.4318, symbol='a2')
@@ -112,7 +125,12 @@ def parse_length(value: object, lengths: dict[str, float], where: str) -> Length
 
 
 def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
-    """Named lengths and their values [m], checked. **Raises** `RobotError` naming the length."""
+    """Named lengths and their values [m], checked.
+
+    **Raises**
+
+    - `RobotError`: naming the length.
+    """
     table: dict[str, float] = {}
     for symbol, value in values.items():
         parse_length(symbol, {}, where)
@@ -128,7 +146,12 @@ def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
 
 
 def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: str) -> None:
-    """**Raises** `RobotError` if a named length is not used by any joint."""
+    """Checks that joints use all named lengths.
+
+    **Raises**
+
+    - `RobotError`: if a named length is not used by any joint.
+    """
     used = {length.symbol for joint in joints for _, _, length in joint.lengths}
     if unused := sorted(set(values) - used):
         raise RobotError(f"{where}: {unused[0]!r} is not used by any joint")

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 class Subnumbering:
     """The published order of the inputs and coefficients of a subnetwork.
 
-    `inputs` are products of sines and cosines as printed (`"c23*s4*c5"`). `coefficients` define
-    each coefficient by one link that the publication prints: `(input, column, multiple)` says
-    that the weight from that input to that element (`(1, 2)` for M12, `(2,)` for G2) is
-    `multiple` times the coefficient.
+    **Attributes**
+
+    - `inputs`: products of sines and cosines as printed (`"c23*s4*c5"`).
+    - `coefficients`: one link of the publication for every coefficient: `(input, column, multiple)`
+      means that the weight from that input to that element (`(1, 2)` for M12, `(2,)` for G2) is
+      `multiple` times the coefficient.
     """
 
     inputs: tuple[str, ...]

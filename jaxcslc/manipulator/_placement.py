@@ -21,8 +21,12 @@ Pose = Float[np.ndarray, "4 4"]
 class Axis(NamedTuple):
     """A joint's axis at the robot's zero position, in the base frame.
 
-    `parent` is the joint that carries it, counted from 0, or -1 for the base. `offset` is added to
-    the joint variable: what it reads at the zero position, negative.
+    **Attributes**
+
+    - `kind`: `"R"` or `"P"`.
+    - `parent`: the joint that carries it, counted from 0, or -1 for the base.
+    - `origin`, `direction`: a point on the axis [m], and a vector along it.
+    - `offset`: added to the joint variable: minus its value at the zero position.
     """
 
     kind: JointKind

@@ -240,7 +240,12 @@ def _parameters(link: Mapping[str, Any], inertia: LinkInertia, at: str) -> LinkP
 
 
 def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
-    """**Raises** `RobotError` where values contradict `zero` and `equal`."""
+    """Checks that a link's values have the zeros and equal moments that it lists.
+
+    **Raises**
+
+    - `RobotError`: where values contradict `zero` and `equal`.
+    """
     principal = inertia.form == "principal"
     tensor = np.asarray(link.inertia if principal else link.inertia_at_frame)
     values = {"m": float(link.mass)}

@@ -8,7 +8,12 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 
 def check_urdf(root: Element, path: Path) -> None:
-    """**Raises** `RobotError` unless a URDF's links and joints are one tree, each named once."""
+    """Checks that a URDF's links and joints are one tree.
+
+    **Raises**
+
+    - `RobotError`: for cycles, loops, several trees, and names that are missing or used twice.
+    """
     links = _named(root.all("link"), path)
     joints = _named(root.all("joint"), path)
     carried_by: dict[str, str] = {}  # joint that carries each link
