@@ -309,7 +309,7 @@ def test_every_dependency_is_imported_and_every_import_declared() -> None:
     }
     of_module = importlib.metadata.packages_distributions()
 
-    def distribution(module: str) -> set[str]:
+    def distribution(module: str) -> set[Any]:
         top, second = (*module.split("."), "")[:2]
         # MuJoCo's package for GPUs installs into MuJoCo's folder.
         if (top, second) == ("mujoco", "mjx"):

@@ -25,8 +25,8 @@ class InverseDynamicsInputs(eqx.Module):
     network: CSLC
 
     def __call__(self, patterns: Any) -> Signals:
-        given = patterns if isinstance(patterns, tuple) else _motion(patterns)
-        motion = [jnp.asarray(x) for x in given]
+        arrays = patterns if isinstance(patterns, tuple) else _motion(patterns)
+        motion = [jnp.asarray(x) for x in arrays]
         shapes = [x.shape for x in motion]
         n = self.network.joint_count
         if len(motion) != 3 or len(set(shapes)) != 1 or shapes[0][-1:] != (n,):
@@ -116,25 +116,25 @@ def _motion(patterns: Any) -> tuple[Float[Array | np.ndarray, "..."], ...]:
 def _linked(table: Table) -> tuple[list[tuple[int, ...]], Links]:
     """The nodes of a table that have links, and the links: one for each weight of each link."""
     nodes = sorted({link.column for link in table.links})
-    place = {column: node for node, column in enumerate(nodes)}
-    each = [
-        (link.input, place[link.column], coefficient, float(multiple))
+    node_of = {column: node for node, column in enumerate(nodes)}
+    link_table = [
+        (link.input, node_of[link.column], coefficient, float(multiple))
         for link in table.links
         for coefficient, multiple in link.weights
     ]
-    source, node, weight, multiple = (list(part) for part in zip(*each, strict=True))
+    source, node, weight, multiple = (list(part) for part in zip(*link_table, strict=True))
     links = Links(len(table.inputs), len(nodes), source, node, weight, multiple)  # pyright: ignore[reportArgumentType]
     return [table.columns[column] for column in nodes], links
 
 
 def _mass_context(columns: Sequence[tuple[int, ...]], n: int) -> ContextLayer:
     """M_ij to torque i weighed by qdd_j, and to torque j by qdd_i (5.1.1)."""
-    each = [
+    link_table = [
         link
         for node, (i, j) in enumerate(columns)
         for link in ([(node, i, j)] if i == j else [(node, i, j), (node, j, i)])
     ]
-    return _context(len(columns), n, n, each)
+    return _context(len(columns), n, n, link_table)
 
 
 def _velocity_contexts(
@@ -142,12 +142,14 @@ def _velocity_contexts(
 ) -> tuple[ContextLayer, ContextLayer]:
     """c_ijk to C_ij weighed by qd_k, and to C_ik by qd_j; C_ij to V_i weighed by qd_j (5.1.2)."""
     elements = sorted({(i, j) for i, *pair in columns for j in pair})
-    place = {element: node for node, element in enumerate(elements)}
+    node_of = {element: node for node, element in enumerate(elements)}
     inner = [
         link
         for node, (i, j, k) in enumerate(columns)
         for link in (
-            [(node, place[i, j], k)] if j == k else [(node, place[i, j], k), (node, place[i, k], j)]
+            [(node, node_of[i, j], k)]
+            if j == k
+            else [(node, node_of[i, j], k), (node, node_of[i, k], j)]
         )
     ]
     outer = [(node, i, j) for node, (i, j) in enumerate(elements)]
@@ -158,7 +160,7 @@ def _velocity_contexts(
 
 
 def _context(
-    inputs: int, nodes: int, contexts: int, each: Sequence[tuple[int, int, int]]
+    inputs: int, nodes: int, contexts: int, link_table: Sequence[tuple[int, int, int]]
 ) -> ContextLayer:
-    source, node, context = zip(*each, strict=True)
+    source, node, context = zip(*link_table, strict=True)
     return ContextLayer(inputs, nodes, contexts, source, node, context)

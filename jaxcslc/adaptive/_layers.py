@@ -29,7 +29,7 @@ class Layer:
         """How many values the layer takes, the constant not counted."""
         return self.links.inputs - self.bias
 
-    def given(self, values: Float[Array, "inputs ..."]) -> Float[Array, "inputs_and_bias ..."]:
+    def with_bias(self, values: Float[Array, "inputs ..."]) -> Float[Array, "inputs_and_bias ..."]:
         """The values that the links see."""
         if not self.bias:
             return values

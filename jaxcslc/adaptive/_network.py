@@ -50,11 +50,11 @@ class Subnetwork:
             raise ValueError(f"subnetwork {self.name!r}: expected at least one adaptive layer")
         sizes = [(layer.inputs, layer.links.nodes) for layer in self.layers]
         sizes += [(layer.inputs, layer.nodes) for layer in self.contexts]
-        for at, ((_, given), (wanted, _)) in enumerate(pairwise(sizes)):
-            if given != wanted:
+        for at, ((_, nodes), (inputs, _)) in enumerate(pairwise(sizes)):
+            if nodes != inputs:
                 raise ValueError(
-                    f"subnetwork {self.name!r}: layer {at + 1} has {given} nodes, layer"
-                    f" {at + 2} takes {wanted}"
+                    f"subnetwork {self.name!r}: layer {at + 1} has {nodes} nodes, layer"
+                    f" {at + 2} takes {inputs}"
                 )
         if not self.contexts and self.layers[-1].activation != LINEAR_COMBINER:
             raise ValueError(
@@ -70,13 +70,13 @@ class Subnetwork:
 class Passage(NamedTuple):
     """All values of one pass forward, kept for the learning rules.
 
-    - `given`: for every subnetwork, what each adaptive layer's links saw.
+    - `layer_inputs`: for every subnetwork, the inputs of each adaptive layer, its bias among them.
     - `sums`: for every subnetwork, each adaptive layer's sums.
     - `values`: for every subnetwork, what each context layer took.
     - `parts`: what every subnetwork brings to the output nodes, (outputs, ...).
     """
 
-    given: list[list[Float[Array, "_ ..."]]]
+    layer_inputs: list[list[Float[Array, "_ ..."]]]
     sums: list[list[Float[Array, "_ ..."]]]
     values: list[list[Float[Array, "_ ..."]]]
     parts: list[Float[Array, "outputs ..."]]
@@ -176,18 +176,18 @@ class AdaptiveNetwork(eqx.Module):
         for subnetwork, inputs, contexts in zip(
             self.subnetworks, signals.inputs, signals.contexts, strict=True
         ):
-            given: list[Array] = []
+            layer_inputs: list[Array] = []
             sums: list[Array] = []
             values: list[Array] = []
             value = inputs
             for layer in subnetwork.layers:
-                given.append(layer.given(value))
-                sums.append(jnp.tensordot(layer.links.matrix(weights), given[-1], 1))
+                layer_inputs.append(layer.with_bias(value))
+                sums.append(jnp.tensordot(layer.links.matrix(weights), layer_inputs[-1], 1))
                 value = layer.activation.value(sums[-1])
             for layer, context in zip(subnetwork.contexts, contexts, strict=True):
                 values.append(value)
                 value = layer.forward(value, context)
-            passage.given.append(given)
+            passage.layer_inputs.append(layer_inputs)
             passage.sums.append(sums)
             passage.values.append(values)
             passage.parts.append(value)

@@ -35,12 +35,12 @@ class Checkpoint:
         try:
             with self.path.open("rb") as file, np.load(file) as archive:
                 content = dict(archive)
-            found, passed = str(content["fingerprint"]), int(content["epochs"])
+            saved_fingerprint, passed = str(content["fingerprint"]), int(content["epochs"])
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             raise ValueError(
                 f"{self.path}: expected a checkpoint of a training, and it is none"
             ) from None
-        if found != self.fingerprint:
+        if saved_fingerprint != self.fingerprint:
             raise ValueError(
                 f"{self.path}: the checkpoint is of another training (network, patterns, plan or"
                 " start differ); give another file, or remove it to start anew"

@@ -6,11 +6,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from ..adaptive import AdaptiveNetwork
 from ._examples import Examples
+from ._history import OUTCOMES
 from ._normal_equations import NormalEquations
-from ._plan import Plan
-from ._results import OUTCOMES
+from ._plan import Plan, Turn
 from ._rules import AbstractRule
-from ._schedule import Turn
 
 
 class State(eqx.Module):
@@ -86,19 +85,19 @@ class Record(eqx.Module):
 def epoch(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples | NormalEquations,
+    training_set: Examples | NormalEquations,
     stop_set: Examples | None,
     state: State,
     keep_weights: bool,
 ) -> tuple[State, Record]:
     """One epoch: assess, decide whether to go on and by which rule, and learn."""
-    cost, measure = chosen.costs(network, state.weights, plan.cost, plan.measure or plan.cost)
+    cost, measure = training_set.costs(network, state.weights, plan.cost, plan.measure or plan.cost)
     stop_cost = jnp.asarray(jnp.nan, cost.dtype)
     if stop_set is not None:
         (stop_cost,) = stop_set.costs(network, state.weights, plan.cost)
 
     assessed = _assessed(plan, state, cost, measure, stop_cost, stop_set is not None)
-    weights, rates = _learnt(network, plan, chosen, assessed, assessed.cost)
+    weights, rates = _learnt(network, plan, training_set, assessed, assessed.cost)
     moved = eqx.tree_at(
         lambda s: (s.weights, s.rates, s.epoch),
         assessed,
@@ -167,14 +166,14 @@ def _assessed(
 def _learnt(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples | NormalEquations,
+    training_set: Examples | NormalEquations,
     state: State,
     cost: Array,
 ) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
     """The weights after the epoch, and the rates that led to them."""
     branches = [
         lambda weights, rates, number=number: _learn_by(
-            network, plan, chosen, number, weights, rates, state.key, state.epoch, cost
+            network, plan, training_set, number, weights, rates, state.key, state.epoch, cost
         )
         for number in range(len(plan.schedule.rules))
     ]
@@ -187,7 +186,7 @@ def _learnt(
 def _learn_by(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples | NormalEquations,
+    training_set: Examples | NormalEquations,
     number: int,
     weights: Array,
     rates: Array,
@@ -199,23 +198,27 @@ def _learn_by(
     rule, adapting = plan.schedule.rules[number], plan.rates[number]
     learning = plan.learning(network)
     if plan.order == "batch":
-        change = chosen.change(network, rule, weights, learning)
+        change = training_set.change(network, rule, weights, learning)
 
         def after(trial: Array) -> Array:
             return weights + trial @ change
 
         def costs_after(trials: Array) -> Array:
-            return chosen.trial_costs(network, weights, change, trials, plan.cost)
+            return training_set.trial_costs(network, weights, change, trials, plan.cost)
     else:
-        assert isinstance(chosen, Examples), chosen.refuse(rule, plan.cost, plan.order)
-        sequence = jax.random.permutation(jax.random.fold_in(key, epoch), chosen.targets.shape[-1])
+        assert isinstance(training_set, Examples), training_set.check_rule(
+            rule, plan.cost, plan.order
+        )
+        sequence = jax.random.permutation(
+            jax.random.fold_in(key, epoch), training_set.targets.shape[-1]
+        )
 
         def after(trial: Array) -> Array:
-            return _one_by_one(network, rule, chosen, weights, trial, sequence, learning)
+            return _one_by_one(network, rule, training_set, weights, trial, sequence, learning)
 
         def costs_after(trials: Array) -> Array:
             candidates = jax.vmap(after)(trials)
-            return jax.vmap(lambda w: chosen.costs(network, w, plan.cost)[0])(candidates)
+            return jax.vmap(lambda w: training_set.costs(network, w, plan.cost)[0])(candidates)
 
     at, moves = adapting.choose(rates, cost, costs_after)
     return jnp.where(moves, after(at), weights), at
@@ -224,7 +227,7 @@ def _learn_by(
 def _one_by_one(
     network: AdaptiveNetwork,
     rule: AbstractRule,
-    chosen: Examples,
+    training_set: Examples,
     weights: Array,
     rates: Array,
     sequence: Array,
@@ -233,7 +236,8 @@ def _one_by_one(
     """The weights after one pattern at a time, in the given sequence (3.4)."""
     # Patterns first, so that a step reads one stretch of memory.
     rows = jax.tree.map(
-        lambda x: jnp.moveaxis(x, -1, 0), (chosen.signals, chosen.targets, chosen.counts)
+        lambda x: jnp.moveaxis(x, -1, 0),
+        (training_set.signals, training_set.targets, training_set.counts),
     )
 
     def step(weights: Array, at: Array) -> tuple[Array, None]:

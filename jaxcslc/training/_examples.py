@@ -1,3 +1,5 @@
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
@@ -7,10 +9,90 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals
-from ._costs import Cost
-from ._reach import covered, reach
+from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals, Subnetwork
 from ._rules import AbstractRule
+
+
+Errors = Float[Array, "outputs patterns"]
+#: Errors (o, patterns), and ones where they count and zeros elsewhere, to one number.
+Cost = Callable[[Errors, Errors], Float[Array, ""]]
+
+
+def mean_modulus(errors: Errors, counts: Errors) -> Float[Array, ""]:
+    """The mean error modulus, which the rates of 6.3.1 are adapted by."""
+    return jnp.sum(jnp.abs(errors) * counts) / jnp.maximum(jnp.sum(counts), 1.0)
+
+
+def half_rms(errors: Errors, counts: Errors) -> Float[Array, ""]:
+    """Half the root mean square of a pattern's errors, averaged over patterns: the ε of 7.5.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxcslc.training import half_rms
+    >>> errors = jnp.asarray([[3.0, 0.0], [4.0, 1.0]])
+    >>> counts = jnp.asarray([[1.0, 0.0], [1.0, 1.0]])
+    >>> round(float(half_rms(errors, counts)), 4)  # (sqrt(12.5) / 2 + 1 / 2) / 2
+    1.1339
+    """
+    counted_outputs = jnp.sum(counts, axis=0)
+    squares = jnp.sum(errors**2 * counts, axis=0) / jnp.maximum(counted_outputs, 1.0)
+    return 0.5 * jnp.sum(jnp.sqrt(squares)) / jnp.maximum(jnp.sum(counted_outputs > 0), 1.0)
+
+
+def half_square(errors: Errors, counts: Errors) -> Float[Array, ""]:
+    """Half the sum of a pattern's squared errors, averaged over patterns (Eqn. 3.4-2)."""
+    patterns = jnp.maximum(jnp.sum(jnp.sum(counts, axis=0) > 0), 1.0)
+    return 0.5 * jnp.sum(errors**2 * counts) / patterns
+
+
+def reach(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
+    """For each output, the weights that can change it, in ascending order."""
+    return _reach(network.subnetworks)
+
+
+@lru_cache(maxsize=64)
+def _reach(subnetworks: tuple[Subnetwork, ...]) -> tuple[tuple[int, ...], ...]:
+    reaching: list[set[int]] = [set() for _ in range(subnetworks[0].outputs)]
+    for subnetwork in subnetworks:
+        at: list[set[int]] = [set() for _ in range(subnetwork.layers[0].links.inputs)]
+        for layer in subnetwork.layers:
+            links = layer.links
+            at += [set()] * layer.bias
+            nodes: list[set[int]] = [set() for _ in range(links.nodes)]
+            for source, node, weight in zip(links.source, links.node, links.weight, strict=True):
+                nodes[node] |= at[source] | {int(weight)}
+            at = nodes
+        for layer in subnetwork.contexts:
+            nodes = [set() for _ in range(layer.nodes)]
+            for source, node in zip(layer.source, layer.node, strict=True):
+                nodes[node] |= at[source]
+            at = nodes
+        reaching = [old | new for old, new in zip(reaching, at, strict=True)]
+    return tuple(tuple(sorted(weights)) for weights in reaching)
+
+
+def covered(
+    network: AdaptiveNetwork, signals: Signals, counts: Float[Array, "outputs patterns"]
+) -> Bool[Array, " weights"]:
+    """Which weights at least one pair that counts can tell something of.
+
+    Moduli all the way, so that nothing cancels: what counts is carried back to the links of the
+    first layer through whatever is not zero. Hidden nodes are taken to answer something.
+    """
+    total = jnp.zeros(network.size, counts.dtype)
+    for subnetwork, inputs, contexts in zip(
+        network.subnetworks, signals.inputs, signals.contexts, strict=True
+    ):
+        back = counts
+        for layer, context in zip(reversed(subnetwork.contexts), reversed(contexts), strict=True):
+            back = layer.backward(back, jnp.abs(context))
+        for number, layer in reversed(list(enumerate(subnetwork.layers))):
+            links = layer.links
+            values = jnp.abs(inputs) if number == 0 else jnp.ones((layer.inputs, back.shape[-1]))
+            sums = links.at_links(back @ layer.with_bias(values).T)
+            total = total + links.to_weights(sums, network.size)
+            some = links.matrix(jnp.ones(network.size, counts.dtype), magnitude=True)
+            back = (some.T @ back)[: layer.inputs]
+    return total > 0
 
 
 class Examples(eqx.Module):
@@ -49,7 +131,7 @@ class Examples(eqx.Module):
         """The numbers, to check their precision."""
         return (*self.signals.inputs, self.targets)
 
-    def refuse(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
+    def check_rule(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
         """Why they cannot be trained with so, in one line; none if they can."""
         del rule, cost, order
         return None
@@ -164,14 +246,14 @@ def examples(
     dtype = jnp.result_type(float, signals.inputs[0])
     taking_part = jnp.ones(wanted.shape, dtype) if counts is None else jnp.asarray(counts, dtype)
     wanted = jnp.where(taking_part.T > 0, wanted.T.astype(dtype), 0.0)
-    chosen = Examples(signals, wanted, taking_part.T, None)
-    _check(network, chosen, named=jnp.asarray(targets))
+    training_set = Examples(signals, wanted, taking_part.T, None)
+    _check(network, training_set, named=jnp.asarray(targets))
     with_contexts = any(subnetwork.contexts for subnetwork in network.subnetworks)
     if network.linear and with_contexts:
-        chosen = eqx.tree_at(
-            lambda e: e.condensed, chosen, _condensed(network, signals), is_leaf=_is_none
+        training_set = eqx.tree_at(
+            lambda e: e.condensed, training_set, _condensed(network, signals), is_leaf=_is_none
         )
-    return chosen
+    return training_set
 
 
 def _is_none(x: object) -> bool:
@@ -181,19 +263,20 @@ def _is_none(x: object) -> bool:
 @eqx.filter_jit
 def _condensed(network: AdaptiveNetwork, signals: Signals) -> tuple[Array, ...]:
     """Sensitivities of every output: the answers to one weight at a time."""
-    each = jax.lax.map(
+    counted_outputs = jax.lax.map(
         lambda unit: network.forward(unit, signals).total,
         jnp.eye(network.size, dtype=signals.inputs[0].dtype),
     )
     return tuple(
-        each[np.array(support, int), output] for output, support in enumerate(reach(network))
+        counted_outputs[np.array(support, int), output]
+        for output, support in enumerate(reach(network))
     )
 
 
-def _check(network: AdaptiveNetwork, chosen: Examples, named: Array) -> None:
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(chosen)):
+def _check(network: AdaptiveNetwork, training_set: Examples, named: Array) -> None:
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(training_set)):
         return  # values are not known under a transformation
-    counted = np.asarray(chosen.counts).T > 0
+    counted = np.asarray(training_set.counts).T > 0
     finite = np.isfinite(np.asarray(named)) | ~counted
     if not finite.all():
         pattern, output = np.argwhere(~finite)[0]
@@ -202,7 +285,7 @@ def _check(network: AdaptiveNetwork, chosen: Examples, named: Array) -> None:
             f" {np.asarray(named)[pattern, output]}, expected a finite number or a mask"
         )
     for part, *seen in zip(
-        network.subnetworks, chosen.signals.inputs, chosen.signals.contexts, strict=True
+        network.subnetworks, training_set.signals.inputs, training_set.signals.contexts, strict=True
     ):
         if not all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(seen)):
             raise ValueError(f"inputs: subnetwork {part.name!r} is given NaN or infinite numbers")
@@ -222,7 +305,9 @@ def _check(network: AdaptiveNetwork, chosen: Examples, named: Array) -> None:
             f"targets: output {output + 1} of pattern {pattern + 1} is"
             f" {values[pattern, output]:g}, but a hard limiter answers 0 or 1 only"
         )
-    missing = np.flatnonzero(~np.asarray(covered(network, chosen.signals, chosen.counts)))
+    missing = np.flatnonzero(
+        ~np.asarray(covered(network, training_set.signals, training_set.counts))
+    )
     if len(missing):
         names = ", ".join(network.names[index] for index in missing[:5])
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""

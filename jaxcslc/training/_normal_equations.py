@@ -6,9 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..adaptive import LINEAR_COMBINER, AdaptiveNetwork
-from ._backpropagation import Backpropagation
-from ._costs import Cost, half_square
-from ._examples import Examples
+from ._delta_rules import Backpropagation
+from ._examples import Cost, Examples, half_square
 from ._rules import AbstractRule, links_per_weight
 
 
@@ -47,7 +46,7 @@ class NormalEquations(eqx.Module):
         """The numbers, to check their precision."""
         return (self.gram, self.moment)
 
-    def refuse(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
+    def check_rule(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
         """Why they cannot be trained with so, in one line; none if they can."""
         if not isinstance(rule, Backpropagation):
             return (
@@ -102,7 +101,7 @@ class NormalEquations(eqx.Module):
         return gradient * shares[None, :] * takes_part[:, None]
 
 
-def normal_equations(network: AdaptiveNetwork, chosen: Examples) -> NormalEquations:
+def normal_equations(network: AdaptiveNetwork, training_set: Examples) -> NormalEquations:
     """The normal equations of patterns; pairs that do not count are left out.
 
     Can be jitted, and vmapped over recordings.
@@ -123,14 +122,14 @@ def normal_equations(network: AdaptiveNetwork, chosen: Examples) -> NormalEquati
             "normal equations need outputs that are linear in the weights: one layer of linear"
             " combiners, without or with context-sensitive layers"
         )
-    if chosen.trainings is not None:
+    if training_set.trainings is not None:
         raise ValueError("normal equations: for many sets of patterns, jax.vmap this function")
-    return _normal_equations(network, chosen)
+    return _normal_equations(network, training_set)
 
 
 @eqx.filter_jit
-def _normal_equations(network: AdaptiveNetwork, chosen: Examples) -> NormalEquations:
-    samples = chosen.targets.shape[-1]
+def _normal_equations(network: AdaptiveNetwork, training_set: Examples) -> NormalEquations:
+    samples = training_set.targets.shape[-1]
     blocks = -(-samples // _BLOCK)
     width = min(samples, _BLOCK)
 
@@ -139,21 +138,27 @@ def _normal_equations(network: AdaptiveNetwork, chosen: Examples) -> NormalEquat
         filled = jnp.pad(x, ((0, 0), (0, blocks * width - samples)))
         return jnp.moveaxis(filled.reshape(x.shape[0], blocks, width), 1, 0)
 
-    units = jnp.eye(network.size, dtype=chosen.targets.dtype)
+    units = jnp.eye(network.size, dtype=training_set.targets.dtype)
 
     def sums(part: Any) -> tuple[Array, Array, Array]:
         signals, targets, counts = part
-        each = jax.lax.map(lambda unit: jnp.stack(network.forward(unit, signals).parts), units)
-        own = jnp.moveaxis(each, 1, 0) * counts[None, None]  # (groups, p, outputs, patterns)
-        whole = jnp.sum(each, axis=1)
+        unit_responses = jax.lax.map(
+            lambda unit: jnp.stack(network.forward(unit, signals).parts), units
+        )
+        masked_responses = (
+            jnp.moveaxis(unit_responses, 1, 0) * counts[None, None]
+        )  # (groups, p, outputs, patterns)
+        whole = jnp.sum(unit_responses, axis=1)
         return (
-            jnp.einsum("gpok,qok->gpq", own, whole),
-            jnp.einsum("gpok,ok->gp", own, targets),
+            jnp.einsum("gpok,qok->gpq", masked_responses, whole),
+            jnp.einsum("gpok,ok->gp", masked_responses, targets),
             jnp.sum(targets**2 * counts),
         )
 
-    parts = jax.tree.map(block_of, (chosen.signals, chosen.targets, chosen.counts))
+    parts = jax.tree.map(
+        block_of, (training_set.signals, training_set.targets, training_set.counts)
+    )
     layered, moment, square = jax.tree.map(
-        lambda x: jnp.sum(x, axis=0) / chosen.patterns, jax.lax.map(sums, parts)
+        lambda x: jnp.sum(x, axis=0) / training_set.patterns, jax.lax.map(sums, parts)
     )
     return NormalEquations(jnp.sum(layered, axis=0), layered, moment, square)

@@ -236,7 +236,7 @@ class _Trials:
         self.tried, self.removed = 0, 0
 
     def costs(self, kept: Bool[np.ndarray, "sets p"]) -> Float[np.ndarray, " sets"]:
-        found: list[np.ndarray] = []
+        values_of_blocks: list[np.ndarray] = []
         for start in range(0, len(kept), self.block):
             some = kept[start : start + self.block]
             # Always whole blocks, so that one program does for all of them.
@@ -246,11 +246,11 @@ class _Trials:
                 raise ValueError(
                     f"the cost has shape {values.shape[1:]}; expected a scalar for weights (p,)"
                 )
-            found.append(np.asarray(values, dtype=float)[: len(some)])
+            values_of_blocks.append(np.asarray(values, dtype=float)[: len(some)])
             self.tried += len(some)
             if self.progress is not None:
                 self.progress(self.tried, self.removed)
-        return np.concatenate(found)
+        return np.concatenate(values_of_blocks)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -267,10 +267,10 @@ class _Wiring:
         if links is None:
             self.nodes = np.zeros(0, dtype=int)
             return
-        self.nodes, places = np.unique(
+        self.nodes, indices = np.unique(
             np.concatenate([links.source, links.target]), return_inverse=True
         )
-        self.source, self.target = np.split(places, 2)
+        self.source, self.target = np.split(indices, 2)
         # Outputs have nothing leading from them, and stay; so do inputs, which nothing leads to.
         from_it = np.bincount(self.source, minlength=self.nodes.size) > 0
         to_it = np.bincount(self.target, minlength=self.nodes.size) > 0

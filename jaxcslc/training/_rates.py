@@ -108,9 +108,9 @@ class AdaptedRates(AbstractRates):
         groups = rates.shape[0]
         present, higher, lower = after[0], after[1 : 1 + groups], after[1 + groups : 1 + 2 * groups]
         without = after[1 + 2 * groups :] if groups > 1 else before[None]
-        own = without - present
+        gain_alone = without - present
         # A trial that is not finite gains nothing; where the present one is not, go down.
-        up = (own > 0) & (present - higher >= self.gain * own)
+        up = (gain_alone > 0) & (present - higher >= self.gain * gain_alone)
         down = (lower < present) | ~jnp.isfinite(present)
         factor = jnp.where(up, 1.0 + self.step, jnp.where(down, 1.0 - self.step, 1.0))
         return jnp.maximum(rates * factor, self._least(rates))

@@ -30,17 +30,17 @@ class AbstractRule(eqx.Module):
         """For histories and messages."""
 
     @abstractmethod
-    def refuse(self, network: AdaptiveNetwork) -> str | None:
+    def check_network(self, network: AdaptiveNetwork) -> str | None:
         """Why this rule cannot train such a network, in one line; none if it can."""
 
-    def refuse_start(
+    def check_start(
         self, network: AdaptiveNetwork, weights: np.ndarray, learning: tuple[bool, ...]
     ) -> str | None:
         """Why this rule cannot start from such weights, in one line; none if it can."""
         del network, weights, learning
         return None
 
-    def refuse_patterns(
+    def check_patterns(
         self,
         network: AdaptiveNetwork,
         signals: Signals,

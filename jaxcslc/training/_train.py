@@ -13,16 +13,15 @@ from ..adaptive import AdaptiveNetwork
 from ._checkpoint import Checkpoint
 from ._epoch import Record, State, epoch
 from ._examples import Examples
-from ._history import History, Training
+from ._history import OUTCOMES, History, Training
 from ._normal_equations import NormalEquations
 from ._plan import Plan
-from ._results import OUTCOMES
 from ._rules import AbstractRule
 
 
 def train(
     network: AdaptiveNetwork,
-    chosen: Examples | NormalEquations,
+    training_set: Examples | NormalEquations,
     weights: Float[Array | np.ndarray, "*trainings weights"],
     plan: Plan | AbstractRule,
     *,
@@ -41,8 +40,9 @@ def train(
     **Arguments**
 
     - `network`: p weights.
-    - `chosen`: the training patterns, from `examples`, or their `normal_equations`; for trainings
-      on a recording each, with a leading axis on every array, as `jax.vmap` of `examples` gives.
+    - `training_set`: the training patterns, from `examples`, or their `normal_equations`; for
+      trainings on a recording each, with a leading axis on every array, as `jax.vmap` of
+      `examples` gives.
     - `weights`: (p,) to start from; (trainings, p) for many.
     - `plan`: a `Plan`, or one rule for a plan of defaults.
     - `epochs`: at most.
@@ -79,8 +79,8 @@ def train(
     """
     plan = Plan(plan) if isinstance(plan, AbstractRule) else plan
     start = jnp.asarray(weights)
-    _check(network, chosen, start, plan)
-    trainings = start.shape[0] if start.ndim == 2 else chosen.trainings
+    _check(network, training_set, start, plan)
+    trainings = start.shape[0] if start.ndim == 2 else training_set.trainings
     many = trainings is not None
     key = jax.random.key(0) if key is None else key
     _check_numbers(plan, stop_set, key, trainings)
@@ -98,20 +98,20 @@ def train(
     records: list[Record] = []
     passed, saved = 0, None
     if checkpoint is not None:
-        # Links print as a summary: their content is told apart here.
+        # Links print as a summary: the fingerprint needs their content.
         links = [layer.links for _, layer in network.adaptive_layers]
-        wiring = [(each.source, each.node, each.weight, each.multiple) for each in links]
-        made_of = (network, wiring, plan, chosen, stop_set, start, key, keep_weights)
+        wiring = [(part.source, part.node, part.weight, part.multiple) for part in links]
+        made_of = (network, wiring, plan, training_set, stop_set, start, key, keep_weights)
         saved = Checkpoint(Path(checkpoint), made_of)
         state, records, passed = saved.load(state)
-    block = _block(network, chosen) if block is None else block
+    block = _block(network, training_set) if block is None else block
     with tqdm(
         total=epochs, initial=passed, unit="epoch", disable=None if progress else True
     ) as bar:
         while passed < epochs and not bool(jnp.all(state.done)):
             count = min(chunk, epochs - passed)
             state, record = _many_steps(
-                network, plan, chosen, stop_set, state, count, keep_weights, block, many
+                network, plan, training_set, stop_set, state, count, keep_weights, block, many
             )
             records.append(jax.tree.map(np.asarray, record))
             passed += count
@@ -132,7 +132,7 @@ def train(
 def training_steps(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples | NormalEquations,
+    training_set: Examples | NormalEquations,
     stop_set: Examples | None,
     state: State,
     epochs: int,
@@ -145,7 +145,7 @@ def training_steps(
     """
 
     def step(state: State, _: None) -> tuple[State, Record]:
-        return epoch(network, plan, chosen, stop_set, state, keep_weights)
+        return epoch(network, plan, training_set, stop_set, state, keep_weights)
 
     return jax.lax.scan(step, state, None, length=epochs)
 
@@ -154,7 +154,7 @@ def training_steps(
 def _many_steps(
     network: AdaptiveNetwork,
     plan: Plan,
-    chosen: Examples | NormalEquations,
+    training_set: Examples | NormalEquations,
     stop_set: Examples | None,
     state: State,
     epochs: int,
@@ -163,15 +163,15 @@ def _many_steps(
     many: bool,
 ) -> tuple[State, Record]:
     if not many:
-        return training_steps(network, plan, chosen, stop_set, state, epochs, keep_weights)
+        return training_steps(network, plan, training_set, stop_set, state, epochs, keep_weights)
     # What differs between trainings is mapped over; the rest is shared.
-    each_chosen = None if chosen.trainings is None else chosen
+    mapped_set = None if training_set.trainings is None else training_set
     each_stop = None if stop_set is None or stop_set.trainings is None else stop_set
     numbers = (plan.schedule.hand_over, plan.schedule.least_reduction, plan.target)
     each_number = tuple(x if jnp.ndim(x) == 1 else None for x in numbers)
 
     def one(mapped: Any) -> tuple[State, Record]:
-        state, own, own_stop, own_numbers = mapped
+        state, own_set, own_stop, own_numbers = mapped
         replaced = tuple(x if y is None else y for x, y in zip(numbers, own_numbers, strict=True))
         own_plan = eqx.tree_at(
             lambda p: (p.schedule.hand_over, p.schedule.least_reduction, p.target), plan, replaced
@@ -179,26 +179,26 @@ def _many_steps(
         return training_steps(
             network,
             own_plan,
-            chosen if own is None else own,
+            training_set if own_set is None else own_set,
             stop_set if own_stop is None else own_stop,
             state,
             epochs,
             keep_weights,
         )
 
-    mapped = (state, each_chosen, each_stop, each_number)
+    mapped = (state, mapped_set, each_stop, each_number)
     return jax.lax.map(one, mapped, batch_size=block)
 
 
-def _block(network: AdaptiveNetwork, chosen: Examples | NormalEquations) -> int:
+def _block(network: AdaptiveNetwork, training_set: Examples | NormalEquations) -> int:
     """How many trainings side by side: on a CPU what stays near its caches."""
-    if isinstance(chosen, NormalEquations):
+    if isinstance(training_set, NormalEquations):
         return 256
     if jax.default_backend() != "cpu":
         # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch
         # keeps some ten at a time.
         nodes = sum(layer.links.nodes for _, layer in network.adaptive_layers)
-        return max(1, int(4e8 / (8 * max(nodes, 1) * chosen.targets.shape[-1])))
+        return max(1, int(4e8 / (8 * max(nodes, 1) * training_set.targets.shape[-1])))
     return 8
 
 
@@ -247,30 +247,37 @@ def _check_numbers(
         ("stop_set", sets or ()),
     ):
         if shape not in ((), (trainings,)):
-            each = "" if trainings is None else f", or for each of {trainings} trainings"
-            raise ValueError(f"{name}: expected one{each}, got shape {shape}")
+            alternative = "" if trainings is None else f", or for each of {trainings} trainings"
+            raise ValueError(f"{name}: expected one{alternative}, got shape {shape}")
 
 
 def _check(
-    network: AdaptiveNetwork, chosen: Examples | NormalEquations, start: Array, plan: Plan
+    network: AdaptiveNetwork, training_set: Examples | NormalEquations, start: Array, plan: Plan
 ) -> None:
-    require_float64(start, *chosen.arrays)
+    require_float64(start, *training_set.arrays)
     if start.ndim not in (1, 2) or start.shape[-1] != network.size:
         raise ValueError(
             f"weights: expected shape ({network.size},) or (trainings, {network.size}), got"
             f" {start.shape}"
         )
-    if chosen.trainings is not None and start.ndim == 2 and len(start) != chosen.trainings:
-        raise ValueError(f"weights: {len(start)} starts, but {chosen.trainings} sets of patterns")
+    if (
+        training_set.trainings is not None
+        and start.ndim == 2
+        and len(start) != training_set.trainings
+    ):
+        raise ValueError(
+            f"weights: {len(start)} starts, but {training_set.trainings} sets of patterns"
+        )
     learning = plan.learning(network)
     for rule in plan.schedule.rules:
-        reason = rule.refuse(network) or chosen.refuse(rule, plan.cost, plan.order)
+        reason = rule.check_network(network)
+        reason = reason or training_set.check_rule(rule, plan.cost, plan.order)
         if reason is not None:
             raise ValueError(reason)
-        if isinstance(chosen, Examples) and chosen.trainings is None:
-            reason = rule.refuse_patterns(network, chosen.signals, chosen.counts)
+        if isinstance(training_set, Examples) and training_set.trainings is None:
+            reason = rule.check_patterns(network, training_set.signals, training_set.counts)
             if reason is not None:
                 raise ValueError(reason)
-    reason = plan.schedule.rules[0].refuse_start(network, np.asarray(start), learning)
+    reason = plan.schedule.rules[0].check_start(network, np.asarray(start), learning)
     if reason is not None:
         raise ValueError(reason)

@@ -58,11 +58,11 @@ def test_slopes_are_derivatives(activation: Activation, rng: np.random.Generator
 @pytest.mark.parametrize("activation", ALL, ids=lambda activation: activation.name)
 def test_ranges_and_direction(activation: Activation) -> None:
     s = jnp.asarray(np.linspace(-1000.0, 1000.0, 4001))
-    for each in (activation, decreasing(activation)):
-        y = each.value(s)
-        assert bool(jnp.all((y >= each.low) & (y <= each.high)))
+    for variant in (activation, decreasing(activation)):
+        y = variant.value(s)
+        assert bool(jnp.all((y >= variant.low) & (y <= variant.high)))
         steps = jnp.diff(y)
-        assert bool(jnp.all(steps >= 0 if each.increasing else steps <= 0))
+        assert bool(jnp.all(steps >= 0 if variant.increasing else steps <= 0))
     assert math.isinf(LINEAR_COMBINER.high) and math.isinf(LINEAR_COMBINER.low)
 
 
@@ -83,14 +83,17 @@ def test_polynomial_terms_are_all_products(
     inputs: int, degree: int, rng: np.random.Generator
 ) -> None:
     x = rng.normal(size=(5, inputs))
-    found = PolynomialTerms(degree)(jnp.asarray(x))
+    result = PolynomialTerms(degree)(jnp.asarray(x))
     powers = [p for p in product(range(degree + 1), repeat=inputs) if 1 <= sum(p) <= degree]
     expected = np.array(
-        [[math.prod(v**p for v, p in zip(row, each, strict=True)) for each in powers] for row in x]
+        [
+            [math.prod(v**p for v, p in zip(row, power, strict=True)) for power in powers]
+            for row in x
+        ]
     )
-    assert found.shape == (5, len(powers))
-    assert_allclose(np.sort(found, axis=1), np.sort(expected, axis=1), rtol=1e-12)
-    assert_array_equal(found[:, :inputs], x)
+    assert result.shape == (5, len(powers))
+    assert_allclose(np.sort(result, axis=1), np.sort(expected, axis=1), rtol=1e-12)
+    assert_array_equal(result[:, :inputs], x)
 
 
 def test_polynomial_terms_of_the_exclusive_or_are_the_thesis_s() -> None:

@@ -123,8 +123,8 @@ def test_context_links_are_fixed_by_the_number_of_joints(puma: CSLC) -> None:
     expected = {(node, i, j) for node, (i, j) in enumerate(columns)}
     expected |= {(node, j, i) for node, (i, j) in enumerate(columns)}
     (layer,) = mass.contexts
-    found = list(zip(layer.source, layer.node, layer.context, strict=True))
-    assert len(found) == len(expected) and set(found) == expected
+    result = list(zip(layer.source, layer.node, layer.context, strict=True))
+    assert len(result) == len(expected) and set(result) == expected
     inner, outer = velocity.contexts
     table = puma.algebra.velocity
     columns = [table.columns[c] for c in sorted({link.column for link in table.links})]
@@ -163,8 +163,8 @@ def test_subnetworks_without_links_are_left_out() -> None:
 def test_a_recursive_evaluator_has_the_same_network(rng: np.random.Generator) -> None:
     cslc = jc.derive(ROBOTS["prismatic"](), lengths="numeric", evaluator="recursive")
     k, patterns = rng.normal(size=cslc.size), motion(rng, 5, 3)
-    found = inverse_dynamics(cslc).outputs(jnp.asarray(k), patterns)
-    assert_allclose(found, cslc.torque(k, *patterns), rtol=1e-9, atol=1e-9)
+    result = inverse_dynamics(cslc).outputs(jnp.asarray(k), patterns)
+    assert_allclose(result, cslc.torque(k, *patterns), rtol=1e-9, atol=1e-9)
 
 
 def test_patterns_by_name_in_any_batch_and_under_transforms(
@@ -184,8 +184,8 @@ def test_patterns_by_name_in_any_batch_and_under_transforms(
     assert_allclose(
         network.outputs(puma_k, (q[0, 0], qd[0, 0], qdd[0, 0])), expected[0, 0], **close
     )
-    each = jax.jit(jax.vmap(lambda *x: network.outputs(puma_k, x)))(q, qd, qdd)
-    assert_allclose(each, expected, **close)
+    side_by_side = jax.jit(jax.vmap(lambda *x: network.outputs(puma_k, x)))(q, qd, qdd)
+    assert_allclose(side_by_side, expected, **close)
 
 
 def test_integers_are_taken_as_numbers() -> None:

@@ -35,8 +35,8 @@ def test_matrix_is_the_sum_of_its_links(rng: np.random.Generator, magnitude: boo
     ):
         value = multiple * k[weight]
         expected[node, source] += abs(value) if magnitude else value
-    found = links.matrix(jnp.asarray(k), magnitude=magnitude)
-    assert_allclose(found, expected, rtol=1e-14, atol=1e-14)
+    result = links.matrix(jnp.asarray(k), magnitude=magnitude)
+    assert_allclose(result, expected, rtol=1e-14, atol=1e-14)
 
 
 def test_two_links_between_one_pair_do_not_cancel_in_magnitude() -> None:
@@ -109,9 +109,9 @@ def test_bias_is_a_constant_input_of_one(rng: np.random.Generator) -> None:
     layer = Layer(Links.full(3, 2), bias=True)
     assert layer.inputs == 2
     x = jnp.asarray(rng.normal(size=(2, 5)))
-    assert_array_equal(layer.given(x), np.concatenate([x, np.ones((1, 5))]))
-    assert_array_equal(layer.given(x[:, 0]), np.append(x[:, 0], 1.0))
-    assert Layer(Links.full(3, 2)).given(x) is x
+    assert_array_equal(layer.with_bias(x), np.concatenate([x, np.ones((1, 5))]))
+    assert_array_equal(layer.with_bias(x[:, 0]), np.append(x[:, 0], 1.0))
+    assert Layer(Links.full(3, 2)).with_bias(x) is x
 
 
 def test_context_layer_multiplies_data_by_data(rng: np.random.Generator) -> None:
@@ -124,9 +124,9 @@ def test_context_layer_multiplies_data_by_data(rng: np.random.Generator) -> None
         for pattern in range(6):
             forward[n, pattern] += values[s, pattern] * contexts[c, pattern]
             backward[s, pattern] += at_nodes[n, pattern] * contexts[c, pattern]
-    given = jnp.asarray(contexts)
-    assert_allclose(layer.forward(jnp.asarray(values), given), forward, rtol=1e-14)
-    assert_allclose(layer.backward(jnp.asarray(at_nodes), given), backward, rtol=1e-14)
+    signals = jnp.asarray(contexts)
+    assert_allclose(layer.forward(jnp.asarray(values), signals), forward, rtol=1e-14)
+    assert_allclose(layer.backward(jnp.asarray(at_nodes), signals), backward, rtol=1e-14)
     assert layer.fan_out.tolist() == [2, 1, 2, 1]
 
 

@@ -207,7 +207,7 @@ def forward(part: Subnetwork, x: Vector, contexts: Sequence[Vector], k: Vector) 
 
 def outputs_of(passes: Sequence[Values]) -> list[float]:
     """The sums at the output nodes, over the superposed subnetworks."""
-    return [sum(each) for each in zip(*(values.passed[-1] for values in passes), strict=True)]
+    return [sum(item) for item in zip(*(values.passed[-1] for values in passes), strict=True)]
 
 
 Moves = list[list[float]]  # of every link of every adaptive layer, subnetwork after subnetwork
@@ -223,7 +223,7 @@ def backpropagation(
     counts: Vector | None = None,
 ) -> Moves:
     """Eqn. 3.4-9 for one pattern: how every link's weight W would move, dW = f_A(S_A) delta_B."""
-    passes = [forward(*each, k) for each in zip(parts, xs, contexts, strict=True)]
+    passes = [forward(*item, k) for item in zip(parts, xs, contexts, strict=True)]
     S = outputs_of(passes)
     errors = [(t[l] - f.f(S[l])) * (1 if counts is None else counts[l]) for l in range(len(S))]
     moves: Moves = []
@@ -234,16 +234,16 @@ def backpropagation(
             for link in part.contexts[at][1]:
                 back[link.source] += context[at][link.context] * arriving[link.node]
             arriving = back
-        own: Moves = []
+        local_moves: Moves = []
         for at in reversed(range(len(part.layers))):
             _, links, f_A = part.layers[at]
             delta = [f_A.slope(s) * d for s, d in zip(values.S[at], arriving, strict=True)]
-            own.append([values.seen[at][link.source] * delta[link.node] for link in links])
+            local_moves.append([values.seen[at][link.source] * delta[link.node] for link in links])
             arriving = [0.0] * len(values.seen[at])
             for link in links:
                 arriving[link.source] += link.multiple * k[link.k] * delta[link.node]
             arriving = arriving[: len(arriving) - part.bias]
-        moves += reversed(own)
+        moves += reversed(local_moves)
     return moves
 
 
@@ -261,7 +261,7 @@ def peral(
 
     With `optimum`, the ideal form of 6.1: significance is what links pass at the optimum.
     """
-    passes = [forward(*each, k) for each in zip(parts, xs, contexts, strict=True)]
+    passes = [forward(*item, k) for item in zip(parts, xs, contexts, strict=True)]
     S = outputs_of(passes)
     dS_B = [
         eqn_6_2_1(t[l], f.f(S[l]), f) * (1 if counts is None else counts[l]) for l in range(len(S))
@@ -286,12 +286,12 @@ def peral(
     # What all links of all subnetworks bring to an output node.
     meeting = [0.0] * len(S)
     for part, values, context in zip(parts, passes, contexts, strict=True):
-        own = (
+        local_moves = (
             context_totals(part, values, context[-1], len(part.contexts) - 1)
             if part.contexts
             else adaptive_totals(part, values)
         )
-        meeting = [a + b for a, b in zip(meeting, own, strict=True)]
+        meeting = [a + b for a, b in zip(meeting, local_moves, strict=True)]
 
     moves: Moves = []
     for part, values, context in zip(parts, passes, contexts, strict=True):
@@ -303,10 +303,10 @@ def peral(
                 leading = [link for link in links if link.source == node]
                 for link in leading:
                     W = context[at][link.context]
-                    each = abs(values.passed[at][node]) * sgn(W) * dS[link.node]
-                    wanted[node] += divided(each, total[link.node]) / len(leading)
+                    item = abs(values.passed[at][node]) * sgn(W) * dS[link.node]
+                    wanted[node] += divided(item, total[link.node]) / len(leading)
             f_A = part.layers[0][2] if at == 0 else IDENTITY
-            dS = [eqn_6_2_5(each, f_A) for each in wanted]
+            dS = [eqn_6_2_5(item, f_A) for item in wanted]
             total = (
                 context_totals(part, values, context[at - 1], at - 1)
                 if at > 0
@@ -326,11 +326,11 @@ def peral(
     return moves
 
 
-def mean_over_patterns(each: Sequence[Moves]) -> Moves:
+def mean_over_patterns(item: Sequence[Moves]) -> Moves:
     """The batch form: averages across the whole set (3.4)."""
     return [
-        [sum(numbers) / len(each) for numbers in zip(*layer, strict=True)]
-        for layer in zip(*each, strict=True)
+        [sum(numbers) / len(item) for numbers in zip(*layer, strict=True)]
+        for layer in zip(*item, strict=True)
     ]
 
 
@@ -354,8 +354,8 @@ def average_over_links(
         for link in links:
             sharing[link.k] += learns
     change = np.zeros((len(layers), size))
-    for row, (links, each, learns) in enumerate(zip(layers, moves, takes_part, strict=True)):
-        for link, move in zip(links, each, strict=True):
+    for row, (links, item, learns) in enumerate(zip(layers, moves, takes_part, strict=True)):
+        for link, move in zip(links, item, strict=True):
             if learns:
                 k_move = move * link.multiple if by_chain_rule else move / link.multiple
                 change[row, link.k] += k_move / sharing[link.k]

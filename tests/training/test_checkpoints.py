@@ -47,7 +47,7 @@ START = np.array([0.1, -0.1, 0.2, 0.1])
 
 
 def run(path: Path | None = None, **changed: Any) -> Training:
-    given: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         "network": NETWORK,
         "chosen": examples(NETWORK, X, T),
         "weights": START,
@@ -59,8 +59,8 @@ def run(path: Path | None = None, **changed: Any) -> Training:
         "checkpoint": path,
         **changed,
     }
-    named = [given.pop(name) for name in ("network", "chosen", "weights", "plan")]
-    return train(*named, **given)
+    named = [arguments.pop(name) for name in ("network", "chosen", "weights", "plan")]
+    return train(*named, **arguments)
 
 
 def assert_identical(one: Training, other: Training) -> None:
@@ -78,11 +78,11 @@ def interrupted(path: Path, monkeypatch: pytest.MonkeyPatch, chunks: int, **chan
     steps: Callable[..., Any] = module._many_steps  # pyright: ignore[reportPrivateUsage]
     left = [chunks]
 
-    def until(*given: Any) -> Any:
+    def until(*arguments: Any) -> Any:
         if not left[0]:
             raise KeyboardInterrupt
         left[0] -= 1
-        return steps(*given)
+        return steps(*arguments)
 
     with monkeypatch.context() as patched:
         patched.setattr(module, "_many_steps", until)
@@ -170,8 +170,8 @@ def straight() -> AdaptiveNetwork:
 
 def other_plan(**changed: Any) -> Plan:
     schedule = Schedule((Backpropagation(), PERAL()), changed.pop("hand_over", 0.5), 4)
-    given: dict[str, Any] = {"order": "sequential", **changed}
-    return Plan(schedule, given.pop("rates", AdaptedRates(0.05)), **given)
+    arguments: dict[str, Any] = {"order": "sequential", **changed}
+    return Plan(schedule, arguments.pop("rates", AdaptedRates(0.05)), **arguments)
 
 
 OTHERS: dict[str, dict[str, Any]] = {
@@ -215,16 +215,16 @@ def test_of_another_training(saved: Path, name: str) -> None:
 def test_of_a_network_wired_otherwise(tmp_path: Path) -> None:
     """Links print alike."""
     path = tmp_path / "training.npz"
-    chosen = examples(straight(), X, T)
-    options: Any = {"chosen": chosen, "stop_set": None, "epochs": 5}
+    training_set = examples(straight(), X, T)
+    options: Any = {"chosen": training_set, "stop_set": None, "epochs": 5}
     run(path, network=straight(), **options)
     with pytest.raises(ValueError, match="of another training"):
         run(path, network=twisted(), **options)
 
 
 def test_epochs_chunks_and_blocks_make_no_other_training(saved: Path) -> None:
-    found = run(saved, epochs=5, chunk=3, block=2)
-    assert int(found.epochs) == 5
+    fingerprints = run(saved, epochs=5, chunk=3, block=2)
+    assert int(fingerprints.epochs) == 5
 
 
 # No checkpoint at all.
@@ -253,10 +253,10 @@ SPOILT: dict[str, Callable[[bytes], bytes]] = {
 def test_no_checkpoint(saved: Path, tmp_path: Path, spoil: Callable[[bytes], bytes]) -> None:
     path = tmp_path / "spoilt.npz"
     path.write_bytes(spoil(saved.read_bytes()))
-    refused(path)
+    check_unreadable(path)
 
 
-def refused(path: Path) -> None:
+def check_unreadable(path: Path) -> None:
     content = path.read_bytes()
     with pytest.raises(ValueError, match="expected a checkpoint of a training") as raised:
         run(path)
@@ -267,12 +267,12 @@ def refused(path: Path) -> None:
 
 def test_other_files_of_numpy_s(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", weights=START)
-    refused(tmp_path / "other.npz")
+    check_unreadable(tmp_path / "other.npz")
     np.save(tmp_path / "other.npy", START)
-    refused(tmp_path / "other.npy")
+    check_unreadable(tmp_path / "other.npy")
     objects: Any = {"fingerprint": np.array([None]), "epochs": np.array(1)}
     np.savez(tmp_path / "objects.npz", **objects)
-    refused(tmp_path / "objects.npz")
+    check_unreadable(tmp_path / "objects.npz")
 
 
 def test_a_folder_is_none(tmp_path: Path) -> None:
@@ -307,16 +307,16 @@ print(Checkpoint(Path("x"), made_of).fingerprint)
 
 def test_the_same_fingerprint_in_every_process() -> None:
     """Where functions lie in memory, and in what order sets are, is no part of it."""
-    found: set[str] = set()
+    fingerprints: set[str] = set()
     for seed in ("1", "2"):
         command = [sys.executable, "-c", PROGRAM]
         environment = {**os.environ, "PYTHONHASHSEED": seed, "JAX_PLATFORMS": "cpu"}
         result = subprocess.run(
             command, capture_output=True, text=True, check=True, env=environment
         )
-        found.add(result.stdout.strip())
-    assert len(found) == 1
-    assert len(found.pop()) == len(hashlib.sha256().hexdigest())
+        fingerprints.add(result.stdout.strip())
+    assert len(fingerprints) == 1
+    assert len(fingerprints.pop()) == len(hashlib.sha256().hexdigest())
 
 
 def test_functions_are_told_apart_by_name() -> None:

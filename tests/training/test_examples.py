@@ -21,7 +21,7 @@ from jaxcslc.adaptive import (
     inverse_dynamics,
 )
 from jaxcslc.training import examples, half_rms, half_square, mean_modulus
-from jaxcslc.training._reach import covered, reach
+from jaxcslc.training._examples import covered, reach
 
 
 def motion(rng: np.random.Generator, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -34,28 +34,30 @@ def test_units_first_patterns_last(rng: np.random.Generator) -> None:
     x, t = rng.normal(size=(7, 3)), rng.normal(size=(7, 2))
     mask = rng.uniform(size=(7, 2)) < 0.5
     mask[0], mask[1] = True, False
-    chosen = examples(network, x, t, mask)
-    assert_array_equal(chosen.signals.inputs[0], x.T)
-    assert_array_equal(chosen.counts, mask.T.astype(float))
-    assert_array_equal(chosen.targets, np.where(mask, t, 0.0).T)
-    assert float(chosen.patterns) == mask.any(axis=1).sum()
+    training_set = examples(network, x, t, mask)
+    assert_array_equal(training_set.signals.inputs[0], x.T)
+    assert_array_equal(training_set.counts, mask.T.astype(float))
+    assert_array_equal(training_set.targets, np.where(mask, t, 0.0).T)
+    assert float(training_set.patterns) == mask.any(axis=1).sum()
     k = jnp.asarray(rng.normal(size=network.size))
     errors = np.where(mask, t - network.outputs(k, x), 0.0).T
-    assert_allclose(chosen.errors(network, k), errors, rtol=1e-13)
+    assert_allclose(training_set.errors(network, k), errors, rtol=1e-13)
 
 
 def test_condensed_totals_are_the_network_s(puma: CSLC, rng: np.random.Generator) -> None:
     """What an epoch knows a cost by: the regressor, rows that are always zero left out."""
     network = inverse_dynamics(puma)
     patterns = motion(rng, 5)
-    chosen = examples(network, patterns, rng.normal(size=(5, 6)))
-    assert chosen.condensed is not None
+    training_set = examples(network, patterns, rng.normal(size=(5, 6)))
+    assert training_set.condensed is not None
     k = jnp.asarray(rng.normal(size=puma.size))
     expected = puma.torque(k, *patterns).T
-    assert_allclose(chosen.totals(network, k), expected, rtol=1e-10, atol=1e-10)
+    assert_allclose(training_set.totals(network, k), expected, rtol=1e-10, atol=1e-10)
     assert reach(network) == puma.support
     regressor = np.asarray(puma.regressor(*patterns))
-    for joint, (support, rows) in enumerate(zip(reach(network), chosen.condensed, strict=True)):
+    for joint, (support, rows) in enumerate(
+        zip(reach(network), training_set.condensed, strict=True)
+    ):
         assert_allclose(rows, regressor[:, joint, list(support)].T, rtol=1e-10, atol=1e-12)
 
 
@@ -94,7 +96,7 @@ def test_moduli_do_not_cancel_where_data_are_told() -> None:
     )
 
     def signals(patterns: Any) -> Signals:
-        x, c = (jnp.asarray(each).T for each in patterns)
+        x, c = (jnp.asarray(column).T for column in patterns)
         return Signals((x,), ((c,),))
 
     network = AdaptiveNetwork((part,), signals, LINEAR_COMBINER, ("a",))
@@ -145,9 +147,9 @@ def test_targets_out_of_reach(kind: str, value: float, said: str) -> None:
     # Masked, it may be anything.
     mask = np.ones((4, 2), bool)
     mask[2, 1] = False
-    chosen = examples(network, x, t, mask)
-    assert bool(jnp.all(jnp.isfinite(chosen.targets)))
-    assert bool(jnp.all(jnp.isfinite(chosen.errors(network, jnp.ones(6)))))
+    training_set = examples(network, x, t, mask)
+    assert bool(jnp.all(jnp.isfinite(training_set.targets)))
+    assert bool(jnp.all(jnp.isfinite(training_set.errors(network, jnp.ones(6)))))
 
 
 def test_targets_at_the_ends_of_the_range_are_wanted() -> None:
@@ -204,8 +206,8 @@ def test_transforms(puma: CSLC, rng: np.random.Generator) -> None:
     close: Any = {"rtol": 1e-10, "atol": 1e-10}
     expected = whole.errors(network, k)
     assert_allclose(jax.jit(errors)((q, qd, qdd), t), expected, **close)
-    each = jax.jit(jax.vmap(errors))(*halves)
-    assert_allclose(jnp.concatenate(list(each), axis=1), expected, **close)
+    column = jax.jit(jax.vmap(errors))(*halves)
+    assert_allclose(jnp.concatenate(list(column), axis=1), expected, **close)
 
 
 def test_costs_against_loops(rng: np.random.Generator) -> None:
@@ -219,10 +221,10 @@ def test_costs_against_loops(rng: np.random.Generator) -> None:
             moduli += [abs(e) for e in counted]
             halves.append(0.5 * np.sqrt(np.mean(np.square(counted))))
             squares.append(0.5 * np.sum(np.square(counted)))
-    given = jnp.asarray(errors), jnp.asarray(counts)
-    assert_allclose(mean_modulus(*given), np.mean(moduli), rtol=1e-13)
-    assert_allclose(half_rms(*given), np.mean(halves), rtol=1e-13)
-    assert_allclose(half_square(*given), np.mean(squares), rtol=1e-13)
+    arrays = jnp.asarray(errors), jnp.asarray(counts)
+    assert_allclose(mean_modulus(*arrays), np.mean(moduli), rtol=1e-13)
+    assert_allclose(half_rms(*arrays), np.mean(halves), rtol=1e-13)
+    assert_allclose(half_square(*arrays), np.mean(squares), rtol=1e-13)
     nothing = jnp.zeros((6, 9))
     for cost in (mean_modulus, half_rms, half_square):
         assert float(cost(nothing, nothing)) == 0.0

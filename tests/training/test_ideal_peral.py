@@ -44,19 +44,24 @@ def contraction(x: np.ndarray, optimum: np.ndarray) -> np.ndarray:
 def step(x: np.ndarray, optimum: np.ndarray, w: np.ndarray) -> np.ndarray:
     """What the library moves one node's weights by, in batch form."""
     network = fully_connected([x.shape[1], 1], "linear combiner", bias=False)
-    chosen = examples(network, x, (x @ optimum)[:, None])
+    training_set = examples(network, x, (x @ optimum)[:, None])
     rule = IdealPERAL(jnp.asarray(optimum))
-    found = rule.change(
-        network, jnp.asarray(w), chosen.signals, chosen.targets, chosen.counts, (True,)
+    result = rule.change(
+        network,
+        jnp.asarray(w),
+        training_set.signals,
+        training_set.targets,
+        training_set.counts,
+        (True,),
     )
-    return np.asarray(found[0]) / len(x)
+    return np.asarray(result[0]) / len(x)
 
 
 def test_equation(rng: np.random.Generator) -> None:
     x, optimum, w = rng.normal(size=(8, 4)), rng.normal(size=4), rng.normal(size=4)
     x[2, 1] = 0.0
-    each = [thesis.eqn_6_1_3(row, optimum, w, row @ optimum) for row in x]
-    assert_allclose(step(x, optimum, w), np.mean(each, axis=0), rtol=1e-11, atol=1e-14)
+    rows = [thesis.eqn_6_1_3(row, optimum, w, row @ optimum) for row in x]
+    assert_allclose(step(x, optimum, w), np.mean(rows, axis=0), rtol=1e-11, atol=1e-14)
 
 
 def test_equation_with_shared_weights_and_several_nodes(rng: np.random.Generator) -> None:
@@ -66,9 +71,9 @@ def test_equation_with_shared_weights_and_several_nodes(rng: np.random.Generator
     network = AdaptiveNetwork((part,), Preprocessed(3), LINEAR_COMBINER, tuple("abc"))
     x, t = rng.normal(size=(6, 3)), rng.normal(size=(6, 2))
     optimum, w = rng.normal(size=3), rng.normal(size=3)
-    each = zip(links.source, links.node, links.weight, links.multiple, strict=True)
+    rows = zip(links.source, links.node, links.weight, links.multiple, strict=True)
     literal = thesis.Subnetwork(
-        [(2, [thesis.Link(int(s), int(n), int(k), m) for s, n, k, m in each], thesis.IDENTITY)]
+        [(2, [thesis.Link(int(s), int(n), int(k), m) for s, n, k, m in rows], thesis.IDENTITY)]
     )
     moves = [
         thesis.peral([literal], thesis.IDENTITY, [x[p]], [[]], t[p], w, optimum=optimum)
@@ -77,11 +82,16 @@ def test_equation_with_shared_weights_and_several_nodes(rng: np.random.Generator
     expected = thesis.average_over_links(
         [literal], thesis.mean_over_patterns(moves), 3, by_chain_rule=False
     )
-    chosen = examples(network, x, t)
-    found = IdealPERAL(jnp.asarray(optimum)).change(
-        network, jnp.asarray(w), chosen.signals, chosen.targets, chosen.counts, (True,)
+    training_set = examples(network, x, t)
+    result = IdealPERAL(jnp.asarray(optimum)).change(
+        network,
+        jnp.asarray(w),
+        training_set.signals,
+        training_set.targets,
+        training_set.counts,
+        (True,),
     )
-    assert_allclose(found / 6, expected, rtol=1e-11, atol=1e-14)
+    assert_allclose(result / 6, expected, rtol=1e-11, atol=1e-14)
 
 
 def test_a_pattern_alone_is_met_at_once(rng: np.random.Generator) -> None:
@@ -109,12 +119,12 @@ def test_it_reaches_the_optimum_from_any_start(rng: np.random.Generator) -> None
     optimum = rng.normal(size=n)
     network = fully_connected([n, 1], "linear combiner", bias=False)
     x = rng.normal(size=(sets, 10 * n, n))
-    for each in x:
-        check_sign_rank(each)
-    chosen = jax.vmap(lambda x: examples(network, x, (x @ optimum)[:, None]))(jnp.asarray(x))
+    for rows in x:
+        check_sign_rank(rows)
+    training_set = jax.vmap(lambda x: examples(network, x, (x @ optimum)[:, None]))(jnp.asarray(x))
     plan = Plan(IdealPERAL(jnp.asarray(optimum)), FixedRates(1.0), cost=mean_modulus, target=1e-9)
     start = 10 * rng.normal(size=(sets, n))
-    training = train(network, chosen, start, plan, epochs=2000, keep_weights=False)
+    training = train(network, training_set, start, plan, epochs=2000, keep_weights=False)
     assert bool(jnp.all(training.outcome == OUTCOMES.reached))
     assert_allclose(training.weights, np.broadcast_to(optimum, (sets, n)), rtol=0, atol=1e-7)
 
@@ -213,21 +223,21 @@ def test_networks_refused() -> None:
     context = ContextLayer(2, 1, 1, (0, 1), (0, 0), (0, 0))
     part = Subnetwork("a", (Layer(Links(1, 2, [0, 0], [0, 1], [0, 1])),), (context,))
     behind = AdaptiveNetwork((part,), Preprocessed(1), LINEAR_COMBINER, tuple("ab"))
-    assert rule.refuse(behind) == (
+    assert rule.check_network(behind) == (
         "ideal PERAL is stated for one layer without context-sensitive weights (6.1)"
     )
-    assert rule.refuse(fully_connected([1, 1, 1], "logistic")) is not None
-    assert rule.refuse(fully_connected([2, 1], "logistic")) == (
+    assert rule.check_network(fully_connected([1, 1, 1], "logistic")) is not None
+    assert rule.check_network(fully_connected([2, 1], "logistic")) == (
         "ideal PERAL needs the optimum of all 3 weights, got shape (2,)"
     )
-    assert rule.refuse(fully_connected([1, 1], "logistic")) is None
+    assert rule.check_network(fully_connected([1, 1], "logistic")) is None
 
 
 def test_starts_refused() -> None:
     network = fully_connected([2, 1], "linear combiner", bias=False)
     rule = IdealPERAL(jnp.asarray([1.0, 0.0]))
-    assert rule.refuse_start(network, np.array([5.0, 0.0]), (True,)) is None
-    assert rule.refuse_start(network, np.array([5.0, 1.0]), (True,)) == (
+    assert rule.check_start(network, np.array([5.0, 0.0]), (True,)) is None
+    assert rule.check_start(network, np.array([5.0, 1.0]), (True,)) == (
         "ideal PERAL cannot move layer 1, node 1, input 2: it is zero at the optimum, so that no"
         " error is allocated to it (6.1); start it at zero"
     )

@@ -39,7 +39,7 @@ BOTH = (Backpropagation(), PERAL())
 
 class Problem(NamedTuple):
     network: AdaptiveNetwork
-    chosen: Examples
+    training_set: Examples
     starts: np.ndarray
 
 
@@ -66,8 +66,8 @@ def plan_of(
 
 
 def run(problem: Problem, plan: Plan, **options: Any) -> Training:
-    given: dict[str, Any] = {"epochs": EPOCHS, "chunk": 20, "throw": False, **options}
-    return train(problem.network, problem.chosen, problem.starts, plan, **given)
+    settings: dict[str, Any] = {"epochs": EPOCHS, "chunk": 20, "throw": False, **options}
+    return train(problem.network, problem.training_set, problem.starts, plan, **settings)
 
 
 def assert_same(many: Training, at: int, single: Training) -> None:
@@ -81,8 +81,8 @@ def assert_same(many: Training, at: int, single: Training) -> None:
         one = np.asarray(getattr(single.history, name))
         assert_allclose(getattr(many.history, name)[at][: len(one)], one, **ROUNDING)
         # Waiting changes nothing: what follows is its last entry.
-        rest = getattr(many.history, name)[at][len(one) :]
-        assert_array_equal(rest, np.broadcast_to(rest[:1], rest.shape))
+        remainder = getattr(many.history, name)[at][len(one) :]
+        assert_array_equal(remainder, np.broadcast_to(remainder[:1], remainder.shape))
 
 
 def test_starts(problem: Problem) -> None:
@@ -116,8 +116,8 @@ def test_targets_and_hand_overs(problem: Problem) -> None:
     targets = jnp.asarray([0.1, 0.5, 0.2, 0.0, 0.3])
     least = jnp.asarray([-jnp.inf, -jnp.inf, 1e-3, 5e-3, 1e-2])
     start = problem.starts[0]
-    each = problem._replace(starts=np.tile(start, (5, 1)))
-    many = run(each, plan_of(hand_overs, targets, least))
+    single_sets = problem._replace(starts=np.tile(start, (5, 1)))
+    many = run(single_sets, plan_of(hand_overs, targets, least))
     firsts: set[int] = set()
     for at in range(5):
         plan = plan_of(float(hand_overs[at]), float(targets[at]), float(least[at]))
@@ -127,16 +127,16 @@ def test_targets_and_hand_overs(problem: Problem) -> None:
 
 
 def stacked(problem: Problem, rng: np.random.Generator) -> tuple[Examples, list[Examples]]:
-    each: list[Examples] = []
+    single_sets: list[Examples] = []
     for _ in range(5):
         x, t = rng.normal(size=(25, 4)), rng.normal(size=(25, 2))
-        each.append(examples(problem.network, x, t, rng.uniform(size=(25, 2)) < 0.9))
-    return jax.tree.map(lambda *parts: jnp.stack(parts), *each), each
+        single_sets.append(examples(problem.network, x, t, rng.uniform(size=(25, 2)) < 0.9))
+    return jax.tree.map(lambda *parts: jnp.stack(parts), *single_sets), single_sets
 
 
 def test_recordings_and_stop_sets(problem: Problem, rng: np.random.Generator) -> None:
     """A recording for each, stop sets for each or for all, from one start or several."""
-    recordings, each = stacked(problem, rng)
+    recordings, single_sets = stacked(problem, rng)
     stop_sets, each_stop = stacked(problem, rng)
     network, plan = problem.network, plan_of(stop_patience=4)
     options: Any = {"epochs": EPOCHS, "chunk": 20}
@@ -144,12 +144,14 @@ def test_recordings_and_stop_sets(problem: Problem, rng: np.random.Generator) ->
         many = train(network, recordings, starts, plan, stop_set=stop_sets, **options)
         assert "stop set" in many.outcomes()
         for at in (0, 3):
-            own = np.broadcast_to(starts, (5, 10))[at]
-            single = train(network, each[at], own, plan, stop_set=each_stop[at], **options)
+            start_of = np.broadcast_to(starts, (5, 10))[at]
+            single = train(
+                network, single_sets[at], start_of, plan, stop_set=each_stop[at], **options
+            )
             assert_same(many, at, single)
     many = train(network, recordings, problem.starts, plan, stop_set=each_stop[0], **options)
-    own = problem.starts[2]
-    single = train(network, each[2], own, plan, stop_set=each_stop[0], **options)
+    start_of = problem.starts[2]
+    single = train(network, single_sets[2], start_of, plan, stop_set=each_stop[0], **options)
     assert_same(many, 2, single)
 
 
@@ -158,10 +160,10 @@ def test_recordings_by_vmap_of_examples(problem: Problem, rng: np.random.Generat
     made = jax.vmap(lambda x, t: examples(problem.network, x, t))(jnp.asarray(x), jnp.asarray(t))
     assert made.trainings == 5
     start = problem.starts[0]
-    many = run(problem._replace(chosen=made, starts=start), plan_of())
-    chosen = examples(problem.network, x[1], t[1])
-    assert_allclose(made.targets[1], chosen.targets)
-    assert_same(many, 1, run(problem._replace(chosen=chosen, starts=start), plan_of()))
+    many = run(problem._replace(training_set=made, starts=start), plan_of())
+    training_set = examples(problem.network, x[1], t[1])
+    assert_allclose(made.targets[1], training_set.targets)
+    assert_same(many, 1, run(problem._replace(training_set=training_set, starts=start), plan_of()))
 
 
 def test_seeds(problem: Problem) -> None:
@@ -171,10 +173,10 @@ def test_seeds(problem: Problem) -> None:
     keys = jax.random.split(key, 5)
     short: Any = {"epochs": 6, "chunk": 6}
     split = run(problem, plan, key=key, **short)
-    each = run(problem, plan, key=keys, **short)
-    assert_array_equal(split.weights, each.weights)
+    single_sets = run(problem, plan, key=keys, **short)
+    assert_array_equal(split.weights, single_sets.weights)
     alone = problem._replace(starts=problem.starts[2])
-    assert_same(each, 2, run(alone, plan, key=keys[2], **short))
+    assert_same(single_sets, 2, run(alone, plan, key=keys[2], **short))
     same_start = problem._replace(starts=np.tile(problem.starts[0], (5, 1)))
     weights = np.asarray(run(same_start, plan, key=key, **short).weights)
     assert len(np.unique(weights[:, 0])) == 5
@@ -184,25 +186,27 @@ def test_seeds(problem: Problem) -> None:
 def test_blocks_and_chunks_are_no_part_of_the_result(problem: Problem, cut: dict[str, int]) -> None:
     """Five trainings in two blocks and one left over, or in one that is not filled."""
     plan = plan_of(target=0.2)
-    whole, found = run(problem, plan), run(problem, plan, **cut)
-    assert_array_equal(found.epochs, whole.epochs)
-    assert_allclose(found.weights, whole.weights, **ROUNDING)
-    passed = min(found.history.cost.shape[1], whole.history.cost.shape[1])
+    whole, result = run(problem, plan), run(problem, plan, **cut)
+    assert_array_equal(result.epochs, whole.epochs)
+    assert_allclose(result.weights, whole.weights, **ROUNDING)
+    passed = min(result.history.cost.shape[1], whole.history.cost.shape[1])
     assert passed > int(jnp.max(whole.epochs)) or passed == EPOCHS
     for name in ("cost", "rule", "rates", "weights"):
-        one, other = (getattr(each.history, name)[:, :passed] for each in (found, whole))
+        one, other = (
+            getattr(single_sets.history, name)[:, :passed] for single_sets in (result, whole)
+        )
         assert_allclose(one, other, **ROUNDING)
 
 
 def test_training_steps_under_vmap(problem: Problem) -> None:
     """Over whatever the program likes: here over starts, rates and noise of the targets."""
-    network, chosen = problem.network, problem.chosen
+    network, training_set = problem.network, problem.training_set
     rates, noise = jnp.asarray([0.05, 0.1, 0.2]), jnp.asarray([0.0, 0.5, 1.0])
     starts = jnp.asarray(problem.starts[:3])
 
     def disturbed(noise: Array) -> Examples:
-        targets = chosen.targets + noise * jnp.sign(chosen.targets)
-        return Examples(chosen.signals, targets, chosen.counts, None)
+        targets = training_set.targets + noise * jnp.sign(training_set.targets)
+        return Examples(training_set.signals, targets, training_set.counts, None)
 
     def several(start: Array, rate: Array, noise: Array) -> Any:
         plan = plan_of(rates=(rate, rate))
@@ -213,22 +217,22 @@ def test_training_steps_under_vmap(problem: Problem) -> None:
     assert records.cost.shape == (3, 20)
     assert records.weights is None
     for at in range(3):
-        own = problem._replace(chosen=disturbed(noise[at]), starts=starts[at])
-        single = run(own, plan_of(rates=(rates[at], rates[at])), epochs=20)
+        start_of = problem._replace(training_set=disturbed(noise[at]), starts=starts[at])
+        single = run(start_of, plan_of(rates=(rates[at], rates[at])), epochs=20)
         assert_allclose(states.weights[at], single.weights, **ROUNDING)
         assert_allclose(records.cost[at], single.history.cost, **ROUNDING)
     assert bool(jnp.all(states.outcome == OUTCOMES.running))
 
 
 def test_normal_equations_side_by_side(problem: Problem, rng: np.random.Generator) -> None:
-    recordings, each = stacked(problem, rng)
+    recordings, single_sets = stacked(problem, rng)
     network, start = problem.network, problem.starts[0]
     plan = Plan(Backpropagation(), AdaptedRates(0.1), cost=half_square)
-    made = jax.vmap(lambda chosen: normal_equations(network, chosen))(recordings)
+    made = jax.vmap(lambda training_set: normal_equations(network, training_set))(recordings)
     assert made.trainings == 5
     many = train(network, made, start, plan, epochs=EPOCHS, chunk=60)
     for at in (0, 4):
-        alone = normal_equations(network, each[at])
+        alone = normal_equations(network, single_sets[at])
         single = train(network, alone, start, plan, epochs=EPOCHS, chunk=60)
         assert_same(many, at, single)
 
@@ -245,7 +249,7 @@ class Traced(AbstractRule):
     def name(self) -> str:
         return "traced"
 
-    def refuse(self, network: AdaptiveNetwork) -> str | None:
+    def check_network(self, network: AdaptiveNetwork) -> str | None:
         return None
 
     def change(
@@ -273,9 +277,9 @@ def test_nothing_compiles_twice(problem: Problem, rng: np.random.Generator) -> N
     assert 0 < first < 6  # bodies of two scans, and not once for each epoch or chunk
     plan = Plan(Schedule(rules, 0.7), (AdaptedRates(0.01), FixedRates(0.2)), target=0.0)
     network = fully_connected([4, 2], "linear combiner")  # an equal one
-    chosen = examples(network, rng.normal(size=(25, 4)), rng.normal(size=(25, 2)))
+    training_set = examples(network, rng.normal(size=(25, 4)), rng.normal(size=(25, 2)))
     for starts in (2.0 * problem.starts[1], 2.0 * problem.starts):
-        other = Problem(network, chosen, starts)
+        other = Problem(network, training_set, starts)
         run(other, plan, epochs=2 * EPOCHS, key=jax.random.key(9), **options)
     assert len(TRACES) == first
 
@@ -284,16 +288,22 @@ def test_nothing_compiles_twice(problem: Problem, rng: np.random.Generator) -> N
 
 
 def test_refused(problem: Problem, rng: np.random.Generator) -> None:
-    recordings, each = stacked(problem, rng)
+    recordings, single_sets = stacked(problem, rng)
     rule, network = Backpropagation(), problem.network
     with pytest.raises(ValueError, match=r"^weights: 4 starts, but 5 sets of patterns"):
         train(network, recordings, problem.starts[:4], rule)
     with pytest.raises(ValueError, match=r"^stop_set: expected one, got shape \(5,\)"):
-        train(network, each[0], problem.starts[0], rule, stop_set=recordings)
+        train(network, single_sets[0], problem.starts[0], rule, stop_set=recordings)
     with pytest.raises(ValueError, match=r"^stop_set: expected one, or for each of 4"):
-        train(network, each[0], problem.starts[:4], rule, stop_set=recordings)
+        train(network, single_sets[0], problem.starts[:4], rule, stop_set=recordings)
     with pytest.raises(ValueError, match=r"^key: expected one, or for each of 5 trainings"):
-        train(network, each[0], problem.starts, rule, key=jax.random.split(jax.random.key(0), 4))
+        train(
+            network,
+            single_sets[0],
+            problem.starts,
+            rule,
+            key=jax.random.split(jax.random.key(0), 4),
+        )
     starts = problem.starts * np.array([1.0, 1.0, 0.0, 1.0, 1.0])[:, None]
     with pytest.raises(ValueError, match=r"PERAL cannot start .* all zero \(training 3\)"):
-        train(network, each[0], starts, PERAL())
+        train(network, single_sets[0], starts, PERAL())

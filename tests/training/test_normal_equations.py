@@ -61,30 +61,30 @@ def patterns(rng: np.random.Generator, network: AdaptiveNetwork, samples: int) -
     return examples(network, x, t, counts)
 
 
-def assert_says_the_same(network: AdaptiveNetwork, chosen: Examples, w: Any) -> None:
-    made = normal_equations(network, chosen)
-    (cost,) = chosen.costs(network, w, half_square)
+def assert_says_the_same(network: AdaptiveNetwork, training_set: Examples, w: Any) -> None:
+    made = normal_equations(network, training_set)
+    (cost,) = training_set.costs(network, w, half_square)
     assert_allclose(made.costs(network, w, half_square)[0], cost, **ROUNDING)
     learns = len(network.groups)
     for learning in {(True,) * learns, (True,) + (False,) * (learns - 1)}:
-        change = chosen.change(network, RULE, w, learning)
+        change = training_set.change(network, RULE, w, learning)
         assert_allclose(made.change(network, RULE, w, learning), change, **ROUNDING)
 
 
 def test_cost_and_change_are_the_patterns(rng: np.random.Generator) -> None:
     for network in (sharing(), fully_connected([4, 2], "linear combiner")):
-        chosen = patterns(rng, network, 40)
+        training_set = patterns(rng, network, 40)
         w = jnp.asarray(rng.normal(size=network.size))
-        assert_says_the_same(network, chosen, w)
+        assert_says_the_same(network, training_set, w)
 
 
 def test_trials_cost_what_the_patterns_say(rng: np.random.Generator) -> None:
     network = sharing()
-    chosen = patterns(rng, network, 40)
-    made, w = normal_equations(network, chosen), jnp.asarray(rng.normal(size=3))
-    change = chosen.change(network, RULE, w, (True, True))
+    training_set = patterns(rng, network, 40)
+    made, w = normal_equations(network, training_set), jnp.asarray(rng.normal(size=3))
+    change = training_set.change(network, RULE, w, (True, True))
     trials = jnp.asarray(rng.uniform(0, 1, (5, 2)))
-    expected = chosen.trial_costs(network, w, change, trials, half_square)
+    expected = training_set.trial_costs(network, w, change, trials, half_square)
     assert_allclose(made.trial_costs(network, w, change, trials, half_square), expected, **ROUNDING)
 
 
@@ -99,11 +99,11 @@ def test_in_blocks(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, sa
 def test_the_gram_matrix_is_the_regressor_s(rng: np.random.Generator) -> None:
     """Gradient and Hessian of the half square, by `jax`: the right side and the matrix."""
     network = sharing()
-    chosen = patterns(rng, network, 40)
-    made = normal_equations(network, chosen)
+    training_set = patterns(rng, network, 40)
+    made = normal_equations(network, training_set)
 
     def cost(w: jax.Array) -> jax.Array:
-        return chosen.costs(network, w, half_square)[0]
+        return training_set.costs(network, w, half_square)[0]
 
     assert_allclose(made.gram, jax.hessian(cost)(jnp.zeros(3)), **ROUNDING)
     assert_allclose(jnp.sum(made.moment, axis=0), -jax.grad(cost)(jnp.zeros(3)), **ROUNDING)
@@ -113,11 +113,13 @@ def test_the_gram_matrix_is_the_regressor_s(rng: np.random.Generator) -> None:
 def test_trained_as_on_the_patterns(rng: np.random.Generator) -> None:
     """History and all, one layer frozen; the end is the least squares' solution."""
     network = sharing()
-    chosen, start = patterns(rng, network, 40), np.array([1.0, -1.0, 0.5])
-    made = normal_equations(network, chosen)
+    training_set, start = patterns(rng, network, 40), np.array([1.0, -1.0, 0.5])
+    made = normal_equations(network, training_set)
     for frozen in ((), ("b",)):
         plan = Plan(RULE, AdaptedRates(0.05), cost=half_square, frozen=frozen)
-        one, other = (train(network, x, start, plan, epochs=30, chunk=30) for x in (made, chosen))
+        one, other = (
+            train(network, x, start, plan, epochs=30, chunk=30) for x in (made, training_set)
+        )
         assert_allclose(one.history.cost, other.history.cost, rtol=1e-9)
         assert_allclose(one.history.rates, other.history.rates, rtol=1e-9)
         assert_allclose(one.weights, other.weights, rtol=1e-7, atol=1e-9)
@@ -130,8 +132,8 @@ def test_the_minimum_is_the_direct_solve_s(puma: CSLC, rng: np.random.Generator)
     torque = np.asarray(puma.torque(k, q, qd, qdd)) + rng.normal(size=(60, 6))
     counts = rng.uniform(size=(60, 6)) < 0.8
     network = inverse_dynamics(puma)
-    chosen = examples(network, (q, qd, qdd), torque, counts)
-    made = normal_equations(network, chosen)
+    training_set = examples(network, (q, qd, qdd), torque, counts)
+    made = normal_equations(network, training_set)
     everything = np.ones(counts.shape, bool)
     recording = jc.Patterns(np.arange(60.0), q, qd, qdd, torque, counts, everything)
     solved = jc.LeastSquares(joint_weights="equal", errors="independent").fit(puma, recording).k
@@ -143,18 +145,20 @@ def test_the_minimum_is_the_direct_solve_s(puma: CSLC, rng: np.random.Generator)
     total, start = np.abs(np.sum(move, axis=0)), np.abs(np.sum(first, axis=0))
     assert np.max(total) < 1e-10 * np.max(start)  # no layer's move but the others undo it
     assert_allclose(
-        made.costs(network, solved, half_square), chosen.costs(network, solved, half_square)
+        made.costs(network, solved, half_square), training_set.costs(network, solved, half_square)
     )
 
 
 def test_vmap_over_recordings(rng: np.random.Generator) -> None:
     network = sharing()
-    each = [patterns(rng, network, 40) for _ in range(3)]
-    recordings: Examples = jax.tree.map(lambda *parts: jnp.stack(parts), *each)
-    made = jax.jit(jax.vmap(lambda chosen: normal_equations(network, chosen)))(recordings)
+    one_set = [patterns(rng, network, 40) for _ in range(3)]
+    recordings: Examples = jax.tree.map(lambda *parts: jnp.stack(parts), *one_set)
+    made = jax.jit(jax.vmap(lambda training_set: normal_equations(network, training_set)))(
+        recordings
+    )
     assert made.trainings == 3
-    for at, chosen in enumerate(each):
-        single = normal_equations(network, chosen)
+    for at, training_set in enumerate(one_set):
+        single = normal_equations(network, training_set)
         for name in ("gram", "layered", "moment", "square"):
             assert_allclose(getattr(made, name)[at], getattr(single, name), **ROUNDING)
 
@@ -179,6 +183,6 @@ def test_networks_that_are_not_linear_are_refused(
     """Two layers of linear combiners are not linear in their weights either."""
     kind = "logistic" if len(sizes) == 2 else "linear combiner"
     network = fully_connected(sizes, kind)
-    chosen = examples(network, rng.normal(size=(9, 4)), rng.uniform(0, 1, (9, 2)))
+    training_set = examples(network, rng.normal(size=(9, 4)), rng.uniform(0, 1, (9, 2)))
     with pytest.raises(ValueError, match=r"^normal equations need outputs that are linear"):
-        normal_equations(network, chosen)
+        normal_equations(network, training_set)

@@ -91,32 +91,32 @@ def test_blocks_do_as_one_trial_after_the_other(
     links = wiring() if with_nodes else None
     f = jax.jit(cost)
     expected, after = literally(lambda w: float(f(w, *data)), weights, links, tolerance)
-    found = prune(cost, weights, links, tolerance=tolerance, args=data, block=block)
-    assert found.removed.tolist() == expected
-    assert_allclose(found.cost_after, after, rtol=1e-12)
-    assert found.finished
+    result = prune(cost, weights, links, tolerance=tolerance, args=data, block=block)
+    assert result.removed.tolist() == expected
+    assert_allclose(result.cost_after, after, rtol=1e-12)
+    assert result.finished
 
 
 def test_nothing_left_can_go_alone(trained: tuple[np.ndarray, Any]) -> None:
     weights, data = trained
-    found = prune(cost, weights, tolerance=0.2, args=data)
-    limit = 1.2 * found.cost_before
-    assert found.cost_after <= limit
-    assert_array_equal(found.weights, np.where(found.kept, weights, 0.0))
-    assert_array_equal(np.flatnonzero(~found.kept), np.sort(found.removed))
-    assert 8 <= found.removed.size < weights.size
-    for i in np.flatnonzero(found.kept):
-        without = found.weights.copy()
+    result = prune(cost, weights, tolerance=0.2, args=data)
+    limit = 1.2 * result.cost_before
+    assert result.cost_after <= limit
+    assert_array_equal(result.weights, np.where(result.kept, weights, 0.0))
+    assert_array_equal(np.flatnonzero(~result.kept), np.sort(result.removed))
+    assert 8 <= result.removed.size < weights.size
+    for i in np.flatnonzero(result.kept):
+        without = result.weights.copy()
         without[i] = 0.0
         assert cost(jnp.asarray(without), *data) > limit
 
 
 def test_sensitivity_is_the_increase_of_each_alone(trained: tuple[np.ndarray, Any]) -> None:
     weights, data = trained
-    found = prune(cost, weights, tolerance=0.0, args=data)
+    result = prune(cost, weights, tolerance=0.0, args=data)
     without = weights[None] * (1 - np.eye(weights.size))
-    each = np.array([cost(jnp.asarray(w), *data) for w in without])
-    assert_allclose(found.sensitivity, each - found.cost_before, atol=1e-12)
+    one = np.array([cost(jnp.asarray(w), *data) for w in without])
+    assert_allclose(result.sensitivity, one - result.cost_before, atol=1e-12)
 
 
 def test_a_chain_of_nodes_goes_at_once() -> None:
@@ -126,16 +126,16 @@ def test_a_chain_of_nodes_goes_at_once() -> None:
     def product(w: jax.Array) -> jax.Array:
         return (w[3] * w[4] + 1e-6 * w[0] * w[1] * w[2] - 1.0) ** 2 + 1.0
 
-    found = prune(product, np.array([5.0, 4.0, 0.1, 2.0, 0.5]), links)
-    assert found.nodes == (1, 2)
-    assert_array_equal(found.kept, [False, False, False, True, True])
+    result = prune(product, np.array([5.0, 4.0, 0.1, 2.0, 0.5]), links)
+    assert result.nodes == (1, 2)
+    assert_array_equal(result.kept, [False, False, False, True, True])
 
 
 def test_outputs_and_inputs_are_no_nodes_that_go() -> None:
     links = LinkEnds(np.array([0, 1]), np.array([2, 2]))
-    found = prune(lambda w: (w[0] - 1.0) ** 2 + 1.0, np.array([1.0, 3.0]), links)
-    assert_array_equal(found.kept, [True, False])
-    assert found.nodes == ()
+    result = prune(lambda w: (w[0] - 1.0) ** 2 + 1.0, np.array([1.0, 3.0]), links)
+    assert_array_equal(result.kept, [True, False])
+    assert result.nodes == ()
 
 
 def test_what_is_not_tested_goes_with_its_node_only() -> None:
@@ -149,10 +149,10 @@ def test_what_is_not_tested_goes_with_its_node_only() -> None:
     links = LinkEnds(np.array([0, 0, 1, 2]), np.array([1, 2, 3, 3]))
     tested = np.array([False, False, True, True])
     weights = np.array([0.01, 0.5, 1.0, 1e-5])
-    found = prune(radial, weights, links, tested=tested)
-    assert_array_equal(found.kept, [True, False, True, False])
-    assert found.removed.tolist() == [3, 1]
-    assert_array_equal(np.isnan(found.sensitivity), ~tested)
+    result = prune(radial, weights, links, tested=tested)
+    assert_array_equal(result.kept, [True, False, True, False])
+    assert result.removed.tolist() == [3, 1]
+    assert_array_equal(np.isnan(result.sensitivity), ~tested)
 
 
 def test_a_pytree_by_way_of_its_flat_weights(trained: tuple[np.ndarray, Any]) -> None:
@@ -164,8 +164,8 @@ def test_a_pytree_by_way_of_its_flat_weights(trained: tuple[np.ndarray, Any]) ->
         parts = unravel(w)
         return cost(jnp.concatenate([parts["hidden"], parts["output"]]), x, target)
 
-    found = prune(of_tree, flat, tolerance=0.1)
-    assert_array_equal(found.kept, prune(cost, weights, tolerance=0.1, args=(x, target)).kept)
+    result = prune(of_tree, flat, tolerance=0.1)
+    assert_array_equal(result.kept, prune(cost, weights, tolerance=0.1, args=(x, target)).kept)
 
 
 def test_one_program_serves_all_blocks(trained: tuple[np.ndarray, Any]) -> None:
@@ -184,30 +184,30 @@ def test_one_program_serves_all_blocks(trained: tuple[np.ndarray, Any]) -> None:
 
 def test_passes_can_run_out_and_progress_is_told(trained: tuple[np.ndarray, Any]) -> None:
     weights, data = trained
-    told: list[tuple[int, int]] = []
-    found = prune(
+    progress_reports: list[tuple[int, int]] = []
+    result = prune(
         cost,
         weights,
         args=data,
         tolerance=0.5,
         passes=1,
-        progress=lambda tried, removed: told.append((tried, removed)),
+        progress=lambda tried, removed: progress_reports.append((tried, removed)),
     )
-    assert (found.passes, found.finished) == (1, False)
-    assert "1 passes, not finished" in str(found)
-    assert told == sorted(told)
-    assert told[-1][1] == found.removed.size
+    assert (result.passes, result.finished) == (1, False)
+    assert "1 passes, not finished" in str(result)
+    assert progress_reports == sorted(progress_reports)
+    assert progress_reports[-1][1] == result.removed.size
 
 
 def test_a_cost_that_is_no_number_is_a_marked_increase() -> None:
-    found = prune(lambda w: 1.0 + 0.0 / w[0], np.array([2.0, 1.0]))
-    assert_array_equal(found.kept, [True, False])
+    result = prune(lambda w: 1.0 + 0.0 / w[0], np.array([2.0, 1.0]))
+    assert_array_equal(result.kept, [True, False])
 
 
 def test_all_may_go() -> None:
-    found = prune(lambda w: 1.0 + 0.0 * w[0], np.array([2.0, 1.0]))
-    assert not np.any(found.kept)
-    assert found.finished
+    result = prune(lambda w: 1.0 + 0.0 * w[0], np.array([2.0, 1.0]))
+    assert not np.any(result.kept)
+    assert result.finished
 
 
 @pytest.mark.parametrize(

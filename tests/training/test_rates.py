@@ -131,8 +131,8 @@ def test_trials_that_are_no_numbers(
     present: float, higher: float, lower: float, expected: float
 ) -> None:
     after = jnp.asarray([present, higher, lower])
-    found = AdaptedRates(1.0).adapted(jnp.asarray([1.0]), jnp.asarray(2.0), after)
-    assert_allclose(found, [expected])
+    result = AdaptedRates(1.0).adapted(jnp.asarray([1.0]), jnp.asarray(2.0), after)
+    assert_allclose(result, [expected])
 
 
 def test_one_layer_s_nan_leaves_the_others() -> None:
@@ -143,8 +143,8 @@ def test_one_layer_s_nan_leaves_the_others() -> None:
 
 
 def test_a_layer_that_does_not_learn_keeps_its_zero(rng: np.random.Generator) -> None:
-    found = adapted(AdaptedRates(1.0), bowl(rng, 3), [0.0, 0.01, 0.0])
-    assert_array_equal(found[[0, 2]], [0.0, 0.0])
+    result = adapted(AdaptedRates(1.0), bowl(rng, 3), [0.0, 0.01, 0.0])
+    assert_array_equal(result[[0, 2]], [0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -200,8 +200,8 @@ def test_no_rate_falls_below_its_floor() -> None:
 
 def test_fixed_rates() -> None:
     rates, present = FixedRates(0.3), jnp.asarray([0.3, 0.4])
-    chosen, moves = rates.choose(present, jnp.asarray(1.0), lambda trials: trials[:, 0] * NAN)
-    assert_array_equal(chosen, present)
+    training_set, moves = rates.choose(present, jnp.asarray(1.0), lambda trials: trials[:, 0] * NAN)
+    assert_array_equal(training_set, present)
     assert bool(moves)
 
 
@@ -210,8 +210,8 @@ def test_transforms(rng: np.random.Generator) -> None:
     rates = AdaptedRates(1.0)
     now, before = jnp.asarray(rng.uniform(0.1, 1, (4, 2))), jnp.asarray(rng.uniform(2, 3, 4))
     after = jnp.asarray(rng.uniform(0, 3, (4, 7)))
-    each = [rates.adapted(*row) for row in zip(now, before, after, strict=True)]
-    assert_array_equal(jax.jit(jax.vmap(rates.adapted))(now, before, after), jnp.stack(each))
+    rule_rates = [rates.adapted(*row) for row in zip(now, before, after, strict=True)]
+    assert_array_equal(jax.jit(jax.vmap(rates.adapted))(now, before, after), jnp.stack(rule_rates))
 
 
 def test_a_plan_s_rates() -> None:

@@ -49,23 +49,25 @@ def summed(
     rule: AbstractRule,
     network: AdaptiveNetwork,
     k: jax.Array,
-    chosen: Examples,
+    training_set: Examples,
     learning: tuple[bool, ...],
 ) -> jax.Array:
-    return rule.change(network, k, chosen.signals, chosen.targets, chosen.counts, learning)
+    return rule.change(
+        network, k, training_set.signals, training_set.targets, training_set.counts, learning
+    )
 
 
 def change(
     rule: AbstractRule,
     network: AdaptiveNetwork,
     k: Any,
-    chosen: Examples,
+    training_set: Examples,
     learning: Sequence[bool] | None = None,
 ) -> np.ndarray:
     """The batch form: divided by the number of patterns, (groups, p)."""
     takes_part = (True,) * len(network.groups) if learning is None else tuple(learning)
-    found = summed(rule, network, jnp.asarray(k), chosen, takes_part)
-    return np.asarray(found / chosen.patterns)
+    result = summed(rule, network, jnp.asarray(k), training_set, takes_part)
+    return np.asarray(result / training_set.patterns)
 
 
 def matrix(change: np.ndarray, inputs: int, nodes: int) -> np.ndarray:
@@ -82,18 +84,18 @@ def test_one_layer(f: Activation, rng: np.random.Generator) -> None:
     W, x = rng.normal(size=(4, 3)), rng.normal(size=(6, 4))
     t = rng.uniform(max(f.low, -1.0), 1.0, size=(6, 3))
     S, literal = x @ W, FUNCTIONS[f]
-    chosen = examples(network, x, t)
+    training_set = examples(network, x, t)
     expected = np.mean([thesis.eqn_3_4_3(x[p], S[p], t[p], literal) for p in range(6)], axis=0)
-    found = change(Backpropagation(), network, W.T.ravel(), chosen)
-    assert_allclose(matrix(found[0], 4, 3), expected, rtol=1e-11, atol=1e-14)
+    result = change(Backpropagation(), network, W.T.ravel(), training_set)
+    assert_allclose(matrix(result[0], 4, 3), expected, rtol=1e-11, atol=1e-14)
 
-    each: list[np.ndarray] = []
+    per_pattern: list[np.ndarray] = []
     for p in range(6):
         dS = [thesis.eqn_6_2_1(t[p, l], literal.f(S[p, l]), literal) for l in range(3)]
-        each.append(thesis.eqn_6_2_6(x[p], W, dS))
-        assert_allclose(each[-1], thesis.eqn_6_2_7(x[p], W, np.array(dS)), rtol=1e-13)
-    found = change(PERAL(), network, W.T.ravel(), chosen)
-    assert_allclose(matrix(found[0], 4, 3), np.mean(each, axis=0), rtol=1e-11, atol=1e-14)
+        per_pattern.append(thesis.eqn_6_2_6(x[p], W, dS))
+        assert_allclose(per_pattern[-1], thesis.eqn_6_2_7(x[p], W, np.array(dS)), rtol=1e-13)
+    result = change(PERAL(), network, W.T.ravel(), training_set)
+    assert_allclose(matrix(result[0], 4, 3), np.mean(per_pattern, axis=0), rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize("f_A", list(FUNCTIONS), **by_name)
@@ -113,12 +115,12 @@ def test_two_adaptive_layers(f_A: Activation, f_B: Activation, rng: np.random.Ge
         dB += thesis.eqn_3_4_3(hidden, S_B, t[p], B) / 5
         dA += thesis.eqn_3_4_8(seen, S_A, S_B, W_B[:4], t[p], A, B) / 5
     k = np.concatenate([W_A.T.ravel(), W_B.T.ravel()])
-    found = change(Backpropagation(), network, k, examples(network, x, t))
+    result = change(Backpropagation(), network, k, examples(network, x, t))
     close: Any = {"rtol": 1e-11, "atol": 1e-14}
-    assert_allclose(matrix(found[0, :16], 4, 4), dA, **close)
-    assert_allclose(matrix(found[1, 16:], 5, 2), dB, **close)
+    assert_allclose(matrix(result[0, :16], 4, 4), dA, **close)
+    assert_allclose(matrix(result[1, 16:], 5, 2), dB, **close)
     # Every layer moves its own weights only: a rate for each.
-    assert not np.any(found[0, 16:]) and not np.any(found[1, :16])
+    assert not np.any(result[0, 16:]) and not np.any(result[1, :16])
 
 
 # Any network, beside what the transcription makes of it.
@@ -137,10 +139,10 @@ class Problem:
     k: np.ndarray
     patterns: Any = None  # as a user has them
 
-    def chosen(self, counts: np.ndarray | None = None) -> Examples:
+    def training_set(self, counts: np.ndarray | None = None) -> Examples:
         signals = Signals(
             tuple(jnp.asarray(x.T) for x in self.xs),
-            tuple(tuple(jnp.asarray(c.T) for c in each) for each in self.contexts),
+            tuple(tuple(jnp.asarray(c.T) for c in per_pattern) for per_pattern in self.contexts),
         )
         ones = np.ones(self.t.shape) if counts is None else counts
         return Examples(signals, jnp.asarray(self.t.T), jnp.asarray(ones.T), None)
@@ -151,17 +153,21 @@ class Problem:
         learning: Sequence[bool] | None = None,
         counts: np.ndarray | None = None,
     ) -> np.ndarray:
-        each: list[thesis.Moves] = []
+        per_pattern: list[thesis.Moves] = []
         for p in range(len(self.t)):
             if counts is not None and not counts[p].any():
                 continue
             xs = [x[p] for x in self.xs]
-            contexts = [[c[p] for c in own] for own in self.contexts]
+            contexts = [
+                [c[p] for c in subnetwork_contexts] for subnetwork_contexts in self.contexts
+            ]
             own_counts = None if counts is None else counts[p]
-            each.append(rule(self.parts, self.f, xs, contexts, self.t[p], self.k, own_counts))
+            per_pattern.append(
+                rule(self.parts, self.f, xs, contexts, self.t[p], self.k, own_counts)
+            )
         return thesis.average_over_links(
             self.parts,
-            thesis.mean_over_patterns(each),
+            thesis.mean_over_patterns(per_pattern),
             len(self.k),
             by_chain_rule=rule is thesis.backpropagation,
             learning=learning,
@@ -241,12 +247,12 @@ def sparse_context(
     rng: np.random.Generator, inputs: int, nodes: int, contexts: int
 ) -> ContextLayer:
     """Some sources to one node, some to several, some to the same one twice."""
-    each = [
+    per_pattern = [
         (s, int(n), int(rng.integers(contexts)))
         for s in range(inputs)
         for n in rng.integers(nodes, size=1 + s % 3)
     ]
-    source, node, context = zip(*each, strict=True)
+    source, node, context = zip(*per_pattern, strict=True)
     return ContextLayer(inputs, nodes, contexts, source, node, context)
 
 
@@ -314,9 +320,9 @@ close: Any = {"rtol": 1e-11, "atol": 1e-13}
 @pytest.mark.parametrize("name", list(DEEP))
 def test_backpropagation_literally(name: str, rng: np.random.Generator) -> None:
     """Eqn. 3.4-9, means over patterns (3.4), averages over links (5.2.6)."""
-    given = DEEP[name](rng)
-    found = change(Backpropagation(), given.network, given.k, given.chosen())
-    assert_allclose(found, given.literally(thesis.backpropagation), **close)
+    case = DEEP[name](rng)
+    result = change(Backpropagation(), case.network, case.k, case.training_set())
+    assert_allclose(result, case.literally(thesis.backpropagation), **close)
 
 
 @pytest.mark.parametrize("name", list(DEEP))
@@ -324,46 +330,46 @@ def test_backpropagation_is_the_gradient_over_the_number_of_links(
     name: str, rng: np.random.Generator
 ) -> None:
     """Eqn. 3.4-2 through `jax.grad`, which knows nothing of layers."""
-    given = DEEP[name](rng)
-    chosen = given.chosen()
+    case = DEEP[name](rng)
+    training_set = case.training_set()
 
     @jax.jit
     def gradient(k: jax.Array) -> jax.Array:
         def cost(k: jax.Array) -> jax.Array:
-            errors = chosen.targets - given.network.activation.value(
-                given.network.forward(k, chosen.signals).total
+            errors = training_set.targets - case.network.activation.value(
+                case.network.forward(k, training_set.signals).total
             )
-            return 0.5 * jnp.sum(errors**2) / len(given.t)
+            return 0.5 * jnp.sum(errors**2) / len(case.t)
 
         return jax.grad(cost)(k)
 
-    links = [layer.links for _, layer in given.network.adaptive_layers]
-    shared = links_per_weight(links, len(given.k), (True,) * len(links))
-    found = change(Backpropagation(), given.network, given.k, chosen).sum(axis=0)
-    assert_allclose(found, -np.asarray(gradient(jnp.asarray(given.k))) / shared, **close)
+    links = [layer.links for _, layer in case.network.adaptive_layers]
+    shared = links_per_weight(links, len(case.k), (True,) * len(links))
+    result = change(Backpropagation(), case.network, case.k, training_set).sum(axis=0)
+    assert_allclose(result, -np.asarray(gradient(jnp.asarray(case.k))) / shared, **close)
 
 
 @pytest.mark.parametrize("name", list(PROBLEMS))
 def test_peral_literally(name: str, rng: np.random.Generator) -> None:
-    given = PROBLEMS[name](rng)
-    found = change(PERAL(), given.network, given.k, given.chosen())
-    assert np.any(found != 0, axis=1).all()
-    assert_allclose(found, given.literally(thesis.peral), **close)
+    case = PROBLEMS[name](rng)
+    result = change(PERAL(), case.network, case.k, case.training_set())
+    assert np.any(result != 0, axis=1).all()
+    assert_allclose(result, case.literally(thesis.peral), **close)
 
 
 @pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
 def test_masks(rule: AbstractRule, rng: np.random.Generator) -> None:
     """Masked pairs move nothing, and patterns without any pair do not count (7.5)."""
-    given = five_subnetworks(rng, LINEAR_COMBINER)
-    counts = (rng.uniform(size=given.t.shape) < 0.6).astype(float)
+    case = five_subnetworks(rng, LINEAR_COMBINER)
+    counts = (rng.uniform(size=case.t.shape) < 0.6).astype(float)
     counts[2] = 0.0
     literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
-    found = change(rule, given.network, given.k, given.chosen(counts))
-    assert_allclose(found, given.literally(literal, counts=counts), **close)
+    result = change(rule, case.network, case.k, case.training_set(counts))
+    assert_allclose(result, case.literally(literal, counts=counts), **close)
     # What a masked target says does not matter.
-    given.t[counts == 0] = 1e3
-    again = change(rule, given.network, given.k, given.chosen(counts))
-    assert_array_equal(found, again)
+    case.t[counts == 0] = 1e3
+    again = change(rule, case.network, case.k, case.training_set(counts))
+    assert_array_equal(result, again)
 
 
 @pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
@@ -371,13 +377,15 @@ def test_layers_that_do_not_learn_leave_the_average(
     rule: AbstractRule, rng: np.random.Generator
 ) -> None:
     """5.2.6: the velocity subnetwork left out, averages are over the mass subnetwork's links."""
-    given = five_subnetworks(rng, LINEAR_COMBINER)
+    case = five_subnetworks(rng, LINEAR_COMBINER)
     learning = (True, False, True, True, False)
     literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
-    found = change(rule, given.network, given.k, given.chosen(), learning)
-    assert_allclose(found, given.literally(literal, learning), **close)
-    assert not found[1].any() and not found[4].any()
-    assert np.any(np.abs(found[0] - change(rule, given.network, given.k, given.chosen())[0]) > 1e-6)
+    result = change(rule, case.network, case.k, case.training_set(), learning)
+    assert_allclose(result, case.literally(literal, learning), **close)
+    assert not result[1].any() and not result[4].any()
+    assert np.any(
+        np.abs(result[0] - change(rule, case.network, case.k, case.training_set())[0]) > 1e-6
+    )
 
 
 # Eqns. 6.2-2 to 6.2-4 as printed: fully connected, all contexts.
@@ -391,20 +399,20 @@ def test_peral_of_fig_6_2_1(f_A: Activation, rng: np.random.Generator) -> None:
     source, node, context = zip(*full, strict=True)
     follows = ContextLayer(h, o, h * o, source, node, context)
     f_B = HYPERBOLIC_TANGENT
-    given = problem(rng, [Subnetwork("a", (adaptive,), (follows,))], f_B, i * h)
-    W_A, A, B = given.k.reshape(h, i).T, FUNCTIONS[f_A], FUNCTIONS[f_B]
+    case = problem(rng, [Subnetwork("a", (adaptive,), (follows,))], f_B, i * h)
+    W_A, A, B = case.k.reshape(h, i).T, FUNCTIONS[f_A], FUNCTIONS[f_B]
     expected = np.zeros((i, h))
     for p in range(7):
-        x, W_B = given.xs[0][p], given.contexts[0][0][p].reshape(h, o)
+        x, W_B = case.xs[0][p], case.contexts[0][0][p].reshape(h, o)
         hidden = np.array([A.f(s) for s in x @ W_A])
-        dS_B = [thesis.eqn_6_2_1(given.t[p, l], B.f(hidden @ W_B[:, l]), B) for l in range(o)]
+        dS_B = [thesis.eqn_6_2_1(case.t[p, l], B.f(hidden @ W_B[:, l]), B) for l in range(o)]
         wanted = thesis.eqn_6_2_3(hidden, W_B, dS_B)
         if np.abs(W_B).any(axis=0).all():
             assert_allclose(thesis.eqn_6_2_4(hidden, W_B, np.array(dS_B)), wanted, **close)
-        dS_A = [thesis.eqn_6_2_5(each, A) for each in wanted]
+        dS_A = [thesis.eqn_6_2_5(per_pattern, A) for per_pattern in wanted]
         expected += thesis.eqn_6_2_6(x, W_A, dS_A) / 7
-    found = change(PERAL(), given.network, given.k, given.chosen())
-    assert_allclose(matrix(found[0], i, h), expected, **close)
+    result = change(PERAL(), case.network, case.k, case.training_set())
+    assert_allclose(matrix(result[0], i, h), expected, **close)
 
 
 # The PUMA 560, from Appendix B's tables.
@@ -412,7 +420,7 @@ def test_peral_of_fig_6_2_1(f_A: Activation, rng: np.random.Generator) -> None:
 
 def appendix_network(appendix_b: dict[str, Any], names: Sequence[str]) -> list[thesis.Subnetwork]:
     """Figs. 5.1-1 to 5.1-6 with the links that Appendix B prints."""
-    place = {name: index for index, name in enumerate(names)}
+    index_of = {name: index for index, name in enumerate(names)}
     columns = {
         table: {int(at): [i - 1 for i in joints] for at, joints in appendix_b[table].items()}
         for table in ("mass_columns", "velocity_columns")
@@ -420,7 +428,7 @@ def appendix_network(appendix_b: dict[str, Any], names: Sequence[str]) -> list[t
 
     def links(table: str, node: str) -> list[thesis.Link]:
         return [
-            thesis.Link(link["input"] - 1, link[node] - 1, place[name], multiple)
+            thesis.Link(link["input"] - 1, link[node] - 1, index_of[name], multiple)
             for link in appendix_b[table]
             for name, multiple in link["weight"].items()
         ]
@@ -438,7 +446,7 @@ def appendix_network(appendix_b: dict[str, Any], names: Sequence[str]) -> list[t
     outer = [thesis.ContextLink(6 * i + j, i, j) for i in range(6) for j in range(6)]
 
     def diagonal(prefix: str) -> list[thesis.Link]:
-        return [thesis.Link(i, i, place[f"{prefix}{i + 1}"]) for i in range(6)]
+        return [thesis.Link(i, i, index_of[f"{prefix}{i + 1}"]) for i in range(6)]
 
     identity = thesis.IDENTITY
     return [
@@ -486,23 +494,23 @@ def puma_problem(puma: CSLC, appendix_b: dict[str, Any], rng: np.random.Generato
 @pytest.mark.parametrize("velocity", [True, False])
 def test_the_whole_cslc(puma_problem: Problem, rule: AbstractRule, velocity: bool) -> None:
     """All five subnetworks, the network as the library derives it, the literal one as printed."""
-    given = puma_problem
+    case = puma_problem
     learning = (True, velocity, True, True, True)
     literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
-    chosen = examples(given.network, given.patterns, given.t)
-    found = change(rule, given.network, given.k, chosen, learning)
-    expected = given.literally(literal, learning)
-    assert_allclose(found, expected, rtol=1e-10, atol=1e-11)
-    assert velocity == bool(np.any(found[1]))
+    training_set = examples(case.network, case.patterns, case.t)
+    result = change(rule, case.network, case.k, training_set, learning)
+    expected = case.literally(literal, learning)
+    assert_allclose(result, expected, rtol=1e-10, atol=1e-11)
+    assert velocity == bool(np.any(result[1]))
 
 
 def test_the_whole_cslc_with_masks(puma_problem: Problem, rng: np.random.Generator) -> None:
-    given = puma_problem
-    counts = (rng.uniform(size=given.t.shape) < 0.7).astype(float)
-    chosen = examples(given.network, given.patterns, given.t, counts > 0)
-    found = change(PERAL(), given.network, given.k, chosen)
-    expected = given.literally(thesis.peral, counts=counts)
-    assert_allclose(found, expected, rtol=1e-10, atol=1e-11)
+    case = puma_problem
+    counts = (rng.uniform(size=case.t.shape) < 0.7).astype(float)
+    training_set = examples(case.network, case.patterns, case.t, counts > 0)
+    result = change(PERAL(), case.network, case.k, training_set)
+    expected = case.literally(thesis.peral, counts=counts)
+    assert_allclose(result, expected, rtol=1e-10, atol=1e-11)
 
 
 # Batch and sequential.
@@ -517,18 +525,20 @@ def test_batch_is_the_mean_of_the_sequential_steps_from_one_state(
     if isinstance(rule, PerceptronRule):
         network = fully_connected([5, 3], "hard limiter")
         x, t = rng.normal(size=(9, 5)), rng.integers(2, size=(9, 3)).astype(float)
-        chosen, k = examples(network, x, t), rng.normal(size=network.size)
+        training_set, k = examples(network, x, t), rng.normal(size=network.size)
     else:
-        given = five_subnetworks(rng, HYPERBOLIC_TANGENT)
-        network, chosen, k = given.network, given.chosen(), given.k
-    patterns = chosen.targets.shape[1]
+        case = five_subnetworks(rng, HYPERBOLIC_TANGENT)
+        network, training_set, k = case.network, case.training_set(), case.k
+    patterns = training_set.targets.shape[1]
     learning = (True,) * len(network.groups)
     steps = [
         summed(rule, network, jnp.asarray(k), only, learning)
-        for only in (jax.tree.map(lambda x, p=p: x[:, p : p + 1], chosen) for p in range(patterns))
+        for only in (
+            jax.tree.map(lambda x, p=p: x[:, p : p + 1], training_set) for p in range(patterns)
+        )
     ]
     assert_allclose(
-        change(rule, network, k, chosen), np.mean(steps, axis=0), rtol=1e-12, atol=1e-14
+        change(rule, network, k, training_set), np.mean(steps, axis=0), rtol=1e-12, atol=1e-14
     )
 
 
@@ -537,20 +547,20 @@ def test_batch_is_the_mean_of_the_sequential_steps_from_one_state(
 
 def test_peral_without_anything_to_divide_among(rng: np.random.Generator) -> None:
     """Zero inputs, zero contexts, zero weights: no move, and no NaN."""
-    given = five_subnetworks(rng, LINEAR_COMBINER)
-    for x in given.xs:
+    case = five_subnetworks(rng, LINEAR_COMBINER)
+    for x in case.xs:
         x[0] = 0.0
-    for own in given.contexts:
-        for context in own:
+    for subnetwork_contexts in case.contexts:
+        for context in subnetwork_contexts:
             context[1] = 0.0
-    given.k[:6] = 0.0
-    found = change(PERAL(), given.network, given.k, given.chosen())
-    assert np.isfinite(found).all()
-    assert_allclose(found, given.literally(thesis.peral), **close)
-    assert not found[:, :6].any()  # a weight of zero stays
-    nothing = given.chosen(np.zeros(given.t.shape))
-    assert not change(PERAL(), given.network, given.k, nothing).any()
-    assert not change(PERAL(), given.network, np.zeros(15), given.chosen()).any()
+    case.k[:6] = 0.0
+    result = change(PERAL(), case.network, case.k, case.training_set())
+    assert np.isfinite(result).all()
+    assert_allclose(result, case.literally(thesis.peral), **close)
+    assert not result[:, :6].any()  # a weight of zero stays
+    nothing = case.training_set(np.zeros(case.t.shape))
+    assert not change(PERAL(), case.network, case.k, nothing).any()
+    assert not change(PERAL(), case.network, np.zeros(15), case.training_set()).any()
 
 
 def test_peral_meets_a_single_pattern_at_once(rng: np.random.Generator) -> None:
@@ -565,10 +575,10 @@ def test_peral_keeps_signs_below_a_share_of_one(rng: np.random.Generator) -> Non
     """A change is in proportion to the modulus of the weight."""
     network = fully_connected([4, 1], "linear combiner", bias=False)
     x, k = rng.normal(size=(8, 4)), rng.normal(size=4)
-    chosen = examples(network, x, rng.normal(size=(8, 1)))
-    found = change(PERAL(), network, k, chosen)[0] / np.abs(k)
-    scaled = change(PERAL(), network, 2 * k, examples(network, x / 2, chosen.targets.T))[0]
-    assert_allclose(scaled / np.abs(2 * k), found, rtol=1e-12)
+    training_set = examples(network, x, rng.normal(size=(8, 1)))
+    result = change(PERAL(), network, k, training_set)[0] / np.abs(k)
+    scaled = change(PERAL(), network, 2 * k, examples(network, x / 2, training_set.targets.T))[0]
+    assert_allclose(scaled / np.abs(2 * k), result, rtol=1e-12)
 
 
 # Transforms.
@@ -576,20 +586,25 @@ def test_peral_keeps_signs_below_a_share_of_one(rng: np.random.Generator) -> Non
 
 @pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
 def test_transforms(rule: AbstractRule, rng: np.random.Generator) -> None:
-    given = five_subnetworks(rng, HYPERBOLIC_TANGENT)
-    chosen, learning = given.chosen(), (True,) * 5
+    case = five_subnetworks(rng, HYPERBOLIC_TANGENT)
+    training_set, learning = case.training_set(), (True,) * 5
     k = jnp.asarray(rng.normal(size=(3, 15)))
 
-    def one(k: jax.Array, chosen: Examples = chosen) -> jax.Array:
+    def one(k: jax.Array, training_set: Examples = training_set) -> jax.Array:
         return rule.change(
-            given.network, k, chosen.signals, chosen.targets, chosen.counts, learning
+            case.network,
+            k,
+            training_set.signals,
+            training_set.targets,
+            training_set.counts,
+            learning,
         )
 
-    eager = jnp.stack([one(each) for each in k])
+    eager = jnp.stack([one(per_pattern) for per_pattern in k])
     close: Any = {"rtol": 1e-11, "atol": 1e-13}
-    assert_allclose(jnp.stack([jax.jit(one)(each) for each in k]), eager, **close)
+    assert_allclose(jnp.stack([jax.jit(one)(per_pattern) for per_pattern in k]), eager, **close)
     assert_allclose(jax.vmap(one)(k), eager, **close)
-    stacked = jax.tree.map(lambda x: jnp.stack([x, 0.5 * x, 0 * x]), chosen)
+    stacked = jax.tree.map(lambda x: jnp.stack([x, 0.5 * x, 0 * x]), training_set)
     mapped = jax.jit(jax.vmap(one))(k, stacked)
     assert_allclose(mapped[0], eager[0], **close)
     assert bool(jnp.all(jnp.isfinite(mapped)))
@@ -600,33 +615,33 @@ def test_transforms(rule: AbstractRule, rng: np.random.Generator) -> None:
 
 def test_peral_refuses_what_it_cannot_train() -> None:
     two = fully_connected([2, 3, 1], "hyperbolic tangent")
-    assert PERAL().refuse(two) == (
+    assert PERAL().check_network(two) == (
         "PERAL trains one adaptive layer only: it has no estimate of the error of a node that"
         " precedes another (6.2)"
     )
     hard = fully_connected([2, 1], "hard limiter")
-    assert PERAL().refuse(hard) == (
+    assert PERAL().check_network(hard) == (
         "PERAL needs continuous activations (6.2), and a hard limiter is not"
     )
-    assert PERAL().refuse(fully_connected([2, 1], "logistic")) is None
+    assert PERAL().check_network(fully_connected([2, 1], "logistic")) is None
 
 
 def test_peral_refuses_to_start_from_nothing() -> None:
     network = fully_connected([2, 1], "linear combiner")
     said = "PERAL cannot start from weights that are all zero"
-    one = PERAL().refuse_start(network, np.zeros(3), (True,))
+    one = PERAL().check_start(network, np.zeros(3), (True,))
     assert one is not None and one.startswith(f"{said}: a link's share of the error")
-    many = PERAL().refuse_start(network, np.array([[1.0, 0, 0], [0, 0, 0]]), (True,))
+    many = PERAL().check_start(network, np.array([[1.0, 0, 0], [0, 0, 0]]), (True,))
     assert many is not None and many.startswith(f"{said} (training 2):")
-    assert PERAL().refuse_start(network, np.array([0.0, 0.0, 1e-9]), (True,)) is None
+    assert PERAL().check_start(network, np.array([0.0, 0.0, 1e-9]), (True,)) is None
 
 
 def test_peral_refuses_to_start_where_what_learns_is_zero(rng: np.random.Generator) -> None:
-    given = five_subnetworks(rng, LINEAR_COMBINER)
+    case = five_subnetworks(rng, LINEAR_COMBINER)
     k = np.zeros(15)
     k[12:] = 1.0  # dry friction only
-    assert PERAL().refuse_start(given.network, k, (True,) * 5) is None
-    frozen = PERAL().refuse_start(given.network, k, (True, True, True, True, False))
+    assert PERAL().check_start(case.network, k, (True,) * 5) is None
+    frozen = PERAL().check_start(case.network, k, (True, True, True, True, False))
     assert frozen is not None and frozen.startswith("PERAL cannot start from weights that are all")
 
 
@@ -636,5 +651,5 @@ def test_backpropagation_refuses_a_hard_limiter() -> None:
         " rule, or take a sigmoid"
     )
     for kinds in (["logistic", "hard limiter"], ["hard limiter", "logistic"]):
-        assert Backpropagation().refuse(fully_connected([2, 2, 1], kinds)) == expected
-    assert Backpropagation().refuse(fully_connected([2, 2, 1], "logistic")) is None
+        assert Backpropagation().check_network(fully_connected([2, 2, 1], kinds)) == expected
+    assert Backpropagation().check_network(fully_connected([2, 2, 1], "logistic")) is None

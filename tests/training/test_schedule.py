@@ -23,7 +23,7 @@ from jaxcslc.training import (
     examples,
     train,
 )
-from jaxcslc.training._schedule import Turn
+from jaxcslc.training._plan import Turn
 
 
 INF = float("inf")
@@ -100,10 +100,10 @@ def test_whose_turn_it_is(rng: np.random.Generator, rules: int, bout: int, toler
         # Gains that become rare, and now and then a loss.
         likely = np.linspace(0.9, 0.1, 120)
         costs = 10.0 - np.cumsum(np.where(rng.uniform(size=120) < likely, 0.08, -0.01))
-        found = turns(schedule, costs)
+        result = turns(schedule, costs)
         expected = literally(list(costs), rules, hand_over, bout, 0.01, tolerated)
-        assert_array_equal(found, expected)
-        assert (hand_over == 0.0 and rules > 1) == (not found.any())
+        assert_array_equal(result, expected)
+        assert (hand_over == 0.0 and rules > 1) == (not result.any())
 
 
 def test_the_epoch_of_the_hand_over_is_the_first_rule_s() -> None:
@@ -125,8 +125,8 @@ def test_a_rule_that_gains_too_little_gives_its_turn_away() -> None:
 
 def test_bouts_shorter_than_what_is_tolerated_end_too() -> None:
     schedule = Schedule(BOTH, INF, bout=2, least_reduction=0.01, tolerated=5)
-    found = turns(schedule, np.full(8, 1.0))
-    assert_array_equal(found, [0, 1, 1, 0, 0, -1, -1, -1])
+    result = turns(schedule, np.full(8, 1.0))
+    assert_array_equal(result, [0, 1, 1, 0, 0, -1, -1, -1])
 
 
 def test_epochs_that_move_nothing_are_not_counted() -> None:
@@ -148,48 +148,50 @@ def noisy(rng: np.random.Generator) -> tuple[AdaptiveNetwork, Examples, np.ndarr
 
 
 def trained(noisy: Any, schedule: Schedule, **options: Any) -> Training:
-    network, chosen, start = noisy
+    network, training_set, start = noisy
     plan = Plan(schedule, (AdaptedRates(0.01), AdaptedRates(0.1)), patience=10_000)
-    return train(network, chosen, start, plan, epochs=400, chunk=400, **options)
+    return train(network, training_set, start, plan, epochs=400, chunk=400, **options)
 
 
 def test_by_turns_until_neither_gains(noisy: Any) -> None:
     """The same compiled training for three schedules: numbers compile nothing."""
     first = float(noisy[1].costs(noisy[0], jnp.asarray(noisy[2]), Plan(PERAL()).cost)[0])
     for hand_over, least in ((0.5 * first, 1e-3), (0.9 * first, 1e-2), (0.0, 1e-3)):
-        found = trained(noisy, Schedule(BOTH, hand_over, 7, least, 3))
-        costs = found.history.cost
+        result = trained(noisy, Schedule(BOTH, hand_over, 7, least, 3))
+        costs = result.history.cost
         expected = literally(list(costs), 2, hand_over, 7, least, 3, from_lowest=True)
-        assert_array_equal(found.history.rule, expected)
+        assert_array_equal(result.history.rule, expected)
         if hand_over == 0.0:  # Never handed over: nothing ends it.
-            assert_array_equal(found.history.rule, 0)
-            assert found.outcomes() == {"not ended": 1}
+            assert_array_equal(result.history.rule, 0)
+            assert result.outcomes() == {"not ended": 1}
             continue
         begun = int(np.argmax(costs < hand_over))
-        assert not found.history.rule[:begun].any()
-        assert found.history.rule[begun] == 1
-        assert set(found.history.rule) == {0, 1, -1}
-        assert bool(found.outcome == OUTCOMES.no_further_reduction)
-        assert int(found.epochs) == np.sum(found.history.rule >= 0)
+        assert not result.history.rule[:begun].any()
+        assert result.history.rule[begun] == 1
+        assert set(result.history.rule) == {0, 1, -1}
+        assert bool(result.outcome == OUTCOMES.no_further_reduction)
+        assert int(result.epochs) == np.sum(result.history.rule >= 0)
         # Each has rates of its own, which wait while the other learns.
-        rates = found.history.rates[:, 0]
-        for rule, own in ((0, 0.01), (1, 0.1)):
-            steps = np.concatenate([[own], rates[found.history.rule == rule]])
+        rates = result.history.rates[:, 0]
+        for rule, first_rate in ((0, 0.01), (1, 0.1)):
+            steps = np.concatenate([[first_rate], rates[result.history.rule == rule]])
             factors = steps[1:] / steps[:-1]
             assert np.all(
                 np.min(np.abs(factors[:, None] - np.array([0.81, 0.9, 1.0, 1.1])), 1) < 1e-12
             )
-            assert float(found.rates[rule, 0]) == steps[-1]
+            assert float(result.rates[rule, 0]) == steps[-1]
 
 
 def test_one_rule_alone(noisy: Any) -> None:
-    network, chosen, start = noisy
+    network, training_set, start = noisy
     alone = Schedule((Backpropagation(),), least_reduction=1e-3, tolerated=4)
-    found = train(network, chosen, start, Plan(alone, FixedRates(0.3)), epochs=200, chunk=200)
-    assert bool(found.outcome == OUTCOMES.no_further_reduction)
-    costs, epochs = found.history.cost, int(found.epochs)
-    assert_array_equal(found.history.rule, literally(list(costs), 1, INF, 25, 1e-3, 4))
-    assert not found.history.rule[:epochs].any()
+    result = train(
+        network, training_set, start, Plan(alone, FixedRates(0.3)), epochs=200, chunk=200
+    )
+    assert bool(result.outcome == OUTCOMES.no_further_reduction)
+    costs, epochs = result.history.cost, int(result.epochs)
+    assert_array_equal(result.history.rule, literally(list(costs), 1, INF, 25, 1e-3, 4))
+    assert not result.history.rule[:epochs].any()
     gains = costs[:-1] - costs[1:]
     assert np.all(gains[epochs - 4 : epochs] < 1e-3)
 

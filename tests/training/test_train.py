@@ -44,7 +44,7 @@ from jaxcslc.training import (
 
 class Problem(NamedTuple):
     network: AdaptiveNetwork
-    chosen: Examples
+    training_set: Examples
     start: np.ndarray
 
 
@@ -79,16 +79,16 @@ def line(rng: np.random.Generator) -> Problem:
 
 def numpy_cost(name: str, errors: np.ndarray, counts: np.ndarray) -> float:
     """Costs pattern by pattern, from (outputs, patterns)."""
-    each: list[float] = []
+    per_epoch: list[float] = []
     for e, c in zip(errors.T, counts.T > 0, strict=True):
         if c.any():
             squares = e[c] ** 2
-            each.append(
+            per_epoch.append(
                 0.5 * np.sqrt(np.mean(squares)) if name == "half_rms" else 0.5 * np.sum(squares)
             )
     if name == "mean_modulus":
         return float(np.mean(np.abs(errors[counts > 0])))
-    return float(np.mean(each))
+    return float(np.mean(per_epoch))
 
 
 def literally(
@@ -100,11 +100,11 @@ def literally(
     sequences: list[np.ndarray] | None = None,
 ) -> tuple[list[float], list[np.ndarray], list[np.ndarray]]:
     """Costs, rates and weights of a loop over `rule.change`; in turn if there are sequences."""
-    network, chosen, start = problem
+    network, training_set, start = problem
     learning = (True,) * len(network.groups)
     moves = jax.jit(lambda w, signals, t, c: rule.change(network, w, signals, t, c, learning))
-    counts, targets = np.asarray(chosen.counts), np.asarray(chosen.targets)
-    signals = [np.asarray(x) for x in chosen.signals.inputs]
+    counts, targets = np.asarray(training_set.counts), np.asarray(training_set.targets)
+    signals = [np.asarray(x) for x in training_set.signals.inputs]
     bias = np.ones((1, targets.shape[1]))
 
     def cost(weights: np.ndarray) -> float:
@@ -116,12 +116,12 @@ def literally(
 
     def after(weights: np.ndarray, at: np.ndarray, epoch: int) -> np.ndarray:
         if sequences is None:
-            whole = moves(weights, chosen.signals, chosen.targets, chosen.counts)
+            whole = moves(weights, training_set.signals, training_set.targets, training_set.counts)
             return weights + at @ np.asarray(whole) / np.sum((counts > 0).any(axis=0))
         for pattern in sequences[epoch]:
             one: Any = jax.tree.map(
                 lambda x, p=pattern: x[:, p : p + 1],
-                (chosen.signals, chosen.targets, chosen.counts),
+                (training_set.signals, training_set.targets, training_set.counts),
             )
             weights = weights + at @ np.asarray(moves(weights, *one))
         return weights
@@ -136,13 +136,13 @@ def literally(
         if isinstance(rates, AdaptedRates):
             trials = np.asarray(rates.trials(jnp.asarray(now)))
             reached = [cost(after(weights, trial, epoch)) for trial in trials]
-            found = np.asarray(
+            result = np.asarray(
                 rates.adapted(jnp.asarray(now), jnp.asarray(costs[-1]), jnp.asarray(reached))
             )
-            if cost(after(weights, found, epoch)) <= costs[-1]:
-                now = found
+            if cost(after(weights, result, epoch)) <= costs[-1]:
+                now = result
             elif reached[0] > costs[-1]:  # neither those nor the present ones are stable
-                now, stable = 0.9 * np.minimum(now, found), False
+                now, stable = 0.9 * np.minimum(now, result), False
         each_rates.append(now)
         weights = after(weights, now, epoch) if stable else weights
     return costs, each_rates, each_weights
@@ -153,9 +153,9 @@ def literally(
 def test_history_is_the_literal_loop_s(
     two_parts: Problem, rule: AbstractRule, cost: Callable[..., jax.Array]
 ) -> None:
-    network, chosen, start = two_parts
+    network, training_set, start = two_parts
     rates = AdaptedRates(np.array([0.05, 0.2]))
-    history = train(network, chosen, start, Plan(rule, rates, cost=cost), epochs=25).history
+    history = train(network, training_set, start, Plan(rule, rates, cost=cost), epochs=25).history
     costs, each_rates, each_weights = literally(two_parts, rule, rates, cost.__name__, 25)
     assert_allclose(history.cost, costs, rtol=1e-8)
     assert_array_equal(history.measure, history.cost)
@@ -170,30 +170,32 @@ def test_history_is_the_literal_loop_s(
 
 
 def shuffled(key: jax.Array, patterns: int, epochs: int) -> list[np.ndarray]:
-    each = [jax.random.permutation(jax.random.fold_in(key, n), patterns) for n in range(epochs)]
-    return [np.asarray(sequence) for sequence in each]
+    per_epoch = [
+        jax.random.permutation(jax.random.fold_in(key, n), patterns) for n in range(epochs)
+    ]
+    return [np.asarray(sequence) for sequence in per_epoch]
 
 
 @pytest.mark.parametrize("rates", [FixedRates(0.03), AdaptedRates(0.02)], ids=["fixed", "adapted"])
 def test_sequential_is_the_literal_loop_s(line: Problem, rates: AbstractRates) -> None:
     key, rule = jax.random.key(7), Backpropagation()
     plan = Plan(rule, rates, order="sequential")
-    found = train(line.network, line.chosen, line.start, plan, epochs=6, key=key)
+    result = train(line.network, line.training_set, line.start, plan, epochs=6, key=key)
     sequences = shuffled(key, 20, 6)
     costs, each_rates, each_weights = literally(line, rule, rates, "half_rms", 6, sequences)
-    assert_allclose(found.history.cost, costs, rtol=1e-10)
-    assert_allclose(found.history.rates, each_rates, rtol=1e-10)
-    assert_allclose(np.asarray(found.history.weights), each_weights, rtol=1e-9)
+    assert_allclose(result.history.cost, costs, rtol=1e-10)
+    assert_allclose(result.history.rates, each_rates, rtol=1e-10)
+    assert_allclose(np.asarray(result.history.weights), each_weights, rtol=1e-9)
 
 
 def test_the_order_is_the_key_s_alone(line: Problem) -> None:
-    network, chosen, start = line
+    network, training_set, start = line
     plan = Plan(Backpropagation(), FixedRates(0.03), order="sequential")
 
     def weights(seed: int | None, start: np.ndarray = start, chunk: int = 6) -> np.ndarray:
         key = None if seed is None else jax.random.key(seed)
-        found = train(network, chosen, start, plan, epochs=6, key=key, chunk=chunk)
-        return np.asarray(found.history.weights)
+        result = train(network, training_set, start, plan, epochs=6, key=key, chunk=chunk)
+        return np.asarray(result.history.weights)
 
     first = weights(1)
     assert_array_equal(weights(1), first)
@@ -211,38 +213,39 @@ def test_the_order_is_the_key_s_alone(line: Problem) -> None:
 
 def test_target(line: Problem) -> None:
     """Ends at the first weights whose measure is at most the target, and keeps them."""
-    network, chosen, start = line
-    free = train(network, chosen, start, Plan(Backpropagation(), FixedRates(0.2)), epochs=50)
+    network, training_set, start = line
+    free = train(network, training_set, start, Plan(Backpropagation(), FixedRates(0.2)), epochs=50)
     errors = [
-        np.abs(chosen.errors(network, jnp.asarray(w))) for w in np.asarray(free.history.weights)
+        np.abs(training_set.errors(network, jnp.asarray(w)))
+        for w in np.asarray(free.history.weights)
     ]
     modulus = np.mean(np.reshape(errors, (50, -1)), axis=1)
     for target in (1.5 * modulus[0], modulus[9] * (1 + 1e-9), 0.5 * (modulus[9] + modulus[10])):
         plan = Plan(Backpropagation(), FixedRates(0.2), target=target, measure=mean_modulus)
-        found = train(network, chosen, start, plan, epochs=50)
+        result = train(network, training_set, start, plan, epochs=50)
         at = int(np.argmax(modulus <= target))
-        assert bool(found.outcome == OUTCOMES.reached)
-        assert int(found.epochs) == at
-        assert_array_equal(found.weights, np.asarray(free.history.weights)[at])
-        assert_allclose(found.history.measure[: at + 1], modulus[: at + 1], rtol=1e-10)
-        assert_array_equal(found.history.cost[: at + 1], free.history.cost[: at + 1])
+        assert bool(result.outcome == OUTCOMES.reached)
+        assert int(result.epochs) == at
+        assert_array_equal(result.weights, np.asarray(free.history.weights)[at])
+        assert_allclose(result.history.measure[: at + 1], modulus[: at + 1], rtol=1e-10)
+        assert_array_equal(result.history.cost[: at + 1], free.history.cost[: at + 1])
         # From there on, entries repeat.
-        assert_array_equal(found.history.rule, np.where(np.arange(50) < at, 0, -1))
+        assert_array_equal(result.history.rule, np.where(np.arange(50) < at, 0, -1))
         for name in ("cost", "measure", "rates", "weights"):
-            entries = getattr(found.history, name)[at:]
+            entries = getattr(result.history, name)[at:]
             assert_array_equal(entries, np.broadcast_to(entries[0], entries.shape))
-        assert float(found.cost) == found.history.cost[at]
+        assert float(result.cost) == result.history.cost[at]
 
 
 def test_entries_repeat_also_where_a_turn_would_change(line: Problem) -> None:
     schedule = Schedule((Backpropagation(), PERAL()), 1e9, 1, 10.0, 1)
     rates = (AdaptedRates(0.01), AdaptedRates(0.3))
-    found = train(*line[:2], line.start, Plan(schedule, rates), epochs=12)
-    assert bool(found.outcome == OUTCOMES.no_further_reduction)
-    at = int(found.epochs)
+    result = train(*line[:2], line.start, Plan(schedule, rates), epochs=12)
+    assert bool(result.outcome == OUTCOMES.no_further_reduction)
+    at = int(result.epochs)
     assert at == 3
     assert_array_equal(
-        found.history.rates[at:], np.repeat(found.history.rates[at:][:1], 12 - at, 0)
+        result.history.rates[at:], np.repeat(result.history.rates[at:][:1], 12 - at, 0)
     )
 
 
@@ -251,84 +254,84 @@ def overtrained(rng: np.random.Generator) -> tuple[Problem, Examples]:
     network = fully_connected([9, 1], "linear combiner")
     w = rng.normal(size=(9, 1))
     x, other = rng.normal(size=(12, 9)), rng.normal(size=(40, 9))
-    chosen = examples(network, x, x @ w + 2.0 * rng.normal(size=(12, 1)))
-    return Problem(network, chosen, np.zeros(10)), examples(network, other, other @ w)
+    training_set = examples(network, x, x @ w + 2.0 * rng.normal(size=(12, 1)))
+    return Problem(network, training_set, np.zeros(10)), examples(network, other, other @ w)
 
 
 def test_stop_set(rng: np.random.Generator) -> None:
     """The weights of its lowest cost, and `stop_patience` epochs spent beyond (3.6.1)."""
     problem, stop_set = overtrained(rng)
-    network, chosen, start = problem
+    network, training_set, start = problem
     rates = FixedRates(0.05)
     for patience in (1, 20):
         plan = Plan(Backpropagation(), rates, stop_patience=patience)
-        found = train(network, chosen, start, plan, epochs=300, chunk=300, stop_set=stop_set)
-        assert bool(found.outcome == OUTCOMES.stop_set)
-        end = int(found.epochs)
-        costs = found.history.stop_cost[: end + 1]
+        result = train(network, training_set, start, plan, epochs=300, chunk=300, stop_set=stop_set)
+        assert bool(result.outcome == OUTCOMES.stop_set)
+        end = int(result.epochs)
+        costs = result.history.stop_cost[: end + 1]
         best = int(np.argmin(costs))
         assert 0 < best == end - patience
-        assert_array_equal(found.weights, np.asarray(found.history.weights)[best])
-        (again,) = stop_set.costs(network, found.weights, half_rms)
+        assert_array_equal(result.weights, np.asarray(result.history.weights)[best])
+        (again,) = stop_set.costs(network, result.weights, half_rms)
         assert_allclose(costs[best], again, rtol=1e-12)
-        assert_array_equal(found.history.rule[end:], -1)
+        assert_array_equal(result.history.rule[end:], -1)
         # It is the training patterns' cost that is shown as the cost, and it still falls.
-        assert found.history.cost[end] < found.history.cost[best]
+        assert result.history.cost[end] < result.history.cost[best]
 
 
 def test_diverges_by_name(line: Problem) -> None:
-    network, chosen, start = line
+    network, training_set, start = line
     plan = Plan(Backpropagation(), FixedRates(5.0))
     with pytest.raises(RuntimeError, match="diverged: the cost grew beyond all bounds") as raised:
-        train(network, chosen, start, plan, epochs=50)
+        train(network, training_set, start, plan, epochs=50)
     assert "\n" not in str(raised.value)
-    found = train(network, chosen, start, plan, epochs=50, throw=False)
-    assert bool(found.outcome == OUTCOMES.diverged)
-    assert found.outcomes() == {"diverged": 1}
-    costs = found.history.cost[: int(found.epochs) + 1]
+    result = train(network, training_set, start, plan, epochs=50, throw=False)
+    assert bool(result.outcome == OUTCOMES.diverged)
+    assert result.outcomes() == {"diverged": 1}
+    costs = result.history.cost[: int(result.epochs) + 1]
     assert costs[-1] > 1e3 * costs[0]
     assert np.all(costs[:-1] <= 1e3 * costs[0])
-    assert_array_equal(found.weights, np.asarray(found.history.weights)[int(np.argmin(costs))])
-    assert np.all(np.isfinite(found.weights))
+    assert_array_equal(result.weights, np.asarray(result.history.weights)[int(np.argmin(costs))])
+    assert np.all(np.isfinite(result.weights))
 
 
 def test_an_infinite_cost_diverges_at_once(line: Problem) -> None:
-    network, chosen, start = line
+    network, training_set, start = line
     plan = Plan(Backpropagation(), FixedRates(1e200))
-    found = train(network, chosen, start, plan, epochs=50, throw=False)
-    assert bool(found.outcome == OUTCOMES.diverged)
-    assert int(found.epochs) == 1
-    assert_array_equal(found.weights, start)
+    result = train(network, training_set, start, plan, epochs=50, throw=False)
+    assert bool(result.outcome == OUTCOMES.diverged)
+    assert int(result.epochs) == 1
+    assert_array_equal(result.weights, start)
 
 
 def test_stalls_by_name(line: Problem) -> None:
     """At a rate of zero nothing moves; too large a rate, within bounds, goes back and forth."""
-    network, chosen, start = line
+    network, training_set, start = line
     plan = Plan(Backpropagation(), FixedRates(0.0), patience=7)
     with pytest.raises(RuntimeError, match="stalled: no new lowest cost"):
-        train(network, chosen, start, plan, epochs=50)
-    found = train(network, chosen, start, plan, epochs=50, throw=False)
-    assert bool(found.outcome == OUTCOMES.stalled)
-    assert int(found.epochs) == 7
-    assert_array_equal(found.weights, start)
+        train(network, training_set, start, plan, epochs=50)
+    result = train(network, training_set, start, plan, epochs=50, throw=False)
+    assert bool(result.outcome == OUTCOMES.stalled)
+    assert int(result.epochs) == 7
+    assert_array_equal(result.weights, start)
 
 
 def test_adapted_rates_settle_where_fixed_ones_diverge(line: Problem) -> None:
-    network, chosen, start = line
+    network, training_set, start = line
     plan = Plan(Backpropagation(), AdaptedRates(5.0), divergence=1e9)
-    found = train(network, chosen, start, plan, epochs=200, throw=False)
-    assert found.history.cost[-1] < 0.2 * found.history.cost[0]
+    result = train(network, training_set, start, plan, epochs=200, throw=False)
+    assert result.history.cost[-1] < 0.2 * result.history.cost[0]
 
 
 def test_no_epochs_and_no_weights_kept(line: Problem) -> None:
-    network, chosen, start = line
+    network, training_set, start = line
     plan = Plan(Backpropagation(), FixedRates(0.2))
-    none = train(network, chosen, start, plan, epochs=0)
+    none = train(network, training_set, start, plan, epochs=0)
     assert_array_equal(none.weights, start)
     assert none.history.cost.shape == (0,)
     assert none.outcomes() == {"not ended": 1}
-    kept = train(network, chosen, start, plan, epochs=50)
-    other = train(network, chosen, start, plan, epochs=50, keep_weights=False)
+    kept = train(network, training_set, start, plan, epochs=50)
+    other = train(network, training_set, start, plan, epochs=50, keep_weights=False)
     assert other.history.weights is None
     assert_array_equal(other.history.cost, kept.history.cost)
     assert_array_equal(other.weights, kept.weights)
@@ -339,13 +342,13 @@ def test_no_epochs_and_no_weights_kept(line: Problem) -> None:
 
 
 def test_frozen_weights_stay_bit_for_bit(two_parts: Problem) -> None:
-    network, chosen, start = two_parts
+    network, training_set, start = two_parts
     for rule in (Backpropagation(), PERAL()):
         plan = Plan(rule, AdaptedRates(0.05), frozen=["a"])
-        found = train(network, chosen, start, plan, epochs=30)
-        assert_array_equal(np.asarray(found.history.weights)[:, :4], np.tile(start[:4], (30, 1)))
-        assert_array_equal(found.history.rates[:, 0], 0.0)
-        assert found.history.cost[-1] < found.history.cost[0]
+        result = train(network, training_set, start, plan, epochs=30)
+        assert_array_equal(np.asarray(result.history.weights)[:, :4], np.tile(start[:4], (30, 1)))
+        assert_array_equal(result.history.rates[:, 0], 0.0)
+        assert result.history.cost[-1] < result.history.cost[0]
 
 
 def test_frozen_layers_do_not_count_in_averages(rng: np.random.Generator) -> None:
@@ -358,11 +361,11 @@ def test_frozen_layers_do_not_count_in_averages(rng: np.random.Generator) -> Non
     parts = (side_by_side("mass", 2, 1, 0), side_by_side("velocity", 2, 1, 0))
     network = AdaptiveNetwork(parts, signals, LINEAR_COMBINER, ("a", "b"))
     x, w = rng.normal(size=(25, 4)), np.array([0.4, -0.7])
-    chosen = examples(network, x, x[:, :2] @ w[:, None] + x[:, 2:] @ w[:, None])
+    training_set = examples(network, x, x[:, :2] @ w[:, None] + x[:, 2:] @ w[:, None])
     plan = Plan(Backpropagation(), FixedRates(0.3), frozen=["velocity"])
     start = np.array([1.0, 1.0])
-    history = train(network, chosen, start, plan, epochs=2).history
-    errors = np.asarray(chosen.errors(network, jnp.asarray(start)))[0]
+    history = train(network, training_set, start, plan, epochs=2).history
+    errors = np.asarray(training_set.errors(network, jnp.asarray(start)))[0]
     assert_allclose(np.asarray(history.weights)[1], start + 0.3 * x[:, :2].T @ errors / 25)
 
 
@@ -376,7 +379,7 @@ def test_friction_alone_is_relearnt(
     friction = np.array([name.startswith(("kv", "kd")) for name in puma.names])
     cleaned = np.where(friction, k * rng.uniform(0.3, 0.8, k.size), k)
     targets = puma.torque(jnp.asarray(cleaned), *patterns)
-    chosen = examples(network, patterns, targets)
+    training_set = examples(network, patterns, targets)
     plan = Plan(
         Backpropagation(),
         FixedRates(0.5),
@@ -384,10 +387,10 @@ def test_friction_alone_is_relearnt(
         frozen=("mass", "velocity", "gravity"),
         target=1e-16,
     )
-    found = train(network, normal_equations(network, chosen), k, plan, epochs=400, chunk=400)
-    assert_array_equal(np.asarray(found.weights)[~friction], k[~friction])
-    assert_allclose(np.asarray(found.weights)[friction], cleaned[friction], rtol=1e-6)
-    assert_array_equal(found.history.rates[:, :3], 0.0)
+    result = train(network, normal_equations(network, training_set), k, plan, epochs=400, chunk=400)
+    assert_array_equal(np.asarray(result.weights)[~friction], k[~friction])
+    assert_allclose(np.asarray(result.weights)[friction], cleaned[friction], rtol=1e-6)
+    assert_array_equal(result.history.rates[:, :3], 0.0)
 
 
 # Seen from outside.
@@ -401,16 +404,16 @@ class Screen(io.StringIO):
 def test_progress_goes_to_standard_error_alone(
     line: Problem, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    network, chosen, start = line
+    network, training_set, start = line
     plan = Plan(Backpropagation(), FixedRates(0.2))
-    train(network, chosen, start, plan, epochs=50)
+    train(network, training_set, start, plan, epochs=50)
     assert capfd.readouterr() == ("", "")
     screen, page = Screen(), Screen()
     monkeypatch.setattr("sys.stderr", screen)
     monkeypatch.setattr("sys.stdout", page)
-    train(network, chosen, start, plan, epochs=50)
+    train(network, training_set, start, plan, epochs=50)
     assert (screen.getvalue(), page.getvalue()) == ("", "")
-    train(network, chosen, start, plan, epochs=50, progress=True)
+    train(network, training_set, start, plan, epochs=50, progress=True)
     assert "50/50" in screen.getvalue()
     assert "cost=" in screen.getvalue()
     assert page.getvalue() == ""
@@ -445,16 +448,16 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("change", "message"), WRONG)
 def test_refused(line: Problem, change: dict[str, Any], message: str) -> None:
-    given: dict[str, Any] = {"weights": line.start, "plan": Backpropagation(), **change}
-    weights, plan = given.pop("weights"), given.pop("plan")
+    arguments: dict[str, Any] = {"weights": line.start, "plan": Backpropagation(), **change}
+    weights, plan = arguments.pop("weights"), arguments.pop("plan")
     with pytest.raises(ValueError, match=message) as raised:
-        train(line.network, line.chosen, weights, plan, **given)
+        train(line.network, line.training_set, weights, plan, **arguments)
     assert "\n" not in str(raised.value)
 
 
 def test_patterns_in_single_precision_are_refused(line: Problem) -> None:
-    chosen: Examples = jax.tree.map(lambda x: x.astype(jnp.float32), line.chosen)
-    for patterns, stop_set in ((chosen, None), (line.chosen, chosen)):
+    training_set: Examples = jax.tree.map(lambda x: x.astype(jnp.float32), line.training_set)
+    for patterns, stop_set in ((training_set, None), (line.training_set, training_set)):
         with pytest.raises(ValueError, match="needs float64"):
             train(line.network, patterns, line.start, Backpropagation(), stop_set=stop_set)
 

@@ -1,8 +1,42 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..adaptive import AdaptiveNetwork, Signals
+from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals
 from ._rules import AbstractRule, Numbers, Weights, change_of_weights, transposed_product
+
+
+class PerceptronRule(AbstractRule):
+    """Rosenblatt's rule for one layer of hard limiters (Eqn. 3.4-1): dW = x'(t - y).
+
+    For targets that can be separated by a hyperplane, sequential training ends in finitely many
+    steps from any weights.
+    """
+
+    @property
+    def name(self) -> str:
+        return "perceptron rule"
+
+    def check_network(self, network: AdaptiveNetwork) -> str | None:
+        plain = len(network.subnetworks) == 1 and not network.subnetworks[0].contexts
+        if not plain or not network.single_adaptive_layer:
+            return "the perceptron rule trains one layer only: hidden nodes have no target (3.4.1)"
+        if network.activation != HARD_LIMITER:
+            return f"the perceptron rule trains hard limiters, not a {network.activation.name}"
+        return None
+
+    def change(
+        self,
+        network: AdaptiveNetwork,
+        weights: Weights,
+        signals: Signals,
+        targets: Numbers,
+        counts: Numbers,
+        learning: tuple[bool, ...],
+    ) -> Float[Array, "groups weights"]:
+        passage = network.forward(weights, signals)
+        errors = (targets - network.activation.value(passage.total)) * counts
+        move = transposed_product(errors, passage.layer_inputs[0][0])
+        return change_of_weights(network, [move], learning)
 
 
 class Backpropagation(AbstractRule):
@@ -17,7 +51,7 @@ class Backpropagation(AbstractRule):
     def name(self) -> str:
         return "backpropagation"
 
-    def refuse(self, network: AdaptiveNetwork) -> str | None:
+    def check_network(self, network: AdaptiveNetwork) -> str | None:
         activations = [layer.activation for _, layer in network.adaptive_layers]
         for activation in (network.activation, *activations):
             if activation.slope is None:
@@ -38,7 +72,7 @@ class Backpropagation(AbstractRule):
     ) -> Float[Array, "groups weights"]:
         passage = network.forward(weights, signals)
         slope = network.activation.slope
-        assert slope is not None, self.refuse(network)
+        assert slope is not None, self.check_network(network)
         errors = (targets - network.activation.value(passage.total)) * counts
         at_outputs = errors * slope(passage.total)
 
@@ -49,15 +83,15 @@ class Backpropagation(AbstractRule):
                 reversed(subnetwork.contexts), reversed(signals.contexts[at]), strict=True
             ):
                 delta = layer.backward(delta, context)
-            own: list[Array] = []
+            subnetwork_moves: list[Array] = []
             for number in reversed(range(len(subnetwork.layers))):
                 layer = subnetwork.layers[number]
                 # The linear combiner's slope of one is skipped, as is the output layer's, whose
                 # activation is the network's.
                 if layer.activation.slope not in (None, jnp.ones_like):
                     delta = delta * layer.activation.slope(passage.sums[at][number])  # pyright: ignore[reportOptionalCall]
-                own.append(transposed_product(delta, passage.given[at][number]))
+                subnetwork_moves.append(transposed_product(delta, passage.layer_inputs[at][number]))
                 if number > 0:
                     delta = (layer.links.matrix(weights).T @ delta)[: layer.inputs]
-            moves += reversed(own)
+            moves += reversed(subnetwork_moves)
         return change_of_weights(network, moves, learning)
