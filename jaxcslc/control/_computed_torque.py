@@ -7,10 +7,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..network import CSLC
-from ._controller import AbstractController
-from ._gains import PerJoint, error_gains, per_joint
-from ._limits import integrated, limited
-from ._reference import Joints, Reference
+from ._controller import AbstractController, Joints, Reference, required_velocity
+from ._gains_and_limits import (
+    PerJoint,
+    conditional_integration,
+    error_gains,
+    per_joint,
+    saturated,
+)
 
 
 COMPENSATIONS: dict[str, tuple[str, ...]] = {
@@ -20,38 +24,38 @@ COMPENSATIONS: dict[str, tuple[str, ...]] = {
     "gravity only": ("gravity",),
     "nothing": (),
 }
-"""How much of the dynamics is compensated, as the thesis's references compare (2.7; Leahy and
-Saridis 1989): the terms of Eqn. 2.7-1 that take part, by the name of the choice."""
+"""The terms of Eqn. 2.7-1 that each named choice of `compensation` uses. The thesis's references
+compare them (2.7; Leahy and Saridis 1989)."""
 
 
 class ComputedTorque(AbstractController):
-    """Computed torque: the arm's own dynamics invert the arm (Eqn. 2.7-1; Paul 1972).
+    """Computed-torque control: inverse dynamics with feedback (Eqn. 2.7-1; Paul 1972).
 
         torque = M(q) a + V(q, qd) + G(q) + F        a = qdd_d + K_v (qd_d − qd) + K_p (q_d − q)
 
-    With `error_gains` of a natural frequency and a damping ratio. Where coefficients and
-    measurements are exact every joint's error is a linear oscillator of its own. Without the
-    mass term, M(q) is a constant diagonal, the arm's own at one pose. An integral, K_i ∫ e dt in a,
-    is an addition to the thesis's law; it takes out what a wrong model leaves at rest, and does
-    not wind up against the torque limits (`integrated`). The state is the integral.
+    `error_gains` gives K_p and K_v for a natural frequency and a damping ratio. With exact
+    coefficients and measurements the error of each joint is an independent linear oscillator.
+    Without the mass term, M(q) is replaced by its diagonal at one pose. An integral, K_i ∫ e dt in
+    a, is an addition to the thesis's law: it removes the steady-state error of an inexact model.
+    Anti-windup is `conditional_integration`. The state is the integral, (*batch, n).
 
-    **Attributes** are leaves, but for the words:
+    **Attributes**
 
-    - `network`, `k`: the model; `with_coefficients` goes on with others.
+    - `network`, `k`: (p,) the model; see `with_coefficients`.
     - `natural_frequency` [rad/s], `damping`, `integral_gain` [1/s³], `torque_limit` [N m or N]:
       (n,).
-    - `compensation`: the terms that take part.
-    - `friction_at`: whose velocity friction is computed for, `"measured"` or `"reference"`.
     - `friction_width`: (n,) [rad/s or m/s]; see `smooth_friction`.
-    - `inertia`: (n,) the constant diagonal [kg m² or kg].
+    - `inertia`: (n,) the constant diagonal in place of M(q) [kg m² or kg].
+    - `compensation`: the terms of Eqn. 2.7-1 that are used; static.
+    - `friction_at`: which velocity friction is computed for, `"measured"` or `"reference"`; static.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> from jaxcslc.control import ComputedTorque, Reference
     >>> network = jc.derive(jc.puma560())
     >>> k = network.coefficients_from(jc.puma560().links)
     >>> controller = ComputedTorque(network, k, natural_frequency=20.0)
-    >>> q, still = jnp.zeros(6), jnp.zeros(6)
-    >>> torque, _ = controller.step(controller.begin(q), Reference.rest(q), q, still, 0.002)
+    >>> q, qd = jnp.zeros(6), jnp.zeros(6)
+    >>> torque, _ = controller.step(controller.begin(q), Reference.rest(q), q, 0.002, qd)
     >>> bool(jnp.allclose(torque, network.gravity_term(k, q)))
     True
     """
@@ -81,7 +85,7 @@ class ComputedTorque(AbstractController):
         friction_width: PerJoint = 0.0,
         pose: Joints | None = None,
     ) -> None:
-        """Of one robot; what is one number is the same for every joint.
+        """A controller of one robot; one number stands for all joints.
 
         **Arguments**
 
@@ -89,18 +93,18 @@ class ComputedTorque(AbstractController):
         - `natural_frequency`, `damping`: of the error [rad/s], [1].
         - `compensation`: a key of `COMPENSATIONS`, or some of `"mass"`, `"velocity"`,
           `"gravity"`, `"friction"`.
-        - `integral_gain`: K_i [1/s³]; below 2 ζ ω_n³, or the error grows.
+        - `integral_gain`: K_i [1/s³]; the loop is stable below 2 ζ ω_n³.
         - `torque_limit`: of the drives [N m or N].
         - `friction_at`: `"measured"` as in Eqn. 2.7-1. `"reference"` compensates the friction of
-          the motion that is wanted: it breaks a resting joint away, and does not follow the signs
-          of a quantised encoder's noise.
+          the desired motion: this breaks a joint at rest away, and is not affected by the sign
+          errors of a velocity estimated from a quantised encoder.
         - `friction_width`: speed below which friction falls to zero linearly [rad/s or m/s].
-        - `pose`: (n,) where the constant diagonal is taken; zeros if omitted. Used without the
-          mass term only.
+        - `pose`: (n,) where the constant diagonal is computed, zeros if omitted [rad or m]. Only
+          used without the mass term.
 
         **Raises**
 
-        - `ValueError`: an unknown word, or numbers that are not one a joint or out of range.
+        - `ValueError`: an unknown option, or a wrong number of values or one out of range.
         """
         n = network.joint_count
         if isinstance(compensation, str):
@@ -119,11 +123,15 @@ class ComputedTorque(AbstractController):
         self.k = jnp.asarray(k)
         if self.k.shape != (network.size,):
             raise ValueError(f"k: expected shape ({network.size},), got {self.k.shape}")
-        self.natural_frequency = per_joint("natural_frequency", natural_frequency, n, 0.0)
-        self.damping = per_joint("damping", damping, n, 0.0)
-        self.integral_gain = per_joint("integral_gain", integral_gain, n, 0.0)
-        self.torque_limit = per_joint("torque_limit", torque_limit, n, 0.0)
-        self.friction_width = per_joint("friction_width", friction_width, n, 0.0)
+
+        def values(name: str, argument: PerJoint) -> Float[Array, " joints"]:
+            return jnp.asarray(per_joint(name, argument, n, 0.0))
+
+        self.natural_frequency = values("natural_frequency", natural_frequency)
+        self.damping = values("damping", damping)
+        self.integral_gain = values("integral_gain", integral_gain)
+        self.torque_limit = values("torque_limit", torque_limit)
+        self.friction_width = values("friction_width", friction_width)
         self.compensation = tuple(term for term in full if term in compensation)
         self.friction_at = friction_at
         if "mass" in self.compensation:
@@ -135,12 +143,12 @@ class ComputedTorque(AbstractController):
     def with_coefficients(self, k: Float[Array, " coefficients"]) -> "ComputedTorque":
         """The same controller with other coefficients, (p,), which may be traced.
 
-        The constant diagonal that stands in for a mass term that is left out stays what it was.
+        The constant diagonal in place of M(q) does not change.
         """
         return eqx.tree_at(lambda controller: controller.k, self, k)
 
     def with_network(self, network: CSLC, k: Float[Array, " coefficients"]) -> "ComputedTorque":
-        """The same controller over another network of as many joints and its coefficients."""
+        """The same controller with another network of as many joints, and its coefficients."""
         return eqx.tree_at(
             lambda controller: (controller.network, controller.k), self, (network, k)
         )
@@ -154,11 +162,11 @@ class ComputedTorque(AbstractController):
         state: Float[Array, "*batch joints"],
         reference: Reference,
         q: Joints,
-        qd: Joints,
         interval: float | Array,
+        qd: Joints | None = None,
     ) -> tuple[Float[Array, "*batch joints"], Float[Array, "*batch joints"]]:
-        """As the abstract method."""
-        q, qd = jnp.asarray(q), jnp.asarray(qd)
+        """As `AbstractController.step`."""
+        q, qd = jnp.asarray(q), jnp.asarray(required_velocity(self, qd))
         shape = jnp.broadcast_shapes(q.shape, jnp.shape(reference.q))
         position, velocity = error_gains(self.natural_frequency, self.damping)
         position, velocity, integral = (
@@ -175,21 +183,21 @@ class ComputedTorque(AbstractController):
         if "friction" in self.compensation:
             at = qd if self.friction_at == "measured" else jnp.asarray(reference.qd)
             torque = torque + smooth_friction(self.network, self.k, at, self.friction_width)
-        state = integrated(state, error * interval, torque, self.torque_limit)
-        return limited(torque, self.torque_limit), state
+        state = conditional_integration(state, error * interval, torque, self.torque_limit)
+        return saturated(torque, self.torque_limit), state
 
     def _rigid(self, q: Array, qd: Array, acceleration: Array) -> Array:
         """Every term but friction."""
         k = self.network.without_friction(self.k)
         gravity = "gravity" in self.compensation
-        turning = qd if "velocity" in self.compensation else jnp.zeros_like(qd)
+        velocity = qd if "velocity" in self.compensation else jnp.zeros_like(qd)
         if "mass" in self.compensation:
-            torque = self.network.torque(k, q, turning, acceleration)
+            torque = self.network.torque(k, q, velocity, acceleration)
             return torque if gravity else torque - self.network.gravity_term(k, q)
         torque = jnp.broadcast_to(self.inertia, acceleration.shape) * acceleration
         torque = torque + self.network.spring_term(k, q)
         if "velocity" in self.compensation:
-            torque = torque + self.network.velocity_term(k, q, turning)
+            torque = torque + self.network.velocity_term(k, q, velocity)
         return torque + self.network.gravity_term(k, q) if gravity else torque
 
 
@@ -199,16 +207,20 @@ def smooth_friction(
     qd: Joints,
     width: Float[Array | np.ndarray, " joints"],
 ) -> Float[Array, "*batch joints"]:
-    """F(qd) without its jump at rest: between −width and width, what joins the two ends.
+    """Friction F(qd) with its jump at zero velocity replaced by a straight line.
 
-    A straight line in the speed, from F(−width) to F(width), whatever friction model the network
-    has; where the width is zero, F(qd) itself.
+    Between −width and width friction is linear in the velocity, from F(−width) to F(width), for
+    any friction model of the network. Where the width is zero it is F(qd).
 
     **Arguments**
 
-    - `network`, `k`: (p,).
+    - `network`, `k`: (p,) the dynamics.
     - `qd`: (*batch, n) [rad/s or m/s].
     - `width`: (n,) [rad/s or m/s].
+
+    **Returns**
+
+    (*batch, n) [N m or N].
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> from jaxcslc.control import smooth_friction
@@ -224,16 +236,17 @@ def smooth_friction(
     width = jnp.broadcast_to(jnp.asarray(width, qd.dtype), qd.shape)
     within = jnp.abs(qd) < width
     share = jnp.where(within, 0.5 + 0.5 * qd / jnp.where(width > 0, width, 1.0), 1.0)
-    # One joint's speed at a time: coupled joints rub by each other's.
-    own = jnp.broadcast_to(jnp.eye(qd.shape[-1], dtype=bool), (*qd.shape, qd.shape[-1]))
+    # One joint's velocity is replaced at a time: friction of coupled joints depends on several.
+    diagonal = jnp.broadcast_to(jnp.eye(qd.shape[-1], dtype=bool), (*qd.shape, qd.shape[-1]))
 
-    def beside(ends: Array) -> Array:
-        each = jnp.where(own & within[..., None, :], ends[..., None, :], qd[..., None, :])
-        return jnp.diagonal(network.friction_term(k, each), axis1=-2, axis2=-1)
+    def friction_at(ends: Array) -> Array:
+        replaced = diagonal & within[..., None, :]
+        velocities = jnp.where(replaced, ends[..., None, :], qd[..., None, :])
+        return jnp.diagonal(network.friction_term(k, velocities), axis1=-2, axis2=-1)
 
-    forwards, backwards = beside(width), beside(-width)
+    forwards, backwards = friction_at(width), friction_at(-width)
     return share * forwards + (1.0 - share) * backwards
 
 
-def _listed(words: Sequence[str] | dict[str, tuple[str, ...]]) -> str:
-    return ", ".join(repr(word) for word in words)
+def _listed(names: Sequence[str] | dict[str, tuple[str, ...]]) -> str:
+    return ", ".join(repr(name) for name in names)

@@ -1,4 +1,8 @@
+import abc
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -6,17 +10,49 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..manipulator import Manipulator, RobotError
 from ..network import CSLC
-from ._reference import Joints
+from ._controller import Joints, namespace
 
 
-# Where gravity's columns are looked at; what vanishes at so many poses vanishes everywhere.
+# Gravity's columns are compared at this many random poses: a column that vanishes at all of them
+# vanishes everywhere.
 _POSES = 7
-_NOTHING = 1e-12
+_ZERO = 1e-12
+_PUMA_TWISTS = (0, -90, 0, 90, -90, 90)  # degrees
 
 
-class Gravity(eqx.Module):
-    """Compensation of gravity alone: G(q) of a network (Eqn. 2.4-7).
+class AbstractPositionTorque(abc.ABC):
+    """A torque that depends on joint positions alone, such as gravity or a repulsive potential.
+
+    **Attributes**
+
+    - `array_generic`: whether `torque` computes NumPy results from NumPy arrays; see
+      `AbstractController.array_generic`.
+    """
+
+    array_generic: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def torque(self, q: Joints) -> Joints:
+        """The torque at positions `q`.
+
+        **Arguments**
+
+        - `q`: (*batch, n) [rad or m]; NumPy or JAX arrays.
+
+        **Returns**
+
+        (*batch, n) [N m or N].
+        """
+
+
+class Gravity(eqx.Module, AbstractPositionTorque):
+    """Gravity compensation with a network's gravity term G(q) (Eqn. 2.4-7).
+
+    **Attributes**
+
+    - `network`, `k`: (p,) the dynamics.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> from jaxcslc.control import Gravity
@@ -29,46 +65,122 @@ class Gravity(eqx.Module):
     network: CSLC
     k: Float[Array, " coefficients"]
 
-    def torque(self, q: Joints) -> Float[Array, "*batch joints"]:
-        """What holds the arm still at `q`, (*batch, n) [N m or N]."""
+    @classmethod
+    def of_joints(
+        cls,
+        network: CSLC,
+        k: Float[Array | np.ndarray, " coefficients"],
+        joints: Sequence[int],
+    ) -> "Gravity":
+        """Gravity compensation of some joints, by the coefficients that act on no other joint.
+
+        For joints 2 and 3 of the PUMA 560 these are all but k₂ᴳ, that of the wrist: the
+        abbreviated gravity compensation of the thesis's PID controller (7.4), which the thesis
+        does not print. `AbbreviatedGravity` computes the same from link parameters.
+
+        **Arguments**
+
+        - `network`, `k`: (p,) the dynamics.
+        - `joints`: counted from 1.
+
+        **Raises**
+
+        - `ValueError`: there is no such joint.
+
+        >>> import jax.numpy as jnp, jaxcslc as jc
+        >>> from jaxcslc.control import Gravity
+        >>> network = jc.derive(jc.puma560())
+        >>> gravity = Gravity.of_joints(network, jnp.ones(43), joints=(2, 3))
+        >>> [name for name, value in zip(network.names, gravity.k) if value]
+        ['kG1', 'kG3', 'kG4', 'kG5']
+        """
+        n = network.joint_count
+        for joint in joints:
+            if not 1 <= joint <= n:
+                raise ValueError(f"joints: there is no joint {joint}; expected 1 to {n}")
+        poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, n))
+        with jax.ensure_compile_time_eval():  # also where `k` is traced
+            columns = np.asarray(
+                jax.jacobian(lambda k: network.gravity_term(k, poses))(jnp.zeros(network.size))
+            )
+        acts = np.max(np.abs(columns), axis=0) > _ZERO  # (n, p)
+        others = np.delete(acts, [joint - 1 for joint in joints], axis=0)
+        mask = acts.any(axis=0) & ~others.any(axis=0)
+        k = jnp.asarray(k)
+        return cls(network, jnp.where(jnp.asarray(mask), k, jnp.zeros_like(k)))
+
+    def torque(self, q: Joints) -> Joints:
+        """G(q), the torque that holds the arm still."""
         return self.network.gravity_term(self.k, q)
 
 
-def abbreviated_gravity(
-    network: CSLC, k: Float[Array | np.ndarray, " coefficients"], joints: Sequence[int]
-) -> Gravity:
-    """Gravity compensated at some joints, by the coefficients that act on no others.
+# No `eqx.Module`: on NumPy arrays, a call of one of its methods costs more than the torque.
+@dataclass(frozen=True, eq=False)
+class AbbreviatedGravity(AbstractPositionTorque):
+    """The PUMA 560's gravity compensation of 7.4: joints 2 and 3 without the wrist's terms.
 
-    For joints 2 and 3 of the PUMA 560 these are all but k₂ᴳ, the wrist's: what the thesis calls
-    the abbreviated gravity compensation of its PID controller (7.4) and does not print.
+    τ₂ = A c₂ + B s₂ + C c₂₃ + D s₂₃ and τ₃ = C c₂₃ + D s₂₃: the gravity term of Appendix B.3
+    without k₂ᴳ, the one coefficient that makes it depend on the wrist; zero for the other joints.
+    The thesis does not print it: this reading of "abbreviated" is a reconstruction.
 
-    **Arguments**
+    **Attributes**
 
-    - `network`, `k`: the dynamics.
-    - `joints`: counted from 1.
+    - `upper_arm`: A and B, factors of c₂ and s₂ [N m].
+    - `forearm`: C and D, factors of c₂₃ and s₂₃ [N m].
 
-    **Raises**
-
-    - `ValueError`: there is no such joint.
-
-    >>> import jax.numpy as jnp, jaxcslc as jc
-    >>> from jaxcslc.control import abbreviated_gravity
-    >>> network = jc.derive(jc.puma560())
-    >>> gravity = abbreviated_gravity(network, jnp.ones(43), joints=(2, 3))
-    >>> [name for name, value in zip(network.names, gravity.k) if value]
-    ['kG1', 'kG3', 'kG4', 'kG5']
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.control import AbbreviatedGravity
+    >>> AbbreviatedGravity.of(jc.puma560()).torque(np.zeros(6)).round(2)
+    array([  0.  , -36.99,   0.25,   0.  ,   0.  ,   0.  ])
     """
-    n = network.joint_count
-    for joint in joints:
-        if not 1 <= joint <= n:
-            raise ValueError(f"joints: there is no joint {joint}; expected 1 to {n}")
-    poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, n))
-    with jax.ensure_compile_time_eval():  # also where `k` is traced
-        columns = np.asarray(
-            jax.jacobian(lambda k: network.gravity_term(k, poses))(jnp.zeros(network.size))
+
+    upper_arm: tuple[float, float]
+    forearm: tuple[float, float]
+    array_generic: ClassVar[bool] = True
+
+    @classmethod
+    def of(cls, robot: Manipulator) -> "AbbreviatedGravity":
+        """The compensation for a PUMA's links; the wrist's masses count at the wrist's centre.
+
+        **Raises**
+
+        - `RobotError`: the robot is no PUMA, or has no link parameters.
+        """
+        links = robot.links
+        twists = tuple(round(math.degrees(joint.alpha), 6) for joint in robot.joints)
+        if links is None or robot.kinds != "RRRRRR" or twists != _PUMA_TWISTS:
+            raise RobotError(
+                f"robot {robot.name!r}: this gravity compensation is the PUMA 560's; expected six"
+                " revolute joints with twists 0, -90, 0, 90, -90, 90 degrees and link parameters"
+            )
+        if not robot.gravity[0] == 0 == robot.gravity[1]:
+            raise RobotError(
+                f"robot {robot.name!r}: gravity is {robot.gravity}; expected it along the z axis"
+            )
+        length = robot.length_values()
+        a2, a3, d4 = length["a2"], length["a3"], length["d4"]
+        mass = [float(link.mass) for link in links]
+        x2, y2, _ = (float(value) for value in links[1].centre_of_gravity)
+        x3, y3, _ = (float(value) for value in links[2].centre_of_gravity)
+        z4 = float(links[3].centre_of_gravity[2])
+        g = robot.gravity[2]
+        wrist = mass[4] + mass[5]
+        return cls(
+            upper_arm=(
+                g * (mass[1] * x2 + (mass[2] + mass[3] + wrist) * a2),
+                -g * mass[1] * y2,
+            ),
+            forearm=(
+                g * (mass[2] * x3 + (mass[3] + wrist) * a3),
+                -g * (mass[2] * y3 - mass[3] * (d4 + z4) - wrist * d4),
+            ),
         )
-    acts = np.max(np.abs(columns), axis=0) > _NOTHING  # (n, p)
-    others = np.delete(acts, [joint - 1 for joint in joints], axis=0)
-    kept = acts.any(axis=0) & ~others.any(axis=0)
-    k = jnp.asarray(k)
-    return Gravity(network, jnp.where(jnp.asarray(kept), k, jnp.zeros_like(k)))
+
+    def torque(self, q: Joints) -> Joints:
+        """As `AbstractPositionTorque.torque`, for six joints."""
+        xp = namespace(q)
+        q2, q23 = q[..., 1], q[..., 1] + q[..., 2]
+        forearm = self.forearm[0] * xp.cos(q23) + self.forearm[1] * xp.sin(q23)
+        upper_arm = self.upper_arm[0] * xp.cos(q2) + self.upper_arm[1] * xp.sin(q2) + forearm
+        zero = xp.zeros_like(q2)
+        return xp.stack([zero, upper_arm, forearm, zero, zero, zero], axis=-1)

@@ -13,20 +13,24 @@ def torque_noise(
     *,
     block: float = 0.25,
 ) -> Float[np.ndarray, " joints"]:
-    """How strong the torque's slow errors are: their spectral density at each joint [N² m² s].
+    """Spectral density of the torque's slow errors at each joint [N² m² s].
 
-    What an unloaded arm's torque and its model differ by is no white noise: most of it is the
-    model's error, which lasts as long as a pose or a direction of motion does. A payload is told
-    from it by averaging over time, and what the mean of T seconds still holds is its variance
-    times T, over blocks of `block` seconds. White noise of deviation σ at a sampling interval h
-    has σ² h.
+    The difference between an unloaded arm's torque and its model is not white: most of it is model
+    error, which lasts as long as a pose or a direction of motion. A payload is identified by
+    averaging over time, and the mean over T seconds has the variance density / T; it is measured
+    over blocks of `block` seconds. White noise of standard deviation σ at a sampling interval h has
+    the density σ² h.
 
     **Arguments**
 
     - `network`, `k`: (p,) the unloaded arm.
-    - `patterns`: of a recording other than that which `k` was found from; samples that do not
-      count are left out, and blocks of which fewer than half count.
-    - `block`: longer than errors last, shorter than a tenth of the recording [s].
+    - `patterns`: of another recording than that which `k` was identified from. Masked samples are
+      left out, and blocks of which more than half is masked.
+    - `block`: longer than the errors are correlated, shorter than a tenth of the recording [s].
+
+    **Returns**
+
+    (n,) [N² m² s].
 
     **Raises**
 
@@ -45,21 +49,21 @@ def torque_noise(
         network.torque(jnp.asarray(k), patterns.q, patterns.qd, patterns.qdd)
     )
     time = np.asarray(patterns.time)
-    counts = np.asarray(patterns.mask)
+    mask = np.asarray(patterns.mask)
     number = np.floor((time - time[0]) / block).astype(int)
     size = np.bincount(number)
-    found = np.empty(residual.shape[1])
-    for joint in range(len(found)):
-        own = counts[:, joint]
-        kept = np.bincount(number, weights=own)
-        total = np.bincount(number[own], weights=residual[own, joint], minlength=len(size))
-        enough = kept >= 0.5 * np.max(size)
+    density = np.empty(residual.shape[1])
+    for joint in range(len(density)):
+        counted = mask[:, joint]
+        samples = np.bincount(number, weights=counted)
+        total = np.bincount(number[counted], weights=residual[counted, joint], minlength=len(size))
+        enough = samples >= 0.5 * np.max(size)
         if np.count_nonzero(enough) < 4:
             raise ValueError(
                 f"joint {joint + 1}: {np.count_nonzero(enough)} blocks of {block:g} s in which it"
                 " moves; expected four or more: record for longer"
             )
-        # Of a mean over the part of the block that counts, which is that much shorter.
-        length = block * kept[enough] / np.max(size)
-        found[joint] = np.mean(length * (total[enough] / kept[enough]) ** 2)
-    return found
+        # The mean is over the unmasked part of a block, which is that much shorter.
+        length = block * samples[enough] / np.max(size)
+        density[joint] = np.mean(length * (total[enough] / samples[enough]) ** 2)
+    return density

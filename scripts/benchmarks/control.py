@@ -20,8 +20,8 @@ import jax
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.control import ComputedTorque, Guard, Loop, Reference
-from jaxcslc.payload import CarryingLoop, PayloadEstimator
+from jaxcslc.control import ComputedTorque, FaultMonitor, OutputFeedback, Reference
+from jaxcslc.payload import PayloadCompensation, PayloadEstimator
 from scripts.benchmarks.c_library import shared_library
 from scripts.benchmarks.metrics import Metric, report
 
@@ -116,9 +116,9 @@ def metrics(
         )
         k = np.asarray(network.coefficients_from(links, viscous=np.ones(n), dry=np.ones(n)))
         controller = ComputedTorque(network, k, _FREQUENCY, _DAMPING, torque_limit=1e3)
-        loop = Loop(controller)
+        loop = OutputFeedback(controller)
         estimator = PayloadEstimator(network, k, np.full(n, 1e-3))
-        guard = Guard(loop, network, k, torque_limit=1e3)
+        guard = FaultMonitor(loop, network, k, torque_limit=1e3)
 
         def timed(figure: str, loop: Any, name: str = name, states: np.ndarray = states):
             mean, slow = python_step(loop, states)
@@ -127,13 +127,13 @@ def metrics(
                 yield Metric(f"{name}.payload_update", 1e6 * slow, "us", "lower", 0.5)
 
         yield from timed("step", loop)
-        yield from timed("step_with_payload", CarryingLoop(controller, estimator))
+        yield from timed("step_with_payload", PayloadCompensation(controller, estimator))
         yield from timed("guarded_step", guard)
         if shutil.which("cc") is not None:
             seconds, torque = c_step(network, k, states, calls)
             last = states[(calls - 1) % samples]
             expected, _ = controller.step(
-                controller.begin(last[0]), Reference(*last[2:]), last[0], last[1], PERIOD
+                controller.begin(last[0]), Reference(*last[2:]), last[0], PERIOD, last[1]
             )
             if not np.allclose(torque, expected, atol=1e-8):
                 raise RuntimeError(

@@ -5,7 +5,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from ..machine import Friction, Machine, MachineError, Transmission
+from ..machine import Machine, MachineError, Transmission, friction_of
 from ._mjcf import mjcf
 
 
@@ -16,35 +16,15 @@ _LARGEST_PHASE = 1.5
 _POSTURES = 256
 
 
-def rubbing(machine: Machine) -> Friction:
-    """The friction of each degree of freedom of a machine's plant: rotor and link apart."""
-    transmission = Transmission.of(machine)
-    whole, share = Friction.of(machine), np.array(machine.link_share)
-
-    def apart(values: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " freedoms"]:
-        return transmission.spread((1 - share) * values, share * values)
-
-    def alike(values: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " freedoms"]:
-        return np.concatenate([values, values[transmission.flexible]])
-
-    return Friction(
-        apart(whole.viscous),
-        apart(whole.dry),
-        apart(whole.static),
-        alike(whole.static_velocity),
-        alike(whole.asymmetry),
-    )
-
-
 def model_of(machine: Machine, step: float) -> mujoco.MjModel:
-    """A machine's mechanics as a MuJoCo model with a given time step [s].
+    """A machine's mechanics as a MuJoCo model with a time step [s].
 
     **Raises**
 
     - `MachineError`: a torque limit below gravity's need, or a time step too long for a
         transmission.
     """
-    friction = rubbing(machine)
+    friction = friction_of(machine)
     model = mujoco.MjModel.from_xml_string(
         mjcf(
             machine.robot,

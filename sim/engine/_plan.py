@@ -1,40 +1,83 @@
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from ..machine import Machine, MachineError
-from ._models import rubbing
+from ..machine import Machine, MachineError, friction_of
+from ..trajectory import Trajectory
+
+
+Parts = TypeVar("Parts")
+
+
+@dataclass(frozen=True, eq=False)
+class RandomDraws:
+    """What the seed of a recording decides.
+
+    **Attributes**
+
+    - `phase`: of the encoders, (*batch, joints) [counts].
+    - `start`: where the joints rest at first, (*batch, joints) [rad or m].
+    - `jitter`: how late each sample is read, (*batch, samples) [s].
+    """
+
+    phase: Float[np.ndarray, "*batch joints"]
+    start: Float[np.ndarray, "*batch joints"]
+    jitter: Float[np.ndarray, "*batch samples"]
+
+    @classmethod
+    def of(cls, machine: Machine, trajectory: Trajectory, seed: int) -> "RandomDraws":
+        """The draws of one recording.
+
+        **Raises**
+
+        - `MachineError`: the trajectory is for another number of joints.
+        """
+        n = machine.joint_count
+        if trajectory.start.shape != (n,):
+            raise MachineError(
+                f"trajectory {trajectory.name!r} starts with {trajectory.start.size} joints;"
+                f" the machine has {n}"
+            )
+        rng = np.random.default_rng(seed)
+        phase = rng.uniform(0.0, 1.0, n)
+        start = trajectory.start + machine.start_spread * rng.uniform(-1.0, 1.0, n)
+        jitter = machine.timing_jitter * rng.uniform(-1.0, 1.0, trajectory.samples)
+        return cls(phase, start, jitter)
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How the time between two demands is divided into steps of the integrator."""
+    """How the sampling interval is divided into steps of the integrator.
+
+    **Attributes**
+
+    - `steps`: how many.
+    - `step`: length of each [s].
+    - `stale`: the part of each step in which the previous command still acts
+      (`Machine.torque_delay`), (machines, steps).
+    """
 
     steps: int
-    """How many."""
-
     step: float
-    """How long each is [s]."""
-
     stale: Float[np.ndarray, "machines steps"]
-    """Which share of each step still has the torque demanded before (`Machine.torque_delay`)."""
 
     @classmethod
     def of(cls, machines: Sequence[Machine], interval: float) -> "Plan":
-        """The plan for machines side by side, with a given time between demands [s].
+        """The plan for machines side by side and a sampling interval [s].
 
         **Raises**
 
-        - `MachineError`: machines that do not go together; a torque delay as long as the interval.
+        - `MachineError`: machines of different structure; a torque delay as long as the interval.
         """
         if len({structure(machine) for machine in machines}) != 1:
             raise MachineError(
-                "the machines of a plant differ in their number of joints, in where they have"
-                " friction or a transmission that gives way, or in their time step; expected them"
-                " alike"
+                "the machines of a plant differ in their number of joints, in which joints have"
+                " friction or a flexible transmission, or in their time step; expected them alike"
             )
         steps = max(1, math.ceil(interval / machines[0].time_step - 1e-9))
         late = np.array([machine.torque_delay for machine in machines])
@@ -49,5 +92,22 @@ class Plan:
 
 def structure(machine: Machine) -> tuple[object, ...]:
     """What machines must have in common to be simulated side by side."""
-    sticks = tuple((rubbing(machine).static > 0).tolist())
+    sticks = tuple((friction_of(machine).static > 0).tolist())
     return machine.joint_count, machine.flexible, sticks, machine.time_step
+
+
+def sample_times(trajectory: Trajectory) -> Float[np.ndarray, " samples"]:
+    """When a trajectory's samples are taken [s]."""
+    return trajectory.sample_interval * np.arange(trajectory.samples)
+
+
+def stacked(parts: Sequence[Parts]) -> Parts:
+    """One dataclass of arrays from several: their arrays stacked along a new first axis."""
+    first: Any = parts[0]
+    return dataclasses.replace(
+        first,
+        **{
+            field.name: np.stack([getattr(part, field.name) for part in parts])
+            for field in dataclasses.fields(first)
+        },
+    )

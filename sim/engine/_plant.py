@@ -1,16 +1,19 @@
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
-from mujoco import MjModel
-from mujoco.batch import Batch
 
 from jaxcslc.manipulator import LinkParameters
 
-from ..machine import Drives, Machine, Transmission, carrying
-from ._models import check_time_step, model_of, rubbing
+from ..machine import Machine, carrying
+from ._hardware import JointHardware
+from ._models import check_time_step, model_of
 from ._plan import Plan
-from ._stacking import stacked
+
+
+if TYPE_CHECKING:
+    from mujoco import MjModel
 
 
 class Plant:
@@ -50,6 +53,7 @@ class Plant:
         *,
         interval: float,
         threads: int = 1,
+        hardware: JointHardware | None = None,
     ) -> None:
         """Machines at rest, their gears in the middle of the dead band.
 
@@ -61,6 +65,7 @@ class Plant:
         - `interval`: by how much `advance` goes on [s]; divided into equal steps, each at most
             the machines' `time_step`.
         - `threads`: how many to use.
+        - `hardware`: of the machines; made from them if omitted.
 
         **Raises**
 
@@ -69,17 +74,11 @@ class Plant:
         """
         self._alone = isinstance(machines, Machine)
         group = [machines] if isinstance(machines, Machine) else list(machines)
-        plan = Plan.of(group, interval)
-        first = group[0]
-        self._steps, self._step, self._stale = plan.steps, plan.step, plan.stale
-        self._is_late = bool(plan.stale.any())
-        self._transmission = stacked([Transmission.of(machine) for machine in group], ("flexible",))
-        self._rotor = self._transmission.rotor
-        self._friction = stacked([rubbing(machine) for machine in group])
-        self._share = np.array([machine.link_share for machine in group])
-        self._drives = stacked([Drives.of(machine) for machine in group])
-        links = [machine.links for machine in group]
-        self._inertia = np.array([[float(link.motor_inertia) for link in row] for row in links])
+        from mujoco.batch import Batch
+
+        self._plan = Plan.of(group, interval)
+        self._hardware = JointHardware.of(group, self._plan) if hardware is None else hardware
+        self._rotor = self._hardware.rotor
 
         at = np.atleast_2d(position)
         self._group, self._start = group, at
@@ -90,71 +89,79 @@ class Plant:
         self._control, self._applied = self._batch.bind("ctrl"), self._batch.bind("qfrc_applied")
         self._qdd = self._batch.bind("qacc")
         self._constraint = self._batch.bind("qfrc_constraint")
-        n = first.joint_count
-        self._q[:, :n] = at
+        self._n = group[0].joint_count
+        self._q[:, : self._n] = at
         self._q[:, self._rotor] = at
         self._torque = np.zeros(at.shape)
         self._before = self._torque
-        self._n = n
         self.drive(np.zeros(position.shape))
 
     @property
     def position(self) -> Float[np.ndarray, "*machines joints"]:
         """Positions of the links [rad or m]."""
-        return self._given(self._q[:, : self._n])
+        return self._rows(self._q[:, : self._n])
 
     @property
     def velocity(self) -> Float[np.ndarray, "*machines joints"]:
         """Velocities of the links [rad/s or m/s]."""
-        return self._given(self._qd[:, : self._n])
+        return self._rows(self._qd[:, : self._n])
 
     @property
     def acceleration(self) -> Float[np.ndarray, "*machines joints"]:
         """Accelerations of the links at the latest `drive` [rad/s² or m/s²]."""
-        return self._given(self._acceleration[:, : self._n])
+        return self._rows(self._observed["acceleration"])
 
     @property
     def rotor_position(self) -> Float[np.ndarray, "*machines joints"]:
         """Positions of the rotors, at the joint [rad or m]."""
-        return self._given(self._q[:, self._rotor])
+        return self._rows(self._q[:, self._rotor])
 
     @property
     def rotor_velocity(self) -> Float[np.ndarray, "*machines joints"]:
         """Velocities of the rotors, at the joint [rad/s or m/s]."""
-        return self._given(self._qd[:, self._rotor])
+        return self._rows(self._qd[:, self._rotor])
 
     @property
     def rotor_acceleration(self) -> Float[np.ndarray, "*machines joints"]:
         """Accelerations of the rotors at the latest `drive` [rad/s² or m/s²]."""
-        return self._given(self._acceleration[:, self._rotor])
+        return self._rows(self._observed["rotor_acceleration"])
 
     @property
     def torque(self) -> Float[np.ndarray, "*machines joints"]:
-        """What the drives give just after the latest `drive` [N m or N]."""
-        return self._given(self._acting(0))
+        """Torque of the drives just after the latest `drive` [N m or N]."""
+        return self._rows(self._observed["torque"])
 
     @property
     def friction(self) -> Float[np.ndarray, "*machines joints"]:
-        """What friction of rotor and link took of it at the latest `drive` [N m or N]."""
-        return self._given(self._rotor_friction + self._link_friction)
+        """Friction of rotor and link at the latest `drive` [N m or N]."""
+        return self._rows(self._observed["friction"])
 
     @property
     def link_friction(self) -> Float[np.ndarray, "*machines joints"]:
-        """What friction of the link alone took [N m or N]."""
-        return self._given(self._link_friction)
+        """Friction of the link alone at the latest `drive` [N m or N]."""
+        return self._rows(self._observed["link_friction"])
 
     @property
     def transmitted(self) -> Float[np.ndarray, "*machines joints"]:
-        """What went through the gears from rotor to link at the latest `drive` [N m or N]."""
-        inertial = self._inertia * self._acceleration[:, self._rotor]
-        return self._given(self._acting(0) - self._rotor_friction - inertial)
+        """Torque through the gears from rotor to link at the latest `drive` [N m or N]."""
+        return self._rows(self._observed["transmitted"])
 
     @property
     def apart(self) -> Bool[np.ndarray, "*machines joints"]:
-        """Whether the gears are apart: whether the joint is experiencing backlash."""
-        rotor, link = self._q[:, self._rotor], self._q[:, : self._n]
-        apart = self._transmission.apart(rotor, link)
-        return apart[0] if self._alone else apart
+        """Whether the teeth are apart at the latest `drive`: the joint is in backlash (2.5.3)."""
+        return self._rows(self._observed["apart"])
+
+    @property
+    def observed(self) -> dict[str, np.ndarray]:
+        """The true state at the latest `drive`, (machines, joints), by the fields of `Truth`.
+
+        Positions and velocities change with the next `advance`: copy what is to be kept.
+        """
+        return self._observed
+
+    def read(self, late: Float[np.ndarray, " machines"]) -> Float[np.ndarray, "machines joints"]:
+        """Encoder readings of machines that read them `late` [s] after now [rad or m]."""
+        return self._hardware.read(self._q, self._qd, late)
 
     def carry(self, body: LinkParameters | None) -> None:
         """Fixes a body to the last link from now on, in place of any before, or lets go of it.
@@ -188,48 +195,39 @@ class Plant:
         self._batch.set_models(self._models(body))
 
     def drive(self, demand: Float[np.ndarray, "*machines joints"]) -> None:
-        """Makes the drives give the torque demanded, as far and as soon as they can [N m or N]."""
+        """Gives the drives a torque command, which they follow within their limits [N m or N]."""
         self._before = self._torque
-        self._torque = self._drives.torque(np.atleast_2d(demand))
-        self._control[:] = self._acting(0)
-        self._applied[:] = self._friction.help(self._qd)
+        self._torque = self._hardware.drives.torque(np.atleast_2d(demand))
+        torque = self._hardware.acting(0, self._before, self._torque)
+        assist = self._hardware.assist(self._qd)
+        self._control[:], self._applied[:] = torque, assist
         self._batch.forward()
         self._acceleration = self._qdd.copy()
-        taken = self._friction.viscous * self._qd - self._applied - self._constraint
-        link, rotor = taken[:, : self._n], taken[:, self._rotor]
-        soft, share = self._transmission.flexible, self._share
-        self._rotor_friction = np.where(soft, rotor, (1 - share) * link)
-        self._link_friction = np.where(soft, link, share * link)
+        self._observed = self._hardware.observed(
+            self._q, self._qd, self._acceleration, torque, assist, self._constraint
+        )
 
     def advance(self) -> None:
-        """Goes on by one interval."""
-        half = 0.5 * self._step
+        """Integrates the equations of motion over one interval."""
         acceleration = self._acceleration
-        for step in range(self._steps):
+        for step in range(self._plan.steps):
             before = self._qd.copy()
-            if self._is_late:
-                self._control[:] = self._acting(step)
-            self._applied[:] = self._friction.help(before + half * acceleration)
+            if self._hardware.delayed:
+                self._control[:] = self._hardware.acting(step, self._before, self._torque)
+            self._applied[:] = self._hardware.assist(before, acceleration)
             self._batch.step()
-            acceleration = (self._qd - before) / self._step
+            acceleration = (self._qd - before) / self._plan.step
 
-    def _models(self, body: LinkParameters | None) -> list[MjModel]:
+    def _models(self, body: LinkParameters | None) -> list["MjModel"]:
         """Each machine's mechanics with a body."""
         if id(body) not in self._compiled:
             # Machines of many recordings are often the same one.
-            each = {id(machine): carrying(machine, body) for machine in self._group}
-            models = {key: model_of(machine, self._step) for key, machine in each.items()}
+            loaded = {id(machine): carrying(machine, body) for machine in self._group}
+            models = {key: model_of(machine, self._plan.step) for key, machine in loaded.items()}
             for machine, row in zip(self._group, self._start, strict=True):
                 check_time_step(machine, models[id(machine)], row)
             self._compiled[id(body)] = body, [models[id(machine)] for machine in self._group]
         return self._compiled[id(body)][1]
 
-    def _acting(self, step: int) -> Float[np.ndarray, "machines joints"]:
-        """The drives' mean torque over a step of the interval."""
-        if not self._is_late:
-            return self._torque
-        stale = self._stale[:, step, None]
-        return stale * self._before + (1 - stale) * self._torque
-
-    def _given(self, values: np.ndarray) -> np.ndarray:
+    def _rows(self, values: np.ndarray) -> np.ndarray:
         return values[0].copy() if self._alone else values.copy()

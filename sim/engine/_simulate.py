@@ -7,28 +7,13 @@ from jaxtyping import Float
 
 from jaxcslc.motion import Recording
 
-from ..machine import Carried, Encoders, Faults, Machine
+from ..machine import Carried, Faults, Machine
 from ..trajectory import Trajectory
-from ._circumstances import Circumstances
+from ._computer import Computer
+from ._hardware import JointHardware
+from ._plan import Plan, RandomDraws, sample_times, stacked
 from ._plant import Plant
-from ._stacking import stacked
 from ._truth import SimulatedRecording, Truth
-
-
-# What a plant tells at each sample, by the name it has in the truth.
-TOLD = (
-    "position",
-    "velocity",
-    "acceleration",
-    "torque",
-    "friction",
-    "rotor_position",
-    "rotor_velocity",
-    "rotor_acceleration",
-    "link_friction",
-    "transmitted",
-    "apart",
-)
 
 
 class SimulationError(RuntimeError):
@@ -93,58 +78,55 @@ def perform(
     - `trajectory`: what they are asked to do.
     - `threads`: how many to use.
     - `advanced`: called now and then with the number of samples simulated since the last time.
-    - `observe`: called at each sample with what the controller remembers after it.
+    - `observe`: called at each sample with the controller's state after it.
 
     **Returns**
 
     For each machine its recording and truth, or what went wrong with it.
     """
-    given = [
-        Circumstances.of(machine, trajectory, seed)
+    draws = [
+        RandomDraws.of(machine, trajectory, seed)
         for machine, seed in zip(machines, seeds, strict=True)
     ]
-    chance = stacked(given)
-    encoders = stacked(
-        [Encoders.of(machine, one.phase) for machine, one in zip(machines, given, strict=True)]
-    )
-    controller, samples = trajectory.controller, trajectory.samples
+    start, jitter = stacked(draws).start, stacked(draws).jitter
+    plan = Plan.of(machines, trajectory.sample_interval)
+    hardware = JointHardware.of(machines, plan, draws)
+    computer, samples = Computer.of(trajectory), trajectory.samples
     time = sample_times(trajectory)
     faults = Faults.of(trajectory.faults, machines[0].joint_count, time)
     carried = Carried.of(trajectory.loads, time)
-    plant = Plant(machines, chance.start, interval=trajectory.sample_interval, threads=threads)
-    for body in carried.bodies:  # so that what cannot be is refused before anything moves
+    plant = Plant(
+        machines, start, interval=trajectory.sample_interval, threads=threads, hardware=hardware
+    )
+    for body in carried.bodies:  # what is impossible is refused before anything moves
         plant.carry(body)
 
-    recorded, demand = np.empty((2, samples, *chance.start.shape))
-    told = {
-        name: np.empty(recorded.shape, dtype=bool if name == "apart" else float) for name in TOLD
-    }
-    shown = received = encoders.read(chance.start)
-    state = controller.begin(received)
+    reading, demand = np.empty((2, samples, *start.shape))
+    truth = {name: np.empty(reading.shape, values.dtype) for name, values in plant.observed.items()}
+    state = computer.begin(hardware.encoders.read(start))
     for sample in range(samples):
         if sample == 0 or carried.which[sample] != carried.which[sample - 1]:
             plant.carry(carried.bodies[carried.which[sample]])
-        late = chance.jitter[:, sample, None]
-        reading = encoders.read(plant.rotor_position + late * plant.rotor_velocity)
-        wrong = faults.at(sample)
-        reading, shown, received = wrong.read(reading, shown, received)
-        recorded[sample] = received
-        demand[sample], state = controller.demand(state, time[sample], reading)
-        # A demand that is no number ends in an error below; MuJoCo would also log it in a file.
-        plant.drive(wrong.sense * np.where(np.isfinite(demand[sample]), demand[sample], 0.0))
-        for name, values in told.items():
-            values[sample] = getattr(plant, name)
+        fault = faults.at(sample)
+        demand[sample], state = computer.command(
+            state, time[sample], plant.read(jitter[:, sample]), fault
+        )
+        reading[sample] = state.received
+        # A demand that is not finite ends in an error below; MuJoCo would also log it in a file.
+        plant.drive(fault.sense * np.where(np.isfinite(demand[sample]), demand[sample], 0.0))
+        for name, values in plant.observed.items():
+            truth[name][sample] = values
         if observe is not None:
-            observe(state)
+            observe(state.controller)
         if sample + 1 < samples:
             plant.advance()
         if advanced is not None:
             advanced(len(machines))
-    return assembled(machines, trajectory, recorded, demand, told)
+    return assembled(machines, trajectory, reading, demand, truth)
 
 
 def thread_count(threads: int | None, machines: int) -> int:
-    """How many threads to use: as many as the process has cores, if not said otherwise.
+    """How many threads to use: as many as the process has cores, unless specified.
 
     **Raises**
 
@@ -156,26 +138,21 @@ def thread_count(threads: int | None, machines: int) -> int:
     return min(count, machines)
 
 
-def sample_times(trajectory: Trajectory) -> Float[np.ndarray, " samples"]:
-    """When a trajectory's samples are taken [s]."""
-    return trajectory.sample_interval * np.arange(trajectory.samples)
-
-
 def assembled(
     machines: Sequence[Machine],
     trajectory: Trajectory,
     reading: Float[np.ndarray, "samples machines joints"],
     demand: Float[np.ndarray, "samples machines joints"],
-    told: Mapping[str, np.ndarray],
+    truth: Mapping[str, np.ndarray],
 ) -> list[SimulatedRecording | SimulationError]:
-    """What each machine has to say, from arrays over samples, machines and joints."""
+    """The recording and the truth of each machine, from arrays (samples, machines, joints)."""
     return [
         _assembled(
             machine,
             trajectory,
             reading[:, i],
             demand[:, i],
-            {name: values[:, i] for name, values in told.items()},
+            {name: values[:, i] for name, values in truth.items()},
         )
         for i, machine in enumerate(machines)
     ]
@@ -186,12 +163,12 @@ def _assembled(
     trajectory: Trajectory,
     reading: Float[np.ndarray, "samples joints"],
     demand: Float[np.ndarray, "samples joints"],
-    told: dict[str, np.ndarray],
+    truth: dict[str, np.ndarray],
 ) -> SimulatedRecording | SimulationError:
     """Recording and truth of one machine, or the error of a joint that left its range."""
     time = sample_times(trajectory)
     low, high = np.array(machine.position_range).T
-    within = (told["position"] >= low) & (told["position"] <= high)  # NaN is not
+    within = (truth["position"] >= low) & (truth["position"] <= high)  # NaN is not
     demanded = np.isfinite(demand)
     if not (within & demanded).all():
         sample, joint = np.argwhere(~(within & demanded))[0]
@@ -201,13 +178,13 @@ def _assembled(
                 f"{where}: its controller demands {demand[sample, joint]}; expected a torque"
             )
         return SimulationError(
-            f"{where} is at {told['position'][sample, joint]:.4g}, outside its range from"
+            f"{where} is at {truth['position'][sample, joint]:.4g}, outside its range from"
             f" {low[joint]:.4g} to {high[joint]:.4g}"
         )
-    own = {name: np.ascontiguousarray(values) for name, values in told.items()}
+    signals = {name: np.ascontiguousarray(values) for name, values in truth.items()}
     faults = Faults.of(trajectory.faults, machine.joint_count, time)
     carried = Carried.of(trajectory.loads, time)
     return SimulatedRecording(
         Recording(time, np.ascontiguousarray(reading), np.ascontiguousarray(demand)),
-        Truth(time=time, **own, carried=carried.mass, lost=faults.lost),
+        Truth(time=time, **signals, carried=carried.mass, lost=faults.lost),
     )

@@ -8,12 +8,17 @@ from scipy.spatial.transform import Rotation
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
 
-from ._machine_error import MachineError
-
 
 # A link whose measured tensor misses being a body's is made one with this much to spare.
 _MARGIN = 0.05
 _ROUNDING = 1e-12
+
+
+class MachineError(ValueError):
+    """A machine, or a trajectory for one, that cannot exist.
+
+    The message is one line: which field and joint, what was found and what was expected.
+    """
 
 
 def possible_links(

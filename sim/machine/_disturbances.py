@@ -3,8 +3,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from ._bodies import MachineError
 from ._machine import Machine
-from ._machine_error import MachineError
 from ._puma560 import puma560
 
 

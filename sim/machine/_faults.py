@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ._bodies import MachineError
 from ._loads import check_times, during
-from ._machine_error import MachineError
 
 
 FAULTS = ("lost samples", "stuck encoder", "reversed torque")

@@ -4,12 +4,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ._drivetrain import Transmission
 from ._machine import Machine
 
 
 @dataclass(frozen=True, eq=False)
 class Friction:
-    """The three-part friction of Eqn. 2.5-4, for each thing that rubs.
+    """The three-part friction of Eqn. 2.5-4, for each degree of freedom.
 
     F(qd) = (k^v |qd| + k^d + (k^s − k^d) exp(−|qd| / γ)) (sgn(qd) + a) opposes what moves; what is
     at rest is held by whatever keeps it still, from −k^s (1 − a) to k^s (1 + a). The thesis's law
@@ -32,19 +33,19 @@ class Friction:
     ```
     """
 
-    viscous: Float[Any, "*batch rubbing"]
+    viscous: Float[Any, "*batch dofs"]
     """k^v [N m s/rad or N s/m]."""
 
-    dry: Float[Any, "*batch rubbing"]
+    dry: Float[Any, "*batch dofs"]
     """k^d [N m or N]."""
 
-    static: Float[Any, "*batch rubbing"]
+    static: Float[Any, "*batch dofs"]
     """k^s [N m or N]."""
 
-    static_velocity: Float[Any, "*batch rubbing"]
+    static_velocity: Float[Any, "*batch dofs"]
     """γ [rad/s or m/s]."""
 
-    asymmetry: Float[Any, "*batch rubbing"]
+    asymmetry: Float[Any, "*batch dofs"]
     """a."""
 
     @classmethod
@@ -58,14 +59,14 @@ class Friction:
             np.array(machine.asymmetry),
         )
 
-    def torque(self, qd: Float[Any, "*batch rubbing"]) -> Float[Any, "*batch rubbing"]:
+    def torque(self, qd: Float[Any, "*batch dofs"]) -> Float[Any, "*batch dofs"]:
         """F(qd), what friction takes of what slides [N m or N]; against `qd` [rad/s or m/s], and
         zero where that is zero."""
         xp = qd.__array_namespace__()
         moving = xp.where(qd == 0, 0.0, 1.0)
         return moving * (self.viscous * qd + xp.sign(qd) * self.static - self.help(qd))
 
-    def help(self, qd: Float[Any, "*batch rubbing"]) -> Float[Any, "*batch rubbing"]:
+    def help(self, qd: Float[Any, "*batch dofs"]) -> Float[Any, "*batch dofs"]:
         """w(qd), by how much friction falls short of k^v qd + sgn(qd) k^s [N m or N], from `qd`
         [rad/s or m/s]; continuous where that is zero. NumPy or JAX arrays."""
         xp = qd.__array_namespace__()
@@ -74,3 +75,23 @@ class Friction:
         weaker = -excess * xp.expm1(-speed / self.static_velocity)
         one_sided = self.viscous * speed + self.static - weaker
         return xp.sign(qd) * weaker - self.asymmetry * one_sided
+
+
+def friction_of(machine: Machine) -> Friction:
+    """The friction of each degree of freedom of a machine's plant, rotors apart from links."""
+    transmission = Transmission.of(machine)
+    joints, share = Friction.of(machine), np.array(machine.link_share)
+
+    def divided(values: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " dofs"]:
+        return transmission.spread((1 - share) * values, share * values)
+
+    def repeated(values: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " dofs"]:
+        return np.concatenate([values, values[transmission.flexible]])
+
+    return Friction(
+        divided(joints.viscous),
+        divided(joints.dry),
+        divided(joints.static),
+        repeated(joints.static_velocity),
+        repeated(joints.asymmetry),
+    )

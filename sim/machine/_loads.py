@@ -9,9 +9,8 @@ from jaxtyping import Float, Int
 
 from jaxcslc.manipulator import LinkParameters, fixed_together
 
-from ._bodies import is_rigid_body
+from ._bodies import MachineError, is_rigid_body
 from ._machine import Machine
-from ._machine_error import MachineError
 
 
 # Times of samples are multiples of the interval, rounded.

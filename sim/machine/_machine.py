@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
 
-from ._bodies import possible_links, tilted_links
-from ._machine_error import MachineError
+from ._bodies import MachineError, possible_links, tilted_links
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,8 @@ from scipy.optimize import least_squares
 
 from jaxcslc.manipulator import LinkInertia, LinkParameters, Manipulator
 
-from ._bodies import possible_links
+from ._bodies import MachineError, possible_links
 from ._coefficient_map import PARAMETERS, CoefficientMap, links_of, parameters_of
-from ._machine_error import MachineError
 
 
 # A parameter that the coefficients do not determine stays where the robot's own links have it:

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from jaxcslc.manipulator import LinkParameters
 
+from ._bodies import MachineError
 from ._machine import Machine
-from ._machine_error import MachineError
 from ._nearest_links import nearest_links
 from ._puma560 import puma560
 

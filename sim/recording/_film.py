@@ -63,7 +63,7 @@ def film(
     >>> sim.film("build/arm.gif", sim.puma560(), truth)
     Traceback (most recent call last):
     ...
-    sim.machine._machine_error.MachineError: film: build/arm.gif; expected a name that ends in .mp4
+    sim.machine._bodies.MachineError: film: build/arm.gif; expected a name that ends in .mp4
 
     ```
     """

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from jaxcslc.control import PID, AbbreviatedGravity
 from jaxcslc.manipulator import LinkParameters, puma560 as puma560_robot
 
 from ..engine import simulate
 from ..machine import Machine, MachineError
-from ..trajectory import FLANGE, PID, AbbreviatedGravity, Oscillation, Trajectory
+from ..trajectory import FLANGE, Oscillation, Trajectory
 
 
 # What a brake holds [N m]: beyond anything that hangs from an arm.
@@ -143,11 +144,12 @@ def motor_linearity(
     still = np.array(posture, dtype=np.float64)
     moving = (np.arange(1, still.size + 1) == joint).astype(np.float64)
     controller = PID(
-        Oscillation(still, amplitude * moving, period),
+        still.size,
         position_gain=position_gain * moving,
         integral_gain=0.0 * moving,
         velocity_gain=velocity_gain * moving,
         gravity=AbbreviatedGravity.of(puma560_robot()),
+        integration="backward",
     )
     trajectory = Trajectory(
         "motor linearity",
@@ -155,6 +157,7 @@ def motor_linearity(
         controller,
         samples=round((_SETTLING + swings) * period / _INTERVAL),
         sample_interval=_INTERVAL,
+        path=Oscillation(still, amplitude * moving, period),
     )
     locked = _locked(machine, joint)
     measured = round(swings * period / _INTERVAL)

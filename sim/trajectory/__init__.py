@@ -1,10 +1,3 @@
-from ._controllers import (
-    PID as PID,
-    AbbreviatedGravity as AbbreviatedGravity,
-    AbstractController as AbstractController,
-    PIDState as PIDState,
-    SinusoidalTorque as SinusoidalTorque,
-)
 from ._kinematics import Hand as Hand
 from ._motions import circle as circle, go_to as go_to
 from ._paths import (
@@ -15,12 +8,7 @@ from ._paths import (
     ViaPoints as ViaPoints,
     minimum_jerk as minimum_jerk,
 )
-from ._repulsion import (
-    AbstractRepulsion as AbstractRepulsion,
-    HandRepulsion as HandRepulsion,
-    Repulsion as Repulsion,
-)
-from ._servo import Servo as Servo, ServoState as ServoState
+from ._repulsion import HandRepulsion as HandRepulsion, Repulsion as Repulsion
 from ._trajectories import (
     FLANGE as FLANGE,
     Trajectory as Trajectory,

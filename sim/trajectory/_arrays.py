@@ -24,10 +24,3 @@ def spread(values: np.ndarray, like: Array) -> Array:
     told to refuse."""
     shape = (1,) * (like.ndim - 1) + values.shape
     return namespace(like).asarray(values.reshape(shape), dtype=like.dtype)
-
-
-@no_type_check
-def clock(time: float | Array, like: Array) -> Array:
-    """A time for every row of another array (*batch, n); (*batch, 1)."""
-    xp = namespace(like)
-    return xp.broadcast_to(xp.asarray(time, dtype=like.dtype), (*like.shape[:-1], 1))

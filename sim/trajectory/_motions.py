@@ -4,9 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..machine import Machine, MachineError
-from ._kinematics import Hand
+from ._kinematics import Hand, reach
 from ._paths import MinimumJerk, SampledPath, minimum_jerk
-from ._reach import reach
 
 
 # A joint quicker than this is about to turn over [rad/s or m/s].

@@ -1,9 +1,10 @@
-import abc
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import ClassVar, no_type_check
 
 import numpy as np
 from jaxtyping import Float
+
+from jaxcslc.control import AbstractPositionTorque
 
 from ._arrays import Array, namespace, spread
 from ._kinematics import Hand
@@ -13,20 +14,8 @@ from ._kinematics import Hand
 _DEEPEST = 1.0
 
 
-class AbstractRepulsion(abc.ABC):
-    """The safety measure of 7.4.1: a torque that is vanishingly small through most of the
-    workspace and increases sharply towards what the arm must not reach.
-
-    The thesis gives neither its form nor its size. Here it grows by a factor e every `width`.
-    """
-
-    @abc.abstractmethod
-    def torque(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
-        """The repulsion at joint positions [rad or m], [N m or N]."""
-
-
 @dataclass(frozen=True, eq=False)
-class Repulsion(AbstractRepulsion):
+class Repulsion(AbstractPositionTorque):
     """Away from the ends of each joint's range.
 
     ```python
@@ -48,6 +37,8 @@ class Repulsion(AbstractRepulsion):
     width: float = 0.05
     """[rad or m]."""
 
+    array_generic: ClassVar[bool] = True
+
     def torque(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
         """As the abstract method."""
         xp = namespace(position)
@@ -59,7 +50,7 @@ class Repulsion(AbstractRepulsion):
 
 
 @dataclass(frozen=True, eq=False)
-class HandRepulsion(AbstractRepulsion):
+class HandRepulsion(AbstractPositionTorque):
     """Keeps the hand off the floor and off the arm's own trunk.
 
     A force on the hand, and so the torques that it takes to exert it there, Jᵀ F. It is minus the
@@ -100,6 +91,8 @@ class HandRepulsion(AbstractRepulsion):
 
     width: float = 0.03
     """[m]."""
+
+    array_generic: ClassVar[bool] = True
 
     def clearance(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch 2"]:
         """How far the hand is from the floor and from the trunk [m], at joint positions

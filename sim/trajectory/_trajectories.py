@@ -3,14 +3,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from jaxcslc.control import PID, AbbreviatedGravity, AbstractController, SinusoidalTorque
 from jaxcslc.manipulator import Manipulator, puma560 as puma560_robot
 
 from ..machine import Fault, Load, MachineError, puma560
-from ._controllers import PID, AbbreviatedGravity, AbstractController, SinusoidalTorque
 from ._kinematics import Hand
-from ._paths import MinimumJerk
+from ._paths import AbstractPath, MinimumJerk
 from ._repulsion import HandRepulsion, Repulsion
-from ._servo import Servo
 
 
 # The PUMA 560 around the frames of Fig. 2.6-3, in metres; not in the thesis. Frame 0 is at the
@@ -47,6 +46,14 @@ class Trajectory:
     faults: tuple[Fault, ...] = ()
     """What goes wrong, and when."""
 
+    path: AbstractPath | None = None
+    """The desired motion, from where the encoders read the arm at first; None to stay there."""
+
+    per_machine: bool = False
+    """Whether each machine has a controller of its own. Every array in `controller` then has a
+    leading axis of machines, and each controller gets one machine's readings, (joints,). Otherwise
+    one controller gets those of all machines, (machines, joints)."""
+
     def __post_init__(self) -> None:
         if self.samples < 1:
             raise MachineError(
@@ -56,12 +63,6 @@ class Trajectory:
             raise MachineError(
                 f"trajectory {self.name!r} has a sample interval of {self.sample_interval} s;"
                 " expected more than zero"
-            )
-        servo = self.controller
-        if isinstance(servo, Servo) and servo.interval != self.sample_interval:
-            raise MachineError(
-                f"trajectory {self.name!r} has a sample interval of {self.sample_interval} s,"
-                f" and its servo one of {servo.interval} s; expected the same"
             )
 
 
@@ -144,12 +145,14 @@ def comparison(*, duration: float = 2.5) -> Trajectory:
         "comparison",
         np.array([0.0, -right, right, 0.0, 0.0, 0.0]),
         PID(
-            MinimumJerk(np.array([-right, 0.0, 0.0, right, right, right]), duration),
+            6,
             position_gain=np.array([4000.0, 10000.0, 2000.0, 500.0, 310.0, 300.0]),
             integral_gain=np.full(6, 5.0),
             velocity_gain=np.array([80.0, 114.0, 25.0, 25.0, 12.0, 17.0]),
             gravity=AbbreviatedGravity.of(puma560_robot()),
+            integration="backward",
         ),
         samples=round(duration / interval) + 1,
         sample_interval=interval,
+        path=MinimumJerk(np.array([-right, 0.0, 0.0, right, right, right]), duration),
     )

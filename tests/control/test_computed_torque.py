@@ -27,7 +27,7 @@ def test_the_law_is_equation_2_7_1(puma: jc.CSLC, puma_k: Array, rng: np.random.
     """τ = M (q̈_d + K_v ė + K_p e) + V + G + F, written out in NumPy."""
     controller = ComputedTorque(puma, puma_k, FREQUENCY, DAMPING)
     reference, q, qd = _state(rng, 4)
-    torque, _ = controller.step(controller.begin(q), reference, q, qd, INTERVAL)
+    torque, _ = controller.step(controller.begin(q), reference, q, INTERVAL, qd)
     mass = np.asarray(puma.mass_matrix(puma_k, q))
     wanted = (
         np.asarray(reference.qdd)
@@ -48,7 +48,7 @@ def test_partial_compensation_leaves_terms_out(
     pose = np.array([0.0, -0.5, 0.3, 0.0, 0.2, 0.0])
     controller = ComputedTorque(puma, puma_k, FREQUENCY, compensation=choice, pose=pose)
     reference, q, qd = _state(rng)
-    torque, _ = controller.step(controller.begin(q), reference, q, qd, INTERVAL)
+    torque, _ = controller.step(controller.begin(q), reference, q, INTERVAL, qd)
     terms = COMPENSATIONS[choice]
     position, velocity = (np.asarray(gain) for gain in error_gains(FREQUENCY, 1.0))
     wanted = reference.qdd + velocity * (reference.qd - qd) + position * (reference.q - q)
@@ -123,7 +123,7 @@ def test_an_integral_takes_out_what_a_wrong_model_leaves(puma: jc.CSLC, puma_k: 
             carry: tuple[Array, ...], _: None, controller: ComputedTorque = controller
         ) -> tuple[tuple[Array, ...], None]:
             q, qd, state = carry
-            torque, state = controller.step(state, Reference.rest(target), q, qd, INTERVAL)
+            torque, state = controller.step(state, Reference.rest(target), q, INTERVAL, qd)
             qd = qd + INTERVAL * puma.forward_dynamics(k, q, qd, torque)
             return (q + INTERVAL * qd, qd, state), None
 
@@ -145,7 +145,7 @@ def test_torque_stays_within_its_limits_and_the_integral_does_not_wind_up(
     state, torque = controller.begin(q), np.zeros(6)
     step = eqx.filter_jit(controller.step)
     for _ in range(50):
-        torque, state = step(state, Reference.rest(far), q, 0 * q, INTERVAL)
+        torque, state = step(state, Reference.rest(far), q, INTERVAL, 0 * q)
         assert np.all(np.abs(torque) <= limit)
     saturated = np.abs(np.asarray(torque)) == limit
     assert saturated.any() and not saturated.all()
@@ -153,7 +153,7 @@ def test_torque_stays_within_its_limits_and_the_integral_does_not_wind_up(
     assert np.all(integral[saturated] == 0.0)
     np.testing.assert_allclose(integral[~saturated], 50 * INTERVAL * far[~saturated])
     # What leads back is taken up even at the limit.
-    back = controller.step(jnp.asarray(far), Reference.rest(-0.1 * far), q, 0 * q, INTERVAL)[1]
+    back = controller.step(jnp.asarray(far), Reference.rest(-0.1 * far), q, INTERVAL, 0 * q)[1]
     assert np.all(np.abs(back) < np.abs(far))
 
 
@@ -193,8 +193,8 @@ def test_friction_of_the_reference_breaks_a_resting_joint_away(
     moving = Reference(q, np.full(6, 1e-3), np.zeros(6))
     at_rest = ComputedTorque(puma, puma_k, 0.0)
     wanted = ComputedTorque(puma, puma_k, 0.0, friction_at="reference")
-    first, _ = at_rest.step(at_rest.begin(q), moving, q, 0 * q, INTERVAL)
-    second, _ = wanted.step(wanted.begin(q), moving, q, 0 * q, INTERVAL)
+    first, _ = at_rest.step(at_rest.begin(q), moving, q, INTERVAL, 0 * q)
+    second, _ = wanted.step(wanted.begin(q), moving, q, INTERVAL, 0 * q)
     assert robot.dry is not None and robot.viscous is not None
     dry, viscous = np.array(robot.dry), np.array(robot.viscous)
     np.testing.assert_allclose(np.asarray(second - first), dry + 1e-3 * viscous, atol=1e-9)
@@ -203,26 +203,26 @@ def test_friction_of_the_reference_breaks_a_resting_joint_away(
 def test_transforms(puma: jc.CSLC, puma_k: Array, rng: np.random.Generator) -> None:
     controller = ComputedTorque(puma, puma_k, FREQUENCY, torque_limit=50.0)
     reference, q, qd = _state(rng, 3)
-    together, state = controller.step(controller.begin(q), reference, q, qd, INTERVAL)
-    again, _ = eqx.filter_jit(controller.step)(controller.begin(q), reference, q, qd, INTERVAL)
+    together, state = controller.step(controller.begin(q), reference, q, INTERVAL, qd)
+    again, _ = eqx.filter_jit(controller.step)(controller.begin(q), reference, q, INTERVAL, qd)
     np.testing.assert_allclose(again, together, atol=1e-9)
     # Controllers of different coefficients, side by side.
     vectors = puma_k[None] * jnp.array([1.0, 1.3, 0.7])[:, None]
     each = jax.vmap(
         lambda k: controller.with_coefficients(k).step(
-            controller.begin(q), reference, q, qd, INTERVAL
+            controller.begin(q), reference, q, INTERVAL, qd
         )[0]
     )(vectors)
     np.testing.assert_allclose(each[0], together, atol=1e-9)
     alone = ComputedTorque(puma, vectors[2], FREQUENCY, torque_limit=50.0)
     np.testing.assert_allclose(
-        each[2], alone.step(alone.begin(q), reference, q, qd, INTERVAL)[0], atol=1e-9
+        each[2], alone.step(alone.begin(q), reference, q, INTERVAL, qd)[0], atol=1e-9
     )
     assert state.shape == (3, 6)
     slope = jax.grad(
         lambda k: (
             controller.with_coefficients(k)
-            .step(controller.begin(q), reference, q, qd, INTERVAL)[0]
+            .step(controller.begin(q), reference, q, INTERVAL, qd)[0]
             .sum()
         )
     )(puma_k)

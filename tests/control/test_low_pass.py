@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from scipy.integrate import solve_ivp
 
-from jaxcslc.control import PID, Loop, LowPassChain, Reference
+from jaxcslc.control import PID, LowPassChain, OutputFeedback, Reference
 
 
 def test_each_interval_is_the_chains_exponential(rng: np.random.Generator) -> None:
@@ -91,7 +91,7 @@ def test_transforms(rng: np.random.Generator) -> None:
 def test_a_loop_finds_its_velocities_from_readings() -> None:
     """On a ramp that is followed at a constant error, qd is the ramp's slope at once."""
     pid = PID(1, position_gain=0.0, velocity_gain=1.0)
-    loop = Loop(pid, LowPassChain(30.0, lags=2))
+    loop = OutputFeedback(pid, LowPassChain(30.0, lags=2))
     state, slope = loop.begin(np.zeros(1)), np.array([2.0])
     for n in range(1, 50):
         at = slope * 0.002 * n
@@ -106,7 +106,7 @@ def test_a_loop_finds_its_velocities_from_readings() -> None:
 
 
 def test_a_reading_that_has_not_come_does_no_lasting_harm() -> None:
-    loop = Loop(PID(1, position_gain=10.0, velocity_gain=1.0), LowPassChain(30.0, lags=2))
+    loop = OutputFeedback(PID(1, position_gain=10.0, velocity_gain=1.0), LowPassChain(30.0, lags=2))
     at, state = np.array([0.1]), loop.begin(np.zeros(1))
     for n in range(20):
         reading = np.full(1, np.nan) if n in (5, 6) else np.zeros(1)

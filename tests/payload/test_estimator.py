@@ -12,9 +12,9 @@ from jaxtyping import Array
 
 import jaxcslc as jc
 import sim
-from jaxcslc.control import ComputedTorque, Loop, LowPassChain
+from jaxcslc.control import ComputedTorque, LowPassChain, OutputFeedback
 from jaxcslc.inertia import nearest_body, pseudo_inertia
-from jaxcslc.payload import CarryingLoop, PayloadEstimate, PayloadEstimator, torque_noise
+from jaxcslc.payload import PayloadCompensation, PayloadEstimate, PayloadEstimator, torque_noise
 
 
 BODY = jc.LinkParameters(1.0, np.array([0.02, -0.03, 0.10]), 0.002 * np.eye(3))
@@ -43,7 +43,7 @@ def arm_k(puma: jc.CSLC) -> Array:
 
 @pytest.fixture(scope="module")
 def estimator(puma: jc.CSLC, arm_k: Array) -> PayloadEstimator:
-    return PayloadEstimator(puma, arm_k, NOISE, slowest=SLOWEST)
+    return PayloadEstimator(puma, arm_k, NOISE, velocity_threshold=SLOWEST)
 
 
 def _carried(
@@ -63,16 +63,16 @@ def _carried(
         torque_limit=np.array(MACHINE.maximum_torque),
     )
 
-    def one(compensating: Array) -> CarryingLoop:
-        return CarryingLoop(controller, estimator, compensating=compensating)
+    def one(gain: Array) -> PayloadCompensation:
+        return PayloadCompensation(controller, estimator, compensation_gain=gain)
 
     loops = eqx.filter_vmap(one)(jnp.array([0.0, 1.0]))
     trajectory = sim.Trajectory(
-        "carrying", START, sim.Servo(loops, PATH, per_machine=True), samples, loads=loads
+        "carrying", START, loops, samples, loads=loads, path=PATH, per_machine=True
     )
 
     def seen(state: Any) -> dict[str, Array]:
-        return state.loop.learning.estimate._asdict()
+        return state.estimator.estimate._asdict()
 
     results = sim.close_loop([MACHINE] * 2, trajectory, [7, 7], observe=seen)
     assert all(isinstance(result, sim.ClosedLoop) for result in results)
@@ -172,7 +172,13 @@ def test_it_is_least_squares_on_filtered_signals(
     q, torque = q[:400], torque[:400]
     chain = LowPassChain(8.0, lags=4)
     estimator = PayloadEstimator(
-        puma, arm_k, NOISE, slowest=SLOWEST, forgetting_time=1e9, alarm=1e9, filter=chain
+        puma,
+        arm_k,
+        NOISE,
+        velocity_threshold=SLOWEST,
+        forgetting_time=1e9,
+        detection_threshold=1e9,
+        filter=chain,
     )
     told = _scanned(estimator, q, torque)
     motion, effort = chain.begin(q[0]), chain.begin(torque[0])
@@ -207,7 +213,9 @@ def test_the_arms_uncertainty_is_carried_along(
     """Wrong coefficients of the arm move the estimate as far as its covariance says."""
     q, torque, _ = smooth
     spread = 0.01 * np.abs(np.asarray(arm_k)) + 1e-4
-    exact = PayloadEstimator(puma, arm_k, NOISE, slowest=SLOWEST, alarm=1e9)
+    exact = PayloadEstimator(
+        puma, arm_k, NOISE, velocity_threshold=SLOWEST, detection_threshold=1e9
+    )
     unsure = eqx.tree_at(lambda e: e.covariance, exact, jnp.diag(jnp.asarray(spread**2)))
     wider = _scanned(unsure, q, torque)
     narrow = _scanned(exact, q, torque)
@@ -250,5 +258,5 @@ def test_refusals(puma: jc.CSLC, arm_k: Array, estimator: PayloadEstimator) -> N
         PayloadEstimator(puma, arm_k, 0 * NOISE)
     small = jc.derive(jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]), lengths="numeric")
     with pytest.raises(ValueError, match="expected the same network"):
-        CarryingLoop(ComputedTorque(small, np.ones(small.size), 5.0), estimator)
-    assert Loop(ComputedTorque(puma, arm_k, 5.0)).filter.lags == 2
+        PayloadCompensation(ComputedTorque(small, np.ones(small.size), 5.0), estimator)
+    assert OutputFeedback(ComputedTorque(puma, arm_k, 5.0)).filter.lags == 2

@@ -8,16 +8,24 @@ import numpy as np
 import pytest
 
 import sim
+from jaxcslc.control import AbstractController
 
 
-class Witness(sim.AbstractController):
-    """Demands the sine of time, and remembers what it was given last."""
+class Witness(AbstractController):
+    """Demands the sine of time; its state is the time [s] and the latest reading."""
 
-    def begin(self, position: Any) -> Any:
-        return position
+    @property
+    def array_generic(self) -> bool:
+        return True
 
-    def demand(self, state: Any, time: Any, position: Any) -> tuple[Any, Any]:
-        return np.full_like(np.asarray(position), np.sin(20 * float(time))), position
+    def begin(self, q: Any) -> Any:
+        return 0.0, q
+
+    def step(
+        self, state: Any, reference: Any, q: Any, interval: Any, qd: Any = None
+    ) -> tuple[Any, Any]:
+        time, _ = state
+        return np.full_like(np.asarray(q), np.sin(20 * time)), (time + interval, q)
 
 
 def _watched(
@@ -25,7 +33,9 @@ def _watched(
 ) -> tuple[sim.ClosedLoop, np.ndarray]:
     trajectory = sim.Trajectory("watched", np.zeros(1), Witness(), samples, faults=faults)
     machine = one_joint(inertia=0.1)
-    (result,) = sim.close_loop([machine], trajectory, [0], observe=lambda q: {"given": q})
+    (result,) = sim.close_loop(
+        [machine], trajectory, [0], observe=lambda state: {"given": state[1]}
+    )
     assert not isinstance(result, sim.SimulationError)
     return result, result.observed["given"]
 

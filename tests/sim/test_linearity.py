@@ -9,6 +9,7 @@ import pytest
 import scipy.special
 
 import sim
+from jaxcslc.control import AbbreviatedGravity, SinusoidalTorque
 from jaxcslc.manipulator import puma560
 from sim.recording._linearity import MotorLinearity, _laden, _locked, motor_linearity
 
@@ -48,7 +49,7 @@ def test_slope_and_intercept_are_gravitys(linear: MotorLinearity):
     lever = length["a2"] + length["d4"] + 0.05625
     mean = scipy.special.j0(_AMPLITUDE)
     np.testing.assert_allclose(linear.slope, -robot.gravity[2] * lever * mean, rtol=0.01)
-    still = sim.AbbreviatedGravity.of(robot).torque(np.array([0, 0, np.pi / 2, 0, 0, 0]))
+    still = AbbreviatedGravity.of(robot).torque(np.array([0, 0, np.pi / 2, 0, 0, 0]))
     np.testing.assert_allclose(linear.intercept, abs(still[1]) * mean, rtol=0.01)
 
 
@@ -76,7 +77,7 @@ def test_brakes_hold():
     machine = _laden(_locked(sim.puma560(), 2), 4.5)
     rest = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0])
     zero = np.zeros(6)
-    controller = sim.SinusoidalTorque(zero, np.ones(6), zero)  # nothing holds joint 2
+    controller = SinusoidalTorque(zero, np.ones(6), zero)  # nothing holds joint 2
     _, truth = sim.simulate(machine, sim.Trajectory("drop", rest, controller, 200))
     assert truth.position[-1, 1] - truth.position[0, 1] > 0.3
     others = [0, 2, 3, 4, 5]

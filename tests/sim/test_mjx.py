@@ -11,7 +11,7 @@ import pytest
 
 import jaxcslc as jc
 import sim
-from jaxcslc.control import ComputedTorque, Guard, Loop
+from jaxcslc.control import ComputedTorque, FaultMonitor, OutputFeedback
 from jaxcslc.manipulator import LinkParameters
 
 
@@ -36,14 +36,14 @@ def test_mjx_records_what_mujoco_records():
 PATH = sim.MinimumJerk(np.array([0.3]), 0.1)
 
 
-def guarded(machines: list[sim.Machine]) -> Guard:
+def guarded(machines: list[sim.Machine]) -> FaultMonitor:
     """Computed torque behind encoders and a guard, of each machine's own coefficients."""
     network = jc.derive(machines[0].robot, lengths="numeric")
     k = jnp.stack([network.coefficients_from(machine.links) for machine in machines])
 
-    def one(k: jax.Array) -> Guard:
+    def one(k: jax.Array) -> FaultMonitor:
         controller = ComputedTorque(network, k, 20.0, torque_limit=50.0)
-        return Guard(Loop(controller), network, k, torque_limit=50.0)
+        return FaultMonitor(OutputFeedback(controller), network, k, torque_limit=50.0)
 
     return eqx.filter_vmap(one)(k)
 
@@ -60,8 +60,10 @@ def test_mjx_does_with_servos_loads_and_faults_what_mujoco_does(
     trajectory = sim.Trajectory(
         "servo",
         np.array([0.2]),
-        sim.Servo(guarded(machines), PATH, per_machine=True),
+        guarded(machines),
         samples=40,
+        path=PATH,
+        per_machine=True,
         loads=(sim.Load(0.01, ball, 0.05),),
         faults=(
             sim.Fault("lost samples", 1, 0.02, 0.03),

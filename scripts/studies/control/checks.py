@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,7 +11,7 @@ from scipy.linalg import expm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.control import ComputedTorque, Reference, error_gains
+from jaxcslc.control import AbstractController, ComputedTorque, Reference, error_gains
 
 
 Rows = list[dict[str, Any]]
@@ -29,6 +28,7 @@ FIRST = np.array([0.1, -0.08, 0.12, 0.2, -0.15, 0.1])  # rad, off the path at fi
 TOP = np.array([4.0, 3.5, 5.0, 8.0, 8.0, 8.0])  # rad/s
 PARTS = (0.8, 1.6)
 PAUSE = 0.1  # s
+INTERVAL = 0.002  # s
 IN_TURN = 10  # motions that a machine makes one after the other
 STEEPEST = 15 / 8  # of minimum jerk's rate
 
@@ -40,7 +40,7 @@ class ExactState(NamedTuple):
     controller: Any
 
 
-class ExactLoop(eqx.Module):
+class ExactLoop(AbstractController):
     """A controller behind exact encoders: its velocity is the difference of two readings."""
 
     controller: ComputedTorque
@@ -50,10 +50,15 @@ class ExactLoop(eqx.Module):
         return ExactState(q, self.controller.begin(q))
 
     def step(
-        self, state: ExactState, reference: Reference, q: Array, interval: float
+        self,
+        state: ExactState,
+        reference: Reference,
+        q: Array,
+        interval: float | Array,
+        qd: Array | None = None,
     ) -> tuple[Array, ExactState]:
         qd = (q - state.before) / interval
-        torque, inner = self.controller.step(state.controller, reference, q, qd, interval)
+        torque, inner = self.controller.step(state.controller, reference, q, interval, qd)
         return torque, ExactState(q, inner)
 
 
@@ -86,9 +91,7 @@ def ideal_rows(network: jc.CSLC, frequency: float, damping: float) -> Rows:
     path = sim.Oscillation(MEAN, SWING, PERIOD)
     samples = round(WATCHED / FINE)
     loop = ExactLoop(ComputedTorque(network, k, frequency, damping))
-    trajectory = sim.Trajectory(
-        "ideal case", MEAN - SWING - FIRST, sim.Servo(loop, path, FINE), samples, FINE
-    )
+    trajectory = sim.Trajectory("ideal case", MEAN - SWING - FIRST, loop, samples, FINE, path=path)
     _, truth = sim.simulate(machine, trajectory)
     reference = path.reference(truth.time[:, None], np.zeros(truth.position.shape)).q
     error = reference - truth.position
@@ -145,9 +148,11 @@ def stability_rows(
     limit = np.array([machine.maximum_torque for machine in used])
     rows: Rows = []
     for name, loop_of in cases.items():
-        servo = sim.Servo(stacked([loop_of(i) for i in numbers]), path, per_machine=True)
-        samples = round(float(needed.max()) / servo.interval) + 1
-        trajectory = sim.Trajectory(f"random motions, {name}", start, servo, samples)
+        loops = stacked([loop_of(i) for i in numbers])
+        samples = round(float(needed.max()) / INTERVAL) + 1
+        trajectory = sim.Trajectory(
+            f"random motions, {name}", start, loops, samples, INTERVAL, path=path, per_machine=True
+        )
         results = sim.close_loop(used, trajectory, list(range(len(used))), progress=True)
         good = [result for result in results if not isinstance(result, sim.SimulationError)]
         errors = [str(result) for result in results if isinstance(result, sim.SimulationError)]

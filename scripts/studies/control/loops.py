@@ -12,10 +12,10 @@ import sim
 from jaxcslc.control import (
     PID,
     ComputedTorque,
-    Loop,
+    Gravity,
+    JointLimitAvoidance,
     LowPassChain,
-    WithinRange,
-    abbreviated_gravity,
+    OutputFeedback,
 )
 
 
@@ -45,7 +45,7 @@ class LoopDesign(NamedTuple):
     corner: float
     published: np.ndarray
 
-    def loop(self, controller: str, k: Any, start: np.ndarray) -> Loop:
+    def loop(self, controller: str, k: Any, start: np.ndarray) -> OutputFeedback:
         """The loop of one machine with coefficients `k`, from a pose on."""
         n = self.network.joint_count
         low_pass = LowPassChain(self.corner, lags=2)
@@ -54,32 +54,32 @@ class LoopDesign(NamedTuple):
             w = self.frequency
             pid = PID(n, position_gain=w**2 * M, velocity_gain=2 * self.damping * w * M,
                       integral_gain=4 / 27 * w**3 * M, torque_limit=self.limit)  # fmt: skip
-            return Loop(pid, low_pass)
+            return OutputFeedback(pid, low_pass)
         if controller.startswith("PID"):
             thesis = sim.comparison().controller
-            assert isinstance(thesis, sim.PID)
+            assert isinstance(thesis, PID)
             with_gravity = controller == "PID + gravity"
-            gravity = abbreviated_gravity(self.network, k, (2, 3)) if with_gravity else None
+            gravity = Gravity.of_joints(self.network, k, (2, 3)) if with_gravity else None
             pid = PID(n, position_gain=thesis.position_gain, velocity_gain=thesis.velocity_gain,
                       integral_gain=thesis.integral_gain, torque_limit=self.limit,
                       gravity=gravity)  # fmt: skip
-            return Loop(pid, low_pass)
+            return OutputFeedback(pid, low_pass)
         computed = ComputedTorque(
             self.network, k, self.frequency, self.damping, compensation=CONTROLLERS[controller],
             torque_limit=self.limit, friction_at="reference", pose=start,
         )  # fmt: skip
-        return Loop(computed, low_pass)
+        return OutputFeedback(computed, low_pass)
 
-    def loop_within_range(self, controller: str, k: Any, machine: sim.Machine) -> Loop:
+    def loop_within_range(self, controller: str, k: Any, machine: sim.Machine) -> OutputFeedback:
         """The same, kept within the machine's joint ranges by the same coefficients."""
         loop = self.loop(controller, k, START)
         ends = np.array(machine.position_range) + _RANGE_MARGIN * np.array([1.0, -1.0])
-        within = WithinRange(
+        within = JointLimitAvoidance(
             loop.controller, self.network, k, ends, torque_limit=self.limit, rate=_RANGE_RATE
         )
-        return Loop(within, loop.filter)
+        return OutputFeedback(within, loop.filter)
 
 
-def stacked(loops: Sequence[Loop]) -> Loop:
+def stacked(loops: Sequence[OutputFeedback]) -> OutputFeedback:
     """Loops of one structure as one, every array with a leading axis of machines."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *loops)

@@ -54,10 +54,9 @@ def performed(
         design.loop(controller, vectors["truth" if name == "none" else name][seed], start)
         for name, seed in cases
     ]
-    servo = sim.Servo(stacked(loops), path, INTERVAL, per_machine=True)
     trajectory = sim.Trajectory(
-        f"{motion}, {duration:g} s, {controller}", start, servo,
-        round(duration / INTERVAL) + 1 + REST, INTERVAL,
+        f"{motion}, {duration:g} s, {controller}", start, stacked(loops),
+        round(duration / INTERVAL) + 1 + REST, INTERVAL, path=path, per_machine=True,
     )  # fmt: skip
     machines = [machine_of(seed) for _, seed in cases]
     results = sim.close_loop(machines, trajectory, [seed for _, seed in cases], progress=True)

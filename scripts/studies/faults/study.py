@@ -2,7 +2,7 @@
 
 Simulated PUMA 560s, a specimen for each seed, with all disturbances of Section 7.2, follow a path
 under computed torque with coefficients that are some percent off, watched by
-`jaxcslc.control.Guard`.
+`jaxcslc.control.FaultMonitor`.
 Every kind of fault happens at every joint, at several moments of the motion; longer paths without
 a fault show false alarms. A line for each kind:
 
@@ -30,7 +30,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.control import FAULTS, ComputedTorque, Guard, Loop
+from jaxcslc.control import FAULTS, ComputedTorque, FaultMonitor, OutputFeedback
 from jaxcslc.identification import all_or_nothing, text_table, write_csv
 from scripts.studies import command
 from scripts.studies.truth import true_coefficients
@@ -53,7 +53,7 @@ def path(poses: int, seed: int) -> sim.ViaPoints:
     )
 
 
-def guards(machines: Sequence[sim.Machine], error: float) -> Guard:
+def guards(machines: Sequence[sim.Machine], error: float) -> FaultMonitor:
     """A guard for each machine, with coefficients that are wrong by a part of `error` at most."""
     network = jc.derive(jc.puma560())
     rng = np.random.default_rng(0)
@@ -61,18 +61,18 @@ def guards(machines: Sequence[sim.Machine], error: float) -> Guard:
     wrong = true * (1 + error * rng.uniform(-1, 1, true.shape))
     limit = np.array(machines[0].maximum_torque)
 
-    def one(k: Array) -> Guard:
+    def one(k: Array) -> FaultMonitor:
         controller = ComputedTorque(
             network, k, 20.0, friction_at="reference", friction_width=0.02, torque_limit=limit
         )
-        return Guard(Loop(controller), network, k, torque_limit=limit)
+        return FaultMonitor(OutputFeedback(controller), network, k, torque_limit=limit)
 
     return eqx.filter_vmap(one)(jnp.asarray(wrong))
 
 
 def run(
     machines: Sequence[sim.Machine],
-    guard: Guard,
+    guard: FaultMonitor,
     along: sim.ViaPoints,
     samples: int,
     fault: sim.Fault | None,
@@ -81,13 +81,15 @@ def run(
     trajectory = sim.Trajectory(
         "guarded",
         _START,
-        sim.Servo(guard, along, per_machine=True),
+        guard,
         samples,
         faults=() if fault is None else (fault,),
+        path=along,
+        per_machine=True,
     )
 
     def alarms(state: Any) -> dict[str, Array]:
-        return {"fault": state.loop.fault, "found": state.loop.found}
+        return {"fault": state.fault, "detected": state.detected}
 
     return sim.close_loop(machines, trajectory, list(range(len(machines))), observe=alarms)
 
@@ -101,7 +103,7 @@ def row_of(
     row: dict[str, Any] = {"fault": fault.kind, "joint": fault.joint, "begins_s": fault.start}
     if isinstance(result, sim.SimulationError):
         return row | {"named": False, "what": str(result)}
-    codes, detected = result.observed["fault"][-1], result.observed["found"][-1]
+    codes, detected = result.observed["fault"][-1], result.observed["detected"][-1]
     what = ", ".join(f"joint {j + 1}: {FAULTS[c]}" for j, c in enumerate(codes) if c)
     row |= {"named": what == f"joint {fault.joint}: {fault.kind}", "what": what or "nothing"}
     if not row["named"]:
@@ -128,7 +130,7 @@ def spread(values: Sequence[float], digits: str) -> str:
     )
 
 
-def count_alarms(machines: Sequence[sim.Machine], guard: Guard, paths: int) -> int:
+def count_alarms(machines: Sequence[sim.Machine], guard: FaultMonitor, paths: int) -> int:
     """Runs that alarm, or fail, on paths of eight poses without a fault."""
     alarms = 0
     for seed in tqdm(range(paths), desc="healthy", disable=None):
@@ -139,7 +141,7 @@ def count_alarms(machines: Sequence[sim.Machine], guard: Guard, paths: int) -> i
 
 
 def fault_rows(
-    machines: Sequence[sim.Machine], guard: Guard, joints: Sequence[int], moments: int
+    machines: Sequence[sim.Machine], guard: FaultMonitor, joints: Sequence[int], moments: int
 ) -> list[dict[str, Any]]:
     """A row for each fault of each machine."""
     faults = [

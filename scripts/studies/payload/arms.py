@@ -11,7 +11,7 @@ from tqdm import tqdm
 import jaxcslc as jc
 import sim
 from jaxcslc.control import ComputedTorque
-from jaxcslc.payload import CarryingLoop, PayloadEstimator, torque_noise
+from jaxcslc.payload import PayloadCompensation, PayloadEstimator, torque_noise
 from scripts.studies.payload.errors import (
     CURVE_STEP,
     estimate_curve,
@@ -75,7 +75,7 @@ class Arms:
             for machine, refined in zip(machines, refinements, strict=True)
         ]
         loops = LoopBatch.of([self.known_payload(each, None) for each in controllers])
-        unloaded = sim.Trajectory("rehearsal", START, sim.Servo(loops, rehearsal()), samples=5500)
+        unloaded = sim.Trajectory("rehearsal", START, loops, samples=5500, path=rehearsal())
         rehearsed = successes(
             sim.close_loop(machines, unloaded, [number + 1 for number in numbers])
         )
@@ -101,7 +101,9 @@ class Arms:
         # On-line, pairs in backlash are not left out: their errors count.
         patterns = settings.with_options(backlash=False).patterns(rehearsed)
         noise = torque_noise(self.network, refined.fit.k, patterns)
-        estimator = PayloadEstimator(self.with_payload, refined.fit, noise, slowest=slowest)
+        estimator = PayloadEstimator(
+            self.with_payload, refined.fit, noise, velocity_threshold=slowest
+        )
         return settings, refined.fit, estimator
 
     def known_payload(self, controller: ComputedTorque, task: Task | None) -> KnownPayloadLoop:
@@ -115,7 +117,7 @@ class Arms:
     def run(self, task: Task, arms: Sequence[Arm], method: str) -> list[sim.ClosedLoop]:
         """The task performed by every specimen with one method."""
         if method == LEARNT:
-            loops = [CarryingLoop(arm.controller, arm.estimator) for arm in arms]
+            loops = [PayloadCompensation(arm.controller, arm.estimator) for arm in arms]
         else:
             known = task if method == KNOWN else None
             loops = [self.known_payload(arm.controller, known) for arm in arms]

@@ -18,9 +18,9 @@ _TOOL = (0.0, 0.0, 0.1)  # the point of the hand whose errors count
 _BASIS = np.stack([pseudo_inertia(unit) for unit in np.eye(10)])
 
 
-def observed_estimates(state: sim.ServoState) -> Mapping[str, Any]:
+def observed_estimates(state: Any) -> Mapping[str, Any]:
     """The estimates in a learning loop's state, recorded after every sample."""
-    estimate = state.loop.learning.estimate
+    estimate = state.estimator.estimate
     names = ("body", "mass", "mass_error", "centre", "centre_error", "carrying")
     return {name: getattr(estimate, name) for name in (*names, "picked_up", "put_down")}
 

@@ -9,10 +9,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcslc import CSLC, LinkParameters
-from jaxcslc.control import ComputedTorque, Loop, LoopState, Reference
+from jaxcslc.control import (
+    AbstractController,
+    ComputedTorque,
+    OutputFeedback,
+    OutputFeedbackState,
+    Reference,
+)
 
 
-class LoopBatch(eqx.Module):
+class LoopBatch(AbstractController):
     """Loops of several robots, alike but for their arrays, as one of (robots, joints).
 
     They are computed one after the other: under `vmap` every robot's `PayloadEstimator` would do at
@@ -40,9 +46,15 @@ class LoopBatch(eqx.Module):
         return jax.lax.map(one, (arrays, q))
 
     def step(
-        self, state: Any, reference: Reference, q: Float[Array, "robots joints"], interval: float
+        self,
+        state: Any,
+        reference: Reference,
+        q: Float[Array, "robots joints"],
+        interval: float | Array,
+        qd: Float[Array, "robots joints"] | None = None,
     ) -> tuple[Float[Array, "robots joints"], Any]:
         """Each robot's torque and state."""
+        del qd
         arrays, static = eqx.partition(self.loops, eqx.is_array)
 
         def one(robot: Any) -> Any:
@@ -52,10 +64,10 @@ class LoopBatch(eqx.Module):
         return jax.lax.map(one, (arrays, state, reference, q))
 
 
-class KnownPayloadLoop(eqx.Module):
+class KnownPayloadLoop(AbstractController):
     """Computed torque with a known payload from one time to another."""
 
-    loop: Loop
+    loop: OutputFeedback
     body: Float[Array, "10"]
     start: Float[Array, ""]
     stop: Float[Array, ""]
@@ -76,21 +88,26 @@ class KnownPayloadLoop(eqx.Module):
         if body is not None:
             ten = network.coefficients_from(links, payload=body)[network.layout.payload]
         return cls(
-            Loop(controller.with_network(network, k)), ten, jnp.asarray(start), jnp.asarray(stop)
+            OutputFeedback(controller.with_network(network, k)),
+            ten,
+            jnp.asarray(start),
+            jnp.asarray(stop),
         )
 
-    def begin(self, q: Float[Array, " joints"]) -> tuple[Float[Array, ""], LoopState]:
+    def begin(self, q: Float[Array, " joints"]) -> tuple[Float[Array, ""], OutputFeedbackState]:
         """Its clock, and the loop's state."""
         return jnp.zeros(()), self.loop.begin(q)
 
     def step(
         self,
-        state: tuple[Float[Array, ""], LoopState],
+        state: tuple[Float[Array, ""], OutputFeedbackState],
         reference: Reference,
         q: Float[Array, " joints"],
-        interval: float,
-    ) -> tuple[Float[Array, " joints"], tuple[Float[Array, ""], LoopState]]:
-        """As `Loop.step`."""
+        interval: float | Array,
+        qd: Float[Array, " joints"] | None = None,
+    ) -> tuple[Float[Array, " joints"], tuple[Float[Array, ""], OutputFeedbackState]]:
+        """As `OutputFeedback.step`."""
+        del qd
         clock, inner = state
         carrying = (clock > self.start - 0.5 * interval) & (clock < self.stop - 0.5 * interval)
         controller = self.loop.controller
@@ -98,6 +115,6 @@ class KnownPayloadLoop(eqx.Module):
         k = controller.k.at[controller.network.layout.payload].set(
             jnp.where(carrying, self.body, 0.0)
         )
-        loop = Loop(controller.with_coefficients(k), self.loop.filter)
+        loop = OutputFeedback(controller.with_coefficients(k), self.loop.filter)
         torque, inner = loop.step(inner, reference, q, interval)
         return torque, (clock + interval, inner)

@@ -6,7 +6,7 @@ identified before from an unloaded training recording, and then performed other 
 from which the errors of its model are known. Methods on the same task:
 
 - **learnt**: the payload's estimate from encoders and torques is compensated at once
-  (`jaxcslc.payload.CarryingLoop`).
+  (`jaxcslc.payload.PayloadCompensation`).
 - **not learnt**: computed torque of the unloaded arm.
 - **known**: computed torque with the true payload as soon as it is there.
 

@@ -71,9 +71,7 @@ class Task:
 
     def trajectory(self, loop: Any) -> sim.Trajectory:
         """The task performed by a feedback loop."""
-        return sim.Trajectory(
-            "task", START, sim.Servo(loop, self.path), self.samples, loads=self.loads
-        )
+        return sim.Trajectory("task", START, loop, self.samples, loads=self.loads, path=self.path)
 
 
 def rehearsal() -> sim.ViaPoints:

@@ -115,12 +115,15 @@ def plant_figures(puma: IdentifiedMachine, progress: Any, *, quick: bool) -> dic
     speed = np.concatenate([np.linspace(-1.0, -1e-6, 400), np.linspace(1e-6, 1.0, 400)])
     columns = np.tile(speed[:, None], (1, 6))
     friction = sim.Friction.of(dataclasses.replace(machine, asymmetry=())).torque(columns)[:, 0]
-    swing = sim.comparison().controller
-    assert isinstance(swing, sim.PID)
     still = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0])
     small = 8e-3 * (np.arange(6) == joint)  # a loop is as wide as the dead band
-    swing = dataclasses.replace(swing, path=sim.Oscillation(still, small, 1.0))
-    wobble = sim.Trajectory("wobble", still - small, swing, 1501)
+    wobble = sim.Trajectory(
+        "wobble",
+        still - small,
+        sim.comparison().controller,
+        1501,
+        path=sim.Oscillation(still, small, 1.0),
+    )
     quiet = dataclasses.replace(machine, encoder_resolution=(0.0,) * 6)
     loop = sim.simulate(quiet, wobble).truth
     last = slice(1000, None)

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 import sim
-from jaxcslc.control import PID, ComputedTorque, Loop, Reference
+from jaxcslc.control import PID, ComputedTorque, OutputFeedback, Reference
 from scripts.studies.payload import study, task as tasks
 from scripts.studies.payload.arms import METHODS
 from scripts.studies.payload.errors import estimate_errors
@@ -21,7 +21,9 @@ from scripts.studies.payload.loops import KnownPayloadLoop, LoopBatch
 
 
 def test_a_batch_does_what_its_loops_do(rng: np.random.Generator) -> None:
-    members = [Loop(PID(2, position_gain=gain, velocity_gain=1.0)) for gain in (10.0, 20.0)]
+    members = [
+        OutputFeedback(PID(2, position_gain=gain, velocity_gain=1.0)) for gain in (10.0, 20.0)
+    ]
     batch, q, near = LoopBatch.of(members), *rng.normal(size=(2, 2, 2))
     state = batch.begin(jnp.asarray(q))
     torque, _ = batch.step(state, Reference.rest(near), jnp.asarray(q), 0.002)
@@ -40,7 +42,7 @@ def test_the_payload_is_known_while_it_is_there(puma: jc.CSLC, puma_k: jax.Array
     loaded = network.coefficients_from([nothing] * 6, payload=body)
     ten = loaded[network.layout.payload]
     whole = controller.with_network(network, jnp.concatenate([puma_k, ten]))
-    state, others = known.begin(q), [Loop(one) for one in (controller, whole)]
+    state, others = known.begin(q), [OutputFeedback(one) for one in (controller, whole)]
     states = [loop.begin(q) for loop in others]
     for carries in (0, 1, 0):
         torque, state = known.step(state, near, q, 0.002)

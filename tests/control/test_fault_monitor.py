@@ -11,7 +11,14 @@ from jaxtyping import Array
 
 import jaxcslc as jc
 import sim
-from jaxcslc.control import FAULTS, ComputedTorque, Guard, Loop, LowPassChain, Reference
+from jaxcslc.control import (
+    FAULTS,
+    ComputedTorque,
+    FaultMonitor,
+    LowPassChain,
+    OutputFeedback,
+    Reference,
+)
 
 
 MACHINE = sim.disturbed(sim.puma560(), "quantisation", "static friction")
@@ -22,7 +29,7 @@ BEGINS = 0.3  # of each fault [s]
 
 
 @pytest.fixture(scope="module")
-def guard(puma: jc.CSLC) -> Guard:
+def guard(puma: jc.CSLC) -> FaultMonitor:
     assert puma.robot.links is not None
     k = puma.coefficients_from(puma.robot.links, viscous=MACHINE.viscous, dry=MACHINE.dry)
     # A model that is some percent off, as identified ones are.
@@ -30,17 +37,17 @@ def guard(puma: jc.CSLC) -> Guard:
     controller = ComputedTorque(
         puma, k, 20.0, friction_at="reference", friction_width=0.02, torque_limit=LIMIT
     )
-    return Guard(Loop(controller), puma, k, torque_limit=LIMIT)
+    return FaultMonitor(OutputFeedback(controller), puma, k, torque_limit=LIMIT)
 
 
-def _performed(guard: Guard, *faults: sim.Fault) -> tuple[sim.ClosedLoop, tuple[str, ...]]:
+def _performed(guard: FaultMonitor, *faults: sim.Fault) -> tuple[sim.ClosedLoop, tuple[str, ...]]:
     def seen(state: Any) -> dict[str, Array]:
-        return {"fault": state.loop.fault, "found": state.loop.found, "torque": state.loop.torque}
+        return {"fault": state.fault, "detected": state.detected, "torque": state.torque}
 
-    # One guard sees one arm: servos hand it rows of one.
+    # One monitor for one machine.
     loops = jax.tree_util.tree_map(lambda x: x[None] if eqx.is_array(x) else x, guard)
     trajectory = sim.Trajectory(
-        "guarded", START, sim.Servo(loops, PATH, per_machine=True), 600, faults=faults
+        "guarded", START, loops, 600, faults=faults, path=PATH, per_machine=True
     )
     (result,) = sim.close_loop([MACHINE], trajectory, [1], observe=seen)
     assert isinstance(result, sim.ClosedLoop)
@@ -52,7 +59,7 @@ def _performed(guard: Guard, *faults: sim.Fault) -> tuple[sim.ClosedLoop, tuple[
     return result, tuple(found)
 
 
-def test_a_healthy_arm_is_left_alone(guard: Guard) -> None:
+def test_a_healthy_arm_is_left_alone(guard: FaultMonitor) -> None:
     result, found = _performed(guard)
     assert found == ()
     end = np.asarray(PATH.reference(np.array([1.0]), START).q)
@@ -61,10 +68,12 @@ def test_a_healthy_arm_is_left_alone(guard: Guard) -> None:
 
 @pytest.mark.parametrize("kind", FAULTS[1:])
 @pytest.mark.parametrize("joint", [1, 2, 5])
-def test_faults_are_named_and_the_arm_comes_to_rest(guard: Guard, kind: str, joint: int) -> None:
+def test_faults_are_named_and_the_arm_comes_to_rest(
+    guard: FaultMonitor, kind: str, joint: int
+) -> None:
     result, found = _performed(guard, sim.Fault(kind, joint, start=BEGINS))
     assert found == (f"joint {joint}: {kind}",)
-    when = result.observed["found"][-1][joint - 1]
+    when = result.observed["detected"][-1][joint - 1]
     assert 0 < when - BEGINS < 0.06
     assert np.all(np.abs(result.observed["torque"]) <= LIMIT)
     late = result.truth.time > when + guard.stop + 0.5  # friction stops what model error leaves
@@ -72,7 +81,7 @@ def test_faults_are_named_and_the_arm_comes_to_rest(guard: Guard, kind: str, joi
     assert np.max(np.abs(result.truth.position - START)) < 1.2
 
 
-def test_a_few_lost_samples_are_bridged(guard: Guard) -> None:
+def test_a_few_lost_samples_are_bridged(guard: FaultMonitor) -> None:
     result, found = _performed(
         guard, sim.Fault("lost samples", None, start=BEGINS, stop=BEGINS + 0.01)
     )
@@ -80,7 +89,7 @@ def test_a_few_lost_samples_are_bridged(guard: Guard) -> None:
     assert np.count_nonzero(result.truth.lost[:, 0]) == guard.allowed
 
 
-def test_all_samples_lost(guard: Guard) -> None:
+def test_all_samples_lost(guard: FaultMonitor) -> None:
     """Without any reading the arm follows its model to rest."""
     result, found = _performed(guard, sim.Fault("lost samples", None, start=BEGINS))
     assert found == tuple(f"joint {j}: lost samples" for j in range(1, 7))
@@ -88,7 +97,7 @@ def test_all_samples_lost(guard: Guard) -> None:
     assert np.max(np.abs(result.truth.velocity[late])) < 0.02
 
 
-def test_a_cable_that_tears_slowly(guard: Guard) -> None:
+def test_a_cable_that_tears_slowly(guard: FaultMonitor) -> None:
     """One joint's samples are lost, then another's, then all."""
     result, found = _performed(
         guard,
@@ -107,7 +116,9 @@ def test_an_arm_with_a_spring_at_rest() -> None:
     network = jc.derive(robot.with_friction("dry", "spring"), lengths="numeric")
     rod = jc.LinkParameters(1.0, np.array([0.3, 0.0, 0.0]), 0.01 * np.eye(3), 0.1)
     k = network.coefficients_from([rod], dry=[0.5], spring=[60.0])
-    guard = Guard(Loop(ComputedTorque(network, k, 10.0)), network, k, torque_limit=50.0)
+    guard = FaultMonitor(
+        OutputFeedback(ComputedTorque(network, k, 10.0)), network, k, torque_limit=50.0
+    )
     q = jnp.array([0.5])
     state, step = guard.begin(q), eqx.filter_jit(guard.step)
     for _ in range(40):
@@ -116,18 +127,18 @@ def test_an_arm_with_a_spring_at_rest() -> None:
     assert guard.report(state) == ()
 
 
-def test_the_report_names_joint_fault_and_time(guard: Guard) -> None:
+def test_the_report_names_joint_fault_and_time(guard: FaultMonitor) -> None:
     q = jnp.asarray(START)
     state, step = guard.begin(q), eqx.filter_jit(guard.step)
     gone = q.at[3].set(jnp.nan)
     for n in range(20):
         torque, state = step(state, Reference.rest(q), gone if n >= 5 else q, 0.002)
         assert np.all(np.isfinite(torque))
-    assert guard.report(state) == ("joint 4: lost samples, found at 0.020 s",)
+    assert guard.report(state) == ("joint 4: lost samples, detected at 0.020 s",)
     assert guard.report(guard.begin(q)) == ()
 
 
-def test_side_by_side_as_alone(guard: Guard, rng: np.random.Generator) -> None:
+def test_side_by_side_as_alone(guard: FaultMonitor, rng: np.random.Generator) -> None:
     q = START + 0.01 * rng.normal(size=(3, 6))
     reference = Reference(q, 0 * q, 0 * q)
     states = jax.vmap(guard.begin)(q)
@@ -138,16 +149,18 @@ def test_side_by_side_as_alone(guard: Guard, rng: np.random.Generator) -> None:
     assert states.fault.shape == (3, 6)
 
 
-def test_refusals(puma: jc.CSLC, puma_k: Array, guard: Guard) -> None:
+def test_refusals(puma: jc.CSLC, puma_k: Array, guard: FaultMonitor) -> None:
     with pytest.raises(ValueError, match="k: expected shape"):
-        Guard(guard.loop, puma, puma_k[:3], torque_limit=1.0)
+        FaultMonitor(guard.controller, puma, puma_k[:3], torque_limit=1.0)
     with pytest.raises(ValueError, match="torque_limit: expected one number or 6"):
-        Guard(guard.loop, puma, puma_k, torque_limit=[1.0, 2.0])
+        FaultMonitor(guard.controller, puma, puma_k, torque_limit=[1.0, 2.0])
     with pytest.raises(ValueError, match=r"breakaway of joint 1 is -1\.0"):
-        Guard(guard.loop, puma, puma_k, torque_limit=1.0, breakaway=-1.0)
+        FaultMonitor(guard.controller, puma, puma_k, torque_limit=1.0, breakaway=-1.0)
     with pytest.raises(ValueError, match="breakaway of joint 1 is inf; expected a finite torque"):
-        Guard(guard.loop, puma, puma_k, torque_limit=np.inf)
+        FaultMonitor(guard.controller, puma, puma_k, torque_limit=np.inf)
     with pytest.raises(ValueError, match="filter has 2 lags; accelerations need 3 or more"):
-        Guard(guard.loop, puma, puma_k, torque_limit=1.0, filter=LowPassChain(60.0, lags=2))
-    with pytest.raises(ValueError, match=r"stop is 0\.0 s; expected more than 0"):
-        Guard(guard.loop, puma, puma_k, torque_limit=1.0, stop=0.0)
+        FaultMonitor(
+            guard.controller, puma, puma_k, torque_limit=1.0, filter=LowPassChain(60.0, lags=2)
+        )
+    with pytest.raises(ValueError, match=r"stop_time is 0\.0 s; expected more than 0"):
+        FaultMonitor(guard.controller, puma, puma_k, torque_limit=1.0, stop_time=0.0)

@@ -1,0 +1,318 @@
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int
+
+from ..network import CSLC
+from ._computed_torque import smooth_friction
+from ._controller import AbstractController, Joints, Reference
+from ._gains_and_limits import PerJoint, per_joint
+from ._low_pass import LowPassChain
+
+
+FAULTS = ("none", "lost samples", "stuck encoder", "reversed torque")
+"""The faults that a `FaultMonitor` detects, by code."""
+
+_NONE, _LOST, _STUCK, _REVERSED = range(4)
+# Time constant of the evidence of a reversed torque.
+_EVIDENCE_TIME = 0.02  # s
+# A working encoder shows a motion of this size: a few counts of the coarsest encoder.
+_VISIBLE_MOTION = 1e-3  # rad or m
+_SLOW = 0.02  # rad/s or m/s
+# After this many equal readings an encoder may be stuck.
+_EQUAL_READINGS = 5
+
+
+class FaultMonitorState(NamedTuple):
+    """The memory of a `FaultMonitor`; arrays of (n,) unless said otherwise.
+
+    **Attributes**
+
+    - `fault`: the first fault of each joint, an index of `FAULTS`.
+    - `detected`: when it was detected [s since `begin`]; −1 for never.
+    - `time`: since `begin` [s]; a scalar.
+    - `stopping`: since the stop began [s], or −1; a scalar.
+    - `stop_position`, `stop_velocity`: where the stop began [rad or m], and how fast.
+    - `position`: the latest reading, or its replacement.
+    - `torque`: the latest torque command.
+    - `motion`, `effort`: states of the filters on readings and on torques, (lags, n).
+    - `lost`: consecutive readings that were lost.
+    - `equal`: consecutive readings that were equal.
+    - `blocked`: for how long a joint that should have moved has not changed its reading [s].
+    - `evidence`: of a reversed torque; 1 triggers the fault.
+    - `controller`: state of the monitored controller.
+    """
+
+    fault: Int[Array, " joints"]
+    detected: Float[Array, " joints"]
+    time: Float[Array, ""]
+    stopping: Float[Array, ""]
+    stop_position: Float[Array, " joints"]
+    stop_velocity: Float[Array, " joints"]
+    position: Float[Array, " joints"]
+    torque: Float[Array, " joints"]
+    motion: Float[Array, "lags joints"]
+    effort: Float[Array, "lags joints"]
+    lost: Int[Array, " joints"]
+    equal: Int[Array, " joints"]
+    blocked: Float[Array, " joints"]
+    evidence: Float[Array, " joints"]
+    controller: Any
+
+
+class FaultMonitor(AbstractController):
+    """Fault detection around a controller: names faults and brings the arm to rest.
+
+    The model of the controller also predicts how a healthy arm responds to a torque. The torque N
+    that the motion requires (the network's, on readings filtered by a `LowPassChain`) is compared
+    with the torque command τ, filtered alike:
+
+    - **lost samples**: readings that are NaN. A few in a row are extrapolated with the latest
+      velocity; more than `allowed` are a fault.
+    - **stuck encoder**: a reading does not change while |τ − N| exceeds `breakaway`, the most that
+      friction can hold, for `detection_time`. A joint that is blocked by an obstacle looks the
+      same. At rest, below breakaway, a stuck encoder cannot be detected yet.
+    - **reversed torque**: N and τ have opposite signs. The evidence −4 N τ / friction² (the
+      difference of the squared errors of the two hypotheses on the sign, less a margin for small
+      errors) is accumulated and falls back to zero otherwise: Page's CUSUM test (1954).
+
+    The first fault ends the motion: the arm decelerates uniformly within `stop_time` and is then
+    held. Joints without valid readings follow the model alone; then friction and gravity
+    compensation hold them. A reversed drive gets the reversed command. A fault stays recorded.
+    Afterwards only lost readings are detected, since a fault disturbs the other joints.
+
+    One robot, (n,); `jax.vmap` over several.
+
+    **Attributes**
+
+    - `controller`: the monitored controller, such as an `OutputFeedback`.
+    - `network`, `k`: (p,) the dynamics.
+    - `breakaway`: (n,) torque at which a joint at rest certainly moves [N m or N].
+    - `torque_limit`: (n,) [N m or N].
+    - `filter`: of readings and torques; its delay is part of the detection time.
+    - `detection_time`: how long a stuck encoder is observed before it is a fault [s].
+    - `stop_time`: within which the arm is brought to rest [s].
+    - `allowed`: consecutive lost samples that are extrapolated.
+
+    >>> import jax.numpy as jnp, jaxcslc as jc
+    >>> from jaxcslc.control import ComputedTorque, FaultMonitor, OutputFeedback, Reference
+    >>> robot = jc.puma560()
+    >>> network = jc.derive(robot)
+    >>> k = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
+    >>> feedback = OutputFeedback(ComputedTorque(network, k, 20.0))
+    >>> monitor = FaultMonitor(feedback, network, k, torque_limit=90.0)
+    >>> q = jnp.zeros(6)
+    >>> state, reading = monitor.begin(q), q.at[2].set(jnp.nan)
+    >>> for _ in range(7):
+    ...     torque, state = monitor.step(state, Reference.rest(q), reading, 0.002)
+    >>> monitor.report(state)
+    ('joint 3: lost samples, detected at 0.010 s',)
+    """
+
+    controller: AbstractController
+    network: CSLC
+    k: Float[Array, " coefficients"]
+    breakaway: Float[Array, " joints"]
+    torque_limit: Float[Array, " joints"]
+    filter: LowPassChain
+    detection_time: float
+    stop_time: float
+    allowed: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        controller: AbstractController,
+        network: CSLC,
+        k: Float[Array | np.ndarray, " coefficients"],
+        *,
+        torque_limit: PerJoint,
+        breakaway: PerJoint | None = None,
+        filter: LowPassChain | None = None,
+        detection_time: float = 0.02,
+        stop_time: float = 0.3,
+        allowed: int = 5,
+    ) -> None:
+        """A monitored controller.
+
+        **Arguments** are the attributes. `breakaway` is 1.6 times the friction of a very slow joint
+        plus 2 % of the torque limit if omitted; the filter has three lags of 30 Hz.
+
+        **Raises**
+
+        - `ValueError`: a wrong number of values or coefficients, or a value out of range.
+        """
+        n = network.joint_count
+        self.controller, self.network, self.k = controller, network, jnp.asarray(k)
+        if self.k.shape != (network.size,):
+            raise ValueError(f"k: expected shape ({network.size},), got {self.k.shape}")
+        self.torque_limit = jnp.asarray(per_joint("torque_limit", torque_limit, n, 0.0))
+        if breakaway is None:
+            slow = [
+                jnp.abs(network.friction_term(self.k, jnp.full(n, speed)))
+                for speed in (1e-6, -1e-6)
+            ]
+            breakaway = 1.6 * jnp.maximum(*slow) + 0.02 * self.torque_limit
+        self.breakaway = jnp.asarray(per_joint("breakaway", breakaway, n, 0.0))
+        if not isinstance(self.breakaway, Tracer):
+            values = np.asarray(self.breakaway)
+            for joint in np.flatnonzero(~((values > 0) & np.isfinite(values))):
+                raise ValueError(
+                    f"breakaway of joint {joint + 1} is {values[joint]}; expected a finite torque"
+                    " above 0"
+                )
+        self.filter = LowPassChain(30.0, lags=3) if filter is None else filter
+        if self.filter.lags < 3:
+            raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
+        for name, time in (("detection_time", detection_time), ("stop_time", stop_time)):
+            if not time > 0:
+                raise ValueError(f"{name} is {time} s; expected more than 0")
+        if allowed < 0:
+            raise ValueError(f"allowed is {allowed}; expected 0 or more samples")
+        self.detection_time, self.stop_time, self.allowed = detection_time, stop_time, allowed
+
+    def begin(self, q: Joints) -> FaultMonitorState:
+        """The state before the first sample, without faults."""
+        q = jnp.asarray(q)
+        zeros, zero, count = jnp.zeros_like(q), jnp.zeros((), q.dtype), jnp.zeros(q.shape, int)
+        return FaultMonitorState(
+            fault=count,
+            detected=zeros - 1.0,
+            time=zero,
+            stopping=zero - 1.0,
+            stop_position=q,
+            stop_velocity=zeros,
+            position=q,
+            torque=zeros,
+            motion=self.filter.begin(q),
+            effort=self.filter.begin(zeros),
+            lost=count,
+            equal=count,
+            blocked=zeros,
+            evidence=zeros,
+            controller=self.controller.begin(q),
+        )
+
+    def step(
+        self,
+        state: FaultMonitorState,
+        reference: Reference,
+        q: Joints,
+        interval: float | Array,
+        qd: Joints | None = None,
+    ) -> tuple[Float[Array, " joints"], FaultMonitorState]:
+        """As `AbstractController.step`; lost readings are NaN.
+
+        Measured velocities, where there are any, go to the controller; detection does not use them.
+        """
+        state = self._detected(state, jnp.asarray(q), interval)
+        faulty = state.fault != _NONE
+        blind = (state.fault == _LOST) | (state.fault == _STUCK)
+        begins = jnp.any(faulty) & (state.stopping < 0)
+        # A joint without a valid reading is assumed to follow its reference.
+        rate = self.filter.read(state.motion).rate
+        position = jnp.where(blind, reference.q, state.position)
+        velocity = jnp.where(blind, reference.qd, rate)
+        state = state._replace(
+            stop_position=jnp.where(begins, position, state.stop_position),
+            stop_velocity=jnp.where(begins, velocity, state.stop_velocity),
+            stopping=jnp.where(
+                state.stopping < 0, jnp.where(begins, 0.0, -1.0), state.stopping + interval
+            ),
+        )
+        target = self._stopping_reference(state, reference)
+        reading = jnp.where(blind, target.q, state.position)
+        torque, inner = self.controller.step(state.controller, target, reading, interval, qd)
+        torque = jnp.where(state.fault == _REVERSED, -torque, torque)
+        torque = jnp.clip(torque, -self.torque_limit, self.torque_limit)
+        return torque, state._replace(torque=torque, controller=inner)
+
+    def report(self, state: FaultMonitorState) -> tuple[str, ...]:
+        """The faults detected so far, one line for each faulty joint. Not available under `jit`."""
+        fault, detected = np.asarray(state.fault), np.asarray(state.detected)
+        return tuple(
+            f"joint {joint + 1}: {FAULTS[code]}, detected at {detected[joint]:.3f} s"
+            for joint, code in enumerate(fault)
+            if code != _NONE
+        )
+
+    def _detected(
+        self, state: FaultMonitorState, q: Array, interval: float | Array
+    ) -> FaultMonitorState:
+        """The state after a sample's readings, with newly detected faults."""
+        missing: Bool[Array, " joints"] = jnp.isnan(q)
+        rate = self.filter.read(state.motion).rate
+        reading = jnp.where(missing, state.position + rate * interval, q)
+        motion = self.filter.step(state.motion, state.position, reading, interval)
+        effort = self.filter.step(
+            state.effort, state.torque, state.torque, interval, hold="constant"
+        )
+        # Before the first sample the drives held the arm.
+        first = state.time == 0
+        zeros = jnp.zeros_like(reading)
+        effort = jnp.where(first, self.filter.begin(self._required(reading, zeros, zeros)), effort)
+
+        lost = jnp.where(missing, state.lost + 1, 0)
+        equal = jnp.where(~missing & (q == state.position), state.equal + 1, 0)
+        required = self._required(*self.filter.read(motion))
+        command = self.filter.read(effort).value
+        pushed = (equal >= _EQUAL_READINGS) & (jnp.abs(command - required) > self.breakaway)
+        blocked = jnp.where(pushed, state.blocked + interval, 0.0)
+        # Errors as large as friction are no evidence.
+        scale = self.breakaway**2
+        increment = (-4.0 * required * command / scale - 1.0) * interval / _EVIDENCE_TIME
+        evidence = state.evidence + increment
+        # A reading that just got stuck looks like a collision, at its joint and through the mass
+        # matrix at others: the required torque is then no evidence.
+        collision = jnp.any(equal * interval * jnp.abs(rate) > _VISIBLE_MOTION)
+        evidence = jnp.where(collision | (equal > 0), state.evidence, jnp.maximum(evidence, 0.0))
+
+        code = jnp.where(
+            lost > self.allowed,
+            _LOST,
+            jnp.where(
+                blocked > self.detection_time,
+                _STUCK,
+                jnp.where(evidence > 1.0, _REVERSED, _NONE),
+            ),
+        )
+        # A fault disturbs the other joints, but does not take their readings away.
+        later = jnp.any(state.fault != _NONE)
+        new = (state.fault == _NONE) & (code != _NONE) & (~later | (code == _LOST))
+        return state._replace(
+            fault=jnp.where(new, code, state.fault),
+            detected=jnp.where(new, state.time, state.detected),
+            time=state.time + interval,
+            position=reading,
+            motion=motion,
+            effort=effort,
+            lost=lost,
+            equal=equal,
+            blocked=blocked,
+            evidence=evidence,
+        )
+
+    def _required(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """The torque of a motion; without friction at rest, where its sign is unknown."""
+        rigid = self.network.torque(self.network.without_friction(self.k), q, qd, qdd)
+        width = jnp.full(qd.shape, _SLOW)
+        return rigid + smooth_friction(self.network, self.k, qd, width)
+
+    def _stopping_reference(self, state: FaultMonitorState, reference: Reference) -> Reference:
+        """The reference, or, after a fault, a uniform deceleration to rest."""
+        elapsed = jnp.clip(state.stopping, 0.0, self.stop_time)
+        remaining = 1.0 - elapsed / self.stop_time
+        stopped = Reference(
+            state.stop_position
+            + state.stop_velocity * (elapsed - 0.5 * elapsed**2 / self.stop_time),
+            state.stop_velocity * remaining,
+            jnp.where(remaining > 0, -state.stop_velocity / self.stop_time, 0.0),
+        )
+        normal = state.stopping < 0
+        return Reference(
+            jnp.where(normal, reference.q, stopped.q),
+            jnp.where(normal, reference.qd, stopped.qd),
+            jnp.where(normal, reference.qdd, stopped.qdd),
+        )

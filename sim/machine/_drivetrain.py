@@ -1,0 +1,149 @@
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ._machine import Machine
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """What the motors make of a demand: linear at first, then less, then no more (7.2.3).
+
+    Up to its limit of linearity a motor gives what is demanded. Beyond, it gives progressively
+    less, as in Fig. 7.2-1, and approaches its greatest torque; the curve is
+    L + (S − L) (1 − exp(−(u − L) / (S − L))) for a demand of u, smooth where it leaves the line.
+    The thesis gives no formula. Without a limit of linearity the greatest torque cuts off.
+
+    ```python
+    >>> import numpy as np
+    >>> from sim import Drives
+    >>> drives = Drives(linear=np.array([10.0]), most=np.array([20.0]))
+    >>> [float(drives.torque(np.array([u])).round(2)[0]) for u in (8.0, -8.0, 20.0, 200.0)]
+    [8.0, -8.0, 16.32, 20.0]
+
+    ```
+    """
+
+    linear: Float[Any, "*batch joints"]
+    """L, the limit of linearity [N m or N]; infinite for none."""
+
+    most: Float[Any, "*batch joints"]
+    """S, the greatest torque [N m or N]."""
+
+    @classmethod
+    def of(cls, machine: Machine) -> "Drives":
+        """The drives of a machine."""
+        return cls(np.array(machine.linear_torque), np.array(machine.maximum_torque))
+
+    def torque(self, demand: Float[Any, "*batch joints"]) -> Float[Any, "*batch joints"]:
+        """The torque given when `demand` is demanded [N m or N]; NumPy or JAX arrays."""
+        xp = demand.__array_namespace__()
+        size = xp.abs(demand)
+        # Where the curve has no end, any finite room will do.
+        bends = (self.linear < self.most) & xp.isfinite(self.most)
+        linear = xp.where(bends, self.linear, xp.zeros_like(size))
+        room = xp.where(bends, self.most - linear, xp.ones_like(size))
+        curve = linear - room * xp.expm1(-xp.maximum(size - linear, xp.zeros_like(size)) / room)
+        given = xp.where(bends & (size > linear), curve, size)
+        return xp.sign(demand) * xp.minimum(given, self.most + xp.zeros_like(given))
+
+
+@dataclass(frozen=True, eq=False)
+class Transmission:
+    """How rotors and links hang together (2.5.3), and where a plant keeps their motion.
+
+    A plant's degrees of freedom are the links, one a joint, and after them the rotors of the
+    joints whose transmission gives way. Every array here may have leading batch axes: machines
+    whose same joints give way can be simulated together.
+
+    ```python
+    >>> import dataclasses
+    >>> import sim
+    >>> soft = (float("inf"), 5e4, *(float("inf"),) * 4)
+    >>> transmission = sim.Transmission.of(dataclasses.replace(sim.puma560(), stiffness=soft))
+    >>> transmission.rotor, transmission.freedoms
+    (array([0, 6, 2, 3, 4, 5]), 7)
+
+    ```
+    """
+
+    flexible: Bool[np.ndarray, " joints"]
+    """Which joints have a rotor and a link that move apart."""
+
+    backlash: Float[np.ndarray, "*batch joints"]
+    """b [rad or m]."""
+
+    @classmethod
+    def of(cls, machine: Machine) -> "Transmission":
+        """The transmission of a machine."""
+        return cls(np.array(machine.flexible), np.array(machine.backlash))
+
+    @property
+    def freedoms(self) -> int:
+        """How many degrees of freedom there are."""
+        return int(self.flexible.size + np.count_nonzero(self.flexible))
+
+    @property
+    def rotor(self) -> Int[np.ndarray, " joints"]:
+        """Which degree of freedom is each joint's rotor: its link's, where they are one body."""
+        n = self.flexible.size
+        return np.where(self.flexible, n + np.cumsum(self.flexible) - 1, np.arange(n))
+
+    def spread(
+        self,
+        on_rotor: Float[np.ndarray, "*batch joints"],
+        on_link: Float[np.ndarray, "*batch joints"],
+    ) -> Float[np.ndarray, "*batch freedoms"]:
+        """Values of each degree of freedom from those of rotors and links; added up where rotor
+        and link are one body."""
+        links = np.where(self.flexible, on_link, on_rotor + on_link)
+        return np.concatenate([links, on_rotor[..., self.flexible]], axis=-1)
+
+    def apart(
+        self,
+        rotor: Float[np.ndarray, "*batch joints"],
+        link: Float[np.ndarray, "*batch joints"],
+    ) -> Bool[np.ndarray, "*batch joints"]:
+        """Whether the gears are apart: the joint is experiencing backlash (2.5.3)."""
+        return np.abs(rotor - link) < self.backlash / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """Incremental encoders, one a joint, on its rotor (7.1, 7.2.5).
+
+    An encoder counts the lines that have passed since it was set to zero, so a reading is a whole
+    number of counts. Where between two lines the rotor stood at that moment is its phase, which
+    differs every time the machine is switched on.
+
+    ```python
+    >>> import numpy as np
+    >>> import sim
+    >>> encoders = sim.Encoders(np.array([0.1, 0.0]), phase=np.array([0.5, 0.5]))
+    >>> encoders.read(np.array([1.23, 1.23]))
+    array([1.2 , 1.23])
+
+    ```
+    """
+
+    resolution: Float[Any, "*batch joints"]
+    """What one count means at the joint [rad or m]; zero reads the position as it is."""
+
+    phase: Float[Any, "*batch joints"]
+    """In counts, from 0 to 1. A half makes a reading the nearest whole count; with any other, it
+    is at most `max(phase, 1 - phase)` counts from the position."""
+
+    @classmethod
+    def of(cls, machine: Machine, phase: Float[np.ndarray, "*batch joints"]) -> "Encoders":
+        """The encoders of a machine."""
+        return cls(np.array(machine.encoder_resolution), phase)
+
+    def read(self, q: Float[Any, "*batch joints"]) -> Float[Any, "*batch joints"]:
+        """Readings of rotor positions, `resolution * floor(q / resolution + phase)` [rad or m];
+        NumPy or JAX arrays."""
+        xp = q.__array_namespace__()
+        exact = self.resolution == 0
+        count = xp.where(exact, 1.0, self.resolution)
+        return xp.where(exact, q, count * xp.floor(q / count + self.phase))
