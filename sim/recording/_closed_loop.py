@@ -41,10 +41,10 @@ def close_loop(
 
     - `machines`: alike in their number of joints, in where they have friction or a transmission
         that gives way, and in their time step.
-    - `trajectory`: what they are asked to do, usually with a `Servo`.
+    - `trajectory`: the motion and its controller.
     - `seeds`: one a machine.
-    - `observe`: given what the controller remembers after each sample, `ServoState` for a `Servo`;
-        returns arrays with a first axis of machines, by name.
+    - `observe`: gets the controller's state after each sample; returns arrays with a first axis of
+        machines, by name.
     - `threads`: of C MuJoCo; as many as the process has cores, if omitted.
     - `progress`: show a progress bar on standard error.
 

@@ -22,9 +22,9 @@ machines run side by side.
 
 `--ideal` prints the errors of a perfect model without disturbances beside the response that the
 gains prescribe. `--stability N` performs N random motions a controller instead of the study, many
-of them faster than the drives can follow; `JointLimitAvoidance` keeps each loop within joint ranges. Rows
-of finished machines are kept in `rows.jsonl` and coefficients in `coefficients.npz`; an interrupted
-run goes on from there.
+of them faster than the drives can follow, with `JointLimitAvoidance`. Rows of finished
+machines are kept in `rows.jsonl` and coefficients in `coefficients.npz`; an interrupted run goes on
+from there.
 """
 
 import argparse
