@@ -153,18 +153,18 @@ class ComputedTorque(AbstractController):
             lambda controller: (controller.network, controller.k), self, (network, k)
         )
 
-    def begin(self, q: Joints) -> Float[Array, "*batch joints"]:
+    def begin(self, q: Joints) -> Joints:
         """The integral: zero."""
         return jnp.zeros_like(jnp.asarray(q))
 
     def step(
         self,
-        state: Float[Array, "*batch joints"],
+        state: Joints,
         reference: Reference,
         q: Joints,
         interval: float | Array,
         qd: Joints | None = None,
-    ) -> tuple[Float[Array, "*batch joints"], Float[Array, "*batch joints"]]:
+    ) -> tuple[Joints, Joints]:
         """As `AbstractController.step`."""
         q, qd = jnp.asarray(q), jnp.asarray(required_velocity(self, qd))
         shape = jnp.broadcast_shapes(q.shape, jnp.shape(reference.q))

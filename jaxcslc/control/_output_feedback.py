@@ -60,7 +60,7 @@ class OutputFeedback(AbstractController):
         q: Joints,
         interval: float | Array,
         qd: Joints | None = None,
-    ) -> tuple[Float[Array, "*batch joints"], OutputFeedbackState]:
+    ) -> tuple[Joints, OutputFeedbackState]:
         """As `AbstractController.step`; measured velocities are not used."""
         del qd
         error = jnp.asarray(reference.q - q)

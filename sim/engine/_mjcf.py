@@ -68,15 +68,12 @@ def mjcf(
         is not given for every joint.
     - `jaxcslc.RobotError`: a length has no value.
 
-    ```python
     >>> import mujoco
     >>> import jaxcslc
     >>> import sim
     >>> model = mujoco.MjModel.from_xml_string(sim.mjcf(jaxcslc.puma560()))
     >>> model.nv, float(model.dof_armature[1])
     (6, 4.71)
-
-    ```
     """
     n = robot.joint_count
     links = robot.links if links is None else tuple(links)

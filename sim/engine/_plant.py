@@ -34,7 +34,6 @@ class Plant:
     Every array below has shape `(machines, joints)`, or `(joints,)` for a plant of one machine
     that was not given as a sequence. A plant is the one mutable thing in the simulator.
 
-    ```python
     >>> import numpy as np
     >>> import sim
     >>> plant = sim.Plant(sim.puma560(), np.zeros(6), interval=0.002)
@@ -42,8 +41,6 @@ class Plant:
     >>> plant.advance()
     >>> bool(plant.velocity[0] > 0)
     True
-
-    ```
     """
 
     def __init__(
@@ -177,7 +174,6 @@ class Plant:
 
         - `MachineError`: as for a machine with such a link.
 
-        ```python
         >>> import numpy as np
         >>> import jaxcslc, sim
         >>> plant = sim.Plant(sim.undisturbed(sim.puma560()), np.zeros(6), interval=0.002)
@@ -189,8 +185,6 @@ class Plant:
         ...     accelerations.append(plant.acceleration[4])
         >>> bool(accelerations[1] < accelerations[0])
         True
-
-        ```
         """
         self._batch.set_models(self._models(body))
 

@@ -45,15 +45,12 @@ def simulate(machine: Machine, trajectory: Trajectory, *, seed: int = 0) -> Simu
         itself up.
     - `SimulationError`: a joint leaves its range.
 
-    ```python
     >>> import sim
     >>> recording, truth = sim.simulate(sim.puma560(), sim.training(samples=100), seed=1)
     >>> recording.position.shape, truth.acceleration.shape
     ((100, 6), (100, 6))
     >>> bool(abs(recording.position - truth.position).max() < 1.2e-4)
     True
-
-    ```
     """
     (result,) = perform([machine], trajectory, [seed])
     if isinstance(result, SimulationError):

@@ -21,13 +21,10 @@ class Truth(eqx.Module):
 
     `M(position) acceleration + V(position, velocity) + G(position) + friction = torque`.
 
-    ```python
     >>> import sim
     >>> _, truth = sim.simulate(sim.puma560(), sim.training(samples=5))
     >>> truth.velocity[0]
     array([0., 0., 0., 0., 0., 0.])
-
-    ```
     """
 
     time: Float[np.ndarray, " samples"]

@@ -51,14 +51,11 @@ def possible_links(
     - `MachineError`: a link has negative mass, or a spread that is negative across its joint's
         axis, which no neighbour can lend.
 
-    ```python
     >>> import jaxcslc
     >>> from sim import possible_links
     >>> robot = jaxcslc.puma560()
     >>> robot.links[2].inertia.diagonal(), possible_links(robot, robot.links)[2].inertia.diagonal()
     (array([0.066 , 0.0125, 0.086 ]), array([0.0699375, 0.0164375, 0.086    ]))
-
-    ```
     """
     borrowed = np.zeros((3, 3))  # by the link after, in the frame of this one
     result: list[LinkParameters] = []
@@ -96,14 +93,11 @@ def tilted_links(
 
     The parameters with other inertia tensors of the same principal moments.
 
-    ```python
     >>> import jaxcslc
     >>> from sim import tilted_links
     >>> link = tilted_links(jaxcslc.puma560().links, [0.1] * 6)[1]
     >>> round(float(link.inertia[0, 1]), 4), round(float(link.inertia.trace()), 4)
     (-0.0233, 1.193)
-
-    ```
     """
     turns = [Rotation.from_rotvec(np.full(3, angle / math.sqrt(3))).as_matrix() for angle in angles]
     return tuple(

@@ -52,12 +52,9 @@ def undisturbed(machine: Machine) -> Machine:
 
     Viscous and dry friction stay, as do its limits; what rests on the seed is where it starts.
 
-    ```python
     >>> import sim
     >>> sim.undisturbed(sim.puma560()).encoder_resolution
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-    ```
     """
     none = (0.0,) * machine.joint_count
     return dataclasses.replace(
@@ -90,13 +87,10 @@ def disturbed(machine: Machine, *names: str) -> Machine:
 
     - `MachineError`: an unknown name, or a machine of another number of joints than six.
 
-    ```python
     >>> import sim
     >>> machine = sim.disturbed(sim.puma560(), "backlash", "compliance")
     >>> machine.backlash[0], machine.stiffness[0], machine.tilt[0]
     (0.0005, 40000.0, 0.0)
-
-    ```
     """
     if machine.joint_count != 6:
         raise MachineError(

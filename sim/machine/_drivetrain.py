@@ -16,14 +16,11 @@ class Drives:
     L + (S − L) (1 − exp(−(u − L) / (S − L))) for a demand of u, smooth where it leaves the line.
     The thesis gives no formula. Without a limit of linearity the greatest torque cuts off.
 
-    ```python
     >>> import numpy as np
     >>> from sim import Drives
     >>> drives = Drives(linear=np.array([10.0]), most=np.array([20.0]))
     >>> [float(drives.torque(np.array([u])).round(2)[0]) for u in (8.0, -8.0, 20.0, 200.0)]
     [8.0, -8.0, 16.32, 20.0]
-
-    ```
     """
 
     linear: Float[Any, "*batch joints"]
@@ -58,15 +55,12 @@ class Transmission:
     joints whose transmission gives way. Every array here may have leading batch axes: machines
     whose same joints give way can be simulated together.
 
-    ```python
     >>> import dataclasses
     >>> import sim
     >>> soft = (float("inf"), 5e4, *(float("inf"),) * 4)
     >>> transmission = sim.Transmission.of(dataclasses.replace(sim.puma560(), stiffness=soft))
     >>> transmission.rotor, transmission.freedoms
     (array([0, 6, 2, 3, 4, 5]), 7)
-
-    ```
     """
 
     flexible: Bool[np.ndarray, " joints"]
@@ -118,14 +112,11 @@ class Encoders:
     number of counts. Where between two lines the rotor stood at that moment is its phase, which
     differs every time the machine is switched on.
 
-    ```python
     >>> import numpy as np
     >>> import sim
     >>> encoders = sim.Encoders(np.array([0.1, 0.0]), phase=np.array([0.5, 0.5]))
     >>> encoders.read(np.array([1.23, 1.23]))
     array([1.2 , 1.23])
-
-    ```
     """
 
     resolution: Float[Any, "*batch joints"]

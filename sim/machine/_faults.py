@@ -29,12 +29,9 @@ class Fault:
 
     - `MachineError`: another kind, a joint below 1, or times that do not follow each other.
 
-    ```python
     >>> import sim
     >>> sim.Fault("stuck encoder", 2, start=0.5).stop is None
     True
-
-    ```
     """
 
     kind: str

@@ -24,13 +24,10 @@ class Friction:
 
     Every array may have leading batch axes.
 
-    ```python
     >>> import numpy as np
     >>> import sim
     >>> sim.Friction.of(sim.puma560()).torque(np.array([1.0, -1.0, 0, 0, 0, 0]))
     array([ 9.355, -9.638,  0.   ,  0.   ,  0.   ,  0.   ])
-
-    ```
     """
 
     viscous: Float[Any, "*batch dofs"]

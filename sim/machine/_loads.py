@@ -30,14 +30,11 @@ class Load:
 
     - `MachineError`: a body that cannot be, or times that do not follow each other.
 
-    ```python
     >>> import numpy as np
     >>> import jaxcslc, sim
     >>> ball = jaxcslc.LinkParameters(2.0, np.array([0.0, 0.0, 0.1]), np.zeros((3, 3)))
     >>> sim.Load(0.5, ball, stop=2.0).stop
     2.0
-
-    ```
     """
 
     start: float
@@ -110,14 +107,11 @@ def carrying(machine: Machine, body: LinkParameters | None) -> Machine:
     A machine that moves as `machine` does while it carries the body (see `Load`). Its links are
     tilted already where those of `machine` are.
 
-    ```python
     >>> import numpy as np
     >>> import jaxcslc, sim
     >>> ball = jaxcslc.LinkParameters(2.0, np.array([0.0, 0.0, 0.1]), np.zeros((3, 3)))
     >>> float(sim.carrying(sim.puma560(), ball).links[-1].mass)
     2.09
-
-    ```
     """
     if body is None:
         return machine

@@ -24,14 +24,11 @@ class Machine:
 
     - `MachineError`: naming the field and the joint of a value that no machine can have.
 
-    ```python
     >>> import dataclasses
     >>> import sim
     >>> smooth = dataclasses.replace(sim.puma560(), dry=(0.0,) * 6, static=(0.0,) * 6)
     >>> smooth.static
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-    ```
     """
 
     robot: Manipulator

@@ -65,7 +65,6 @@ def nearest_links(
     - `MachineError`: the robot has no links or a full inertia tensor, a number is not finite or
         out of range, or there are not as many as the robot has coefficients.
 
-    ```python
     >>> import dataclasses
     >>> import numpy as np
     >>> import jaxcslc
@@ -78,8 +77,6 @@ def nearest_links(
     >>> (link,) = nearest_links(robot, np.array([-1.0]), np.array([1.0]))
     >>> float(link.mass), float(link.centre_of_gravity[0]), float(link.motor_inertia)
     (0.5, 0.1, 0.05)
-
-    ```
     """
     own = _own_links(robot)
     if not 0 < least <= 1:

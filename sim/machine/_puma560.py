@@ -35,12 +35,9 @@ def puma560() -> Machine:
         thresholds that the thesis found for PUMA A (Fig. B.6-1).
     - Position ranges: as commonly published.
 
-    ```python
     >>> import sim
     >>> sim.puma560().static
     (6.69375, 7.6725, 4.39875, 1.20375, 1.00125, 1.0575)
-
-    ```
     """
     robot = puma560_robot()
     assert robot.viscous is not None and robot.dry is not None
@@ -83,12 +80,9 @@ def specimen(machine: Machine, seed: int, *, links: float = 0.1, friction: float
 
     - `ValueError`: a deviation outside that range.
 
-    ```python
     >>> import sim
     >>> sim.specimen(sim.puma560(), 1).dry == sim.puma560().dry
     False
-
-    ```
     """
     for name, value in (("links", links), ("friction", friction)):
         if not 0 <= value < 1:

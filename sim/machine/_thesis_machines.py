@@ -68,12 +68,9 @@ def thesis_coefficients(machine: str) -> ThesisCoefficients:
 
     - `MachineError`: there is no such machine.
 
-    ```python
     >>> from sim import thesis_coefficients
     >>> float(thesis_coefficients("A").gravity[3])
     -45.71
-
-    ```
     """
     document = tomllib.loads((files("sim") / "thesis_machines.toml").read_text(encoding="utf-8"))
     if machine not in document:
@@ -97,12 +94,9 @@ def puma_a() -> Machine:
         `static_velocity` a fifth of the speeds of Fig. B.6-1.
     - Everything else: `puma560`'s.
 
-    ```python
     >>> from sim import puma_a
     >>> puma_a().dry
     (9.169, 9.778, 5.392, 1.047, 1.007, 1.001)
-
-    ```
     """
     return _puma("A")
 
@@ -110,12 +104,9 @@ def puma_a() -> Machine:
 def puma_b() -> Machine:
     """The thesis's PUMA B as a machine, as nearly as one can exist: see `puma_a`.
 
-    ```python
     >>> from sim import puma_b
     >>> puma_b().viscous
     (6.097, 7.182, 3.006, 0.3536, 0.3239, 0.402)
-
-    ```
     """
     return _puma("B")
 

@@ -57,7 +57,6 @@ def close_loop(
     - `MachineError`: a machine or trajectory that cannot exist; before anything runs.
     - `ValueError`: fewer than one thread; something observed that is not one of each machine.
 
-    ```python
     >>> import dataclasses, sim
     >>> trajectory = dataclasses.replace(sim.comparison(), samples=20)
     >>> machines = [sim.specimen(sim.puma560(), seed) for seed in range(3)]
@@ -65,8 +64,6 @@ def close_loop(
     >>> results = sim.close_loop(machines, trajectory, [0, 1, 2], observe=see)
     >>> results[2].observed["integral"].shape
     (20, 6)
-
-    ```
     """
     seen: dict[str, list[np.ndarray]] = {}
     count = len(machines)

@@ -57,15 +57,12 @@ def film(
     - `ImportError`: PyAV or Pillow is missing, with the command that installs them.
     - `MachineError`: OpenGL is missing; truths, titles or numbers that do not fit.
 
-    ```python
     >>> import sim
     >>> _, truth = sim.simulate(sim.puma560(), sim.training(samples=50))
     >>> sim.film("build/arm.gif", sim.puma560(), truth)
     Traceback (most recent call last):
     ...
     sim.machine._bodies.MachineError: film: build/arm.gif; expected a name that ends in .mp4
-
-    ```
     """
     path = Path(path)
     motions = [truths] if isinstance(truths, Truth) else list(truths)

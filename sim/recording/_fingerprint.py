@@ -27,15 +27,12 @@ def fingerprint(*values: Any) -> str:
 
     - `TypeError`: something of which it cannot be told what it is made of.
 
-    ```python
     >>> import sim
     >>> from sim.recording import fingerprint
     >>> fingerprint(sim.puma560(), 1) == fingerprint(sim.puma560(), 1)
     True
     >>> fingerprint(sim.puma560(), 1) == fingerprint(sim.puma560(), 2)
     False
-
-    ```
     """
     digest = hashlib.sha256()
     for part in _parts(values):

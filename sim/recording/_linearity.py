@@ -120,15 +120,12 @@ def motor_linearity(
     - `MachineError`: no such joint, masses that draw no line, or no swing at all.
     - `SimulationError`: a joint leaves its range.
 
-    ```python
     >>> import sim
     >>> found = sim.motor_linearity(
     ...     sim.puma560(), masses=(0, 1, 2), swings=1, period=0.5, amplitude=0.03
     ... )
     >>> round(found.slope), abs(found.excess) < 0.05
     (9, True)
-
-    ```
     """
     if not 1 <= joint <= machine.joint_count:
         raise MachineError(f"joint is {joint}; expected one from 1 to {machine.joint_count}")

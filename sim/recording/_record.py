@@ -64,14 +64,11 @@ def record(
     - `MachineError`: a machine or trajectory that cannot exist; before anything runs.
     - `SimulationError`: a joint leaves its range; after the rest has been recorded.
 
-    ```python
     >>> import sim
     >>> trajectory = sim.training(samples=20)
     >>> jobs = [sim.Job(sim.specimen(sim.puma560(), seed), trajectory, seed) for seed in range(3)]
     >>> len(sim.record(jobs))
     3
-
-    ```
     """
     found: list[SimulatedRecording | None] = [None] * len(jobs)
     wrong: list[tuple[int, SimulationError]] = []

@@ -29,15 +29,12 @@ class Scene:
 
     Only where things are is MuJoCo's here; nothing moves by itself.
 
-    ```python
     >>> import numpy as np
     >>> import sim
     >>> scene = sim.Scene.of(sim.puma560())
     >>> scene.place(np.zeros(6))
     >>> scene.data.xpos.shape
     (7, 3)
-
-    ```
     """
 
     model: Any

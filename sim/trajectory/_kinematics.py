@@ -23,15 +23,12 @@ class Hand:
     The transform of row i (Eqn. 2.6-1) is linear in the cosine and the sine of its angle and in
     its offset, so all of them are formed at once and then multiplied along the chain.
 
-    ```python
     >>> import numpy as np
     >>> import jaxcslc
     >>> from sim import Hand
     >>> place, jacobian = Hand.of(jaxcslc.puma560()).locate(np.zeros(6))
     >>> place.round(4), jacobian.shape
     (array([0.4115, 0.1501, 0.4331]), (3, 6))
-
-    ```
     """
 
     fixed: Float[np.ndarray, "joints 4 4"]
@@ -101,15 +98,12 @@ class Hand:
         """How the last link is turned in frame 0, and about what each joint turns it [rad/rad, or
         0], at joint positions [rad or m].
 
-        ```python
         >>> import numpy as np
         >>> import jaxcslc
         >>> from sim import Hand
         >>> rotation, axes = Hand.of(jaxcslc.puma560()).turn(np.zeros(6))
         >>> axes.round(3)[:, 1]
         array([-0.,  1.,  0.])
-
-        ```
         """
         chain = self._chain(position)
         turns = spread(self.turns, position)[..., None, :]

@@ -58,7 +58,6 @@ def circle(
     - `MachineError`: the circle cannot be reached, a joint leaves its range or turns over; with the
         time.
 
-    ```python
     >>> import numpy as np
     >>> import sim
     >>> near = np.array([0.0, -0.5, 2.9, 0.0, 0.8, 0.0])
@@ -66,8 +65,6 @@ def circle(
     >>> place, _ = sim.Hand.of(sim.puma560().robot).locate(path.q)
     >>> bool(np.allclose(np.linalg.norm(place - [0.6, 0.15, -0.1], axis=1), 0.1))
     True
-
-    ```
     """
     from scipy.interpolate import make_interp_spline  # loading it takes a while
 
@@ -133,15 +130,12 @@ def go_to(
 
     - `MachineError`: a speed that is not positive; a margin of half a range or more.
 
-    ```python
     >>> import numpy as np
     >>> import sim
     >>> start, path = sim.go_to(sim.puma560(), seed=1, speed=1.0)
     >>> half = path.reference(np.array([path.duration / 2]), start)
     >>> float(np.abs(half.qd).max().round(6))
     1.0
-
-    ```
     """
     fastest = np.broadcast_to(np.asarray(speed, dtype=np.float64), (machine.joint_count,))
     if not np.all(fastest > 0):

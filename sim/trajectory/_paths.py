@@ -31,14 +31,11 @@ class AbstractPath(abc.ABC):
 class MinimumJerk(AbstractPath):
     """A straight line in joint space from rest to rest, along `minimum_jerk`.
 
-    ```python
     >>> import numpy as np
     >>> from sim import MinimumJerk
     >>> path = MinimumJerk(end=np.array([1.0, -1.0]), duration=2.0)
     >>> path.reference(np.array([1.0]), np.zeros(2)).qd
     array([ 0.9375, -0.9375])
-
-    ```
     """
 
     end: Float[np.ndarray, " joints"]
@@ -65,7 +62,6 @@ class ViaPoints(AbstractPath):
     With a first axis of machines in all three tables, each machine has a way of its own, as many
     poses long.
 
-    ```python
     >>> import numpy as np
     >>> from sim import ViaPoints
     >>> path = ViaPoints(np.array([[1.0], [0.5]]), np.array([2.0, 1.0]), np.array([0.5, 0.0]))
@@ -73,8 +69,6 @@ class ViaPoints(AbstractPath):
     [0.5, 1.0, 0.75, 0.5]
     >>> path.arrivals
     array([2. , 3.5])
-
-    ```
 
     **Raises**
 
@@ -129,14 +123,11 @@ class Oscillation(AbstractPath):
 
     It begins at rest at mean − amplitude, wherever the joints are found.
 
-    ```python
     >>> import numpy as np
     >>> from sim import Oscillation
     >>> path = Oscillation(np.array([1.0]), np.array([0.2]), period=4.0)
     >>> [float(path.position(np.array([t]), np.zeros(1))[0].round(3)) for t in (0.0, 1.0, 2.0)]
     [0.8, 1.0, 1.2]
-
-    ```
     """
 
     mean: Float[np.ndarray, " joints"]
@@ -168,15 +159,12 @@ class SampledPath(AbstractPath):
 
     It begins at its own first row, wherever the joints are found.
 
-    ```python
     >>> import numpy as np
     >>> from sim import SampledPath
     >>> rows = np.array([[0.0], [0.1], [0.2]])
     >>> path = SampledPath(rows, np.full((3, 1), 50.0), np.zeros((3, 1)), interval=0.002)
     >>> path.reference(np.array([0.004]), np.zeros(1)).q
     array([0.2])
-
-    ```
 
     **Raises**
 
@@ -231,13 +219,10 @@ def minimum_jerk(s: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     Of all such motions it has the least mean square jerk (Flash and Hogan 1985). Before and after
     it stays at 0 and at 1.
 
-    ```python
     >>> import numpy as np
     >>> from sim import minimum_jerk
     >>> minimum_jerk(np.array([-1.0, 0.5, 2.0]))
     array([0. , 0.5, 1. ])
-
-    ```
     """
     return _minimum_jerk(s)[0]
 

@@ -18,14 +18,11 @@ _DEEPEST = 1.0
 class Repulsion(AbstractPositionTorque):
     """Away from the ends of each joint's range.
 
-    ```python
     >>> import numpy as np
     >>> from sim import Repulsion
     >>> repulsion = Repulsion(np.array([[-1.0, 1.0]]), strength=np.array([50.0]))
     >>> [float(repulsion.torque(np.array([q])).round(3)[0]) for q in (-1.0, -0.5, 0.0)]
     [50.0, 0.002, 0.0]
-
-    ```
     """
 
     position_range: Float[np.ndarray, "joints 2"]
@@ -39,14 +36,14 @@ class Repulsion(AbstractPositionTorque):
 
     array_generic: ClassVar[bool] = True
 
-    def torque(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
+    def torque(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
         """As the abstract method."""
-        xp = namespace(position)
-        low = spread(self.position_range[:, 0], position)
-        high = spread(self.position_range[:, 1], position)
-        above = xp.exp(xp.clip((low - position) / self.width, None, _DEEPEST))
-        below = xp.exp(xp.clip((position - high) / self.width, None, _DEEPEST))
-        return spread(self.strength, position) * (above - below)
+        xp = namespace(q)
+        low = spread(self.position_range[:, 0], q)
+        high = spread(self.position_range[:, 1], q)
+        above = xp.exp(xp.clip((low - q) / self.width, None, _DEEPEST))
+        below = xp.exp(xp.clip((q - high) / self.width, None, _DEEPEST))
+        return spread(self.strength, q) * (above - below)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +55,6 @@ class HandRepulsion(AbstractPositionTorque):
     floor and one for the trunk, a cylinder about axis 1 that stands on the floor. The z axis of
     frame 0 points up.
 
-    ```python
     >>> import numpy as np
     >>> import jaxcslc
     >>> from sim import Hand, HandRepulsion
@@ -70,8 +66,6 @@ class HandRepulsion(AbstractPositionTorque):
     array([0.06, 0.38])
     >>> repulsion.torque(reaching_down).round(2)
     array([ 0.  , -8.94, -4.74,  0.  ,  0.  ,  0.  ])
-
-    ```
     """
 
     hand: Hand
@@ -94,28 +88,28 @@ class HandRepulsion(AbstractPositionTorque):
 
     array_generic: ClassVar[bool] = True
 
-    def clearance(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch 2"]:
+    def clearance(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch 2"]:
         """How far the hand is from the floor and from the trunk [m], at joint positions
         [rad or m]; negative inside.
 
         The distance from the trunk is the larger of that beside it and that above it, with the
         edge rounded off over `width`: up to log 2 widths more.
         """
-        return self._clearance(self.hand.locate(position)[0])
+        return self._clearance(self.hand.locate(q)[0])
 
-    def potential(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch"]:
+    def potential(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch"]:
         """Of the force [J], at joint positions [rad or m]."""
-        xp = namespace(position)
-        depth = -self.clearance(position) / self.width
+        xp = namespace(q)
+        depth = -self.clearance(q) / self.width
         beyond = xp.exp(xp.clip(depth, None, _DEEPEST)) * (
             1.0 + xp.clip(depth - _DEEPEST, 0.0, None)
         )
         return self.strength * self.width * xp.sum(beyond, axis=-1)
 
-    def torque(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
+    def torque(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
         """As the abstract method."""
-        xp = namespace(position)
-        place, jacobian = self.hand.locate(position)
+        xp = namespace(q)
+        place, jacobian = self.hand.locate(q)
         clearance = self._clearance(place)
         size = self.strength * xp.exp(xp.clip(-clearance / self.width, None, _DEEPEST))
         floor, trunk = size[..., 0], size[..., 1]

@@ -92,13 +92,10 @@ def training(
         of PUMA A (`puma_a`) differs enough to let joint 3 run into the end of its range after two
         seconds.
 
-    ```python
     >>> import sim
     >>> trajectory = sim.training()
     >>> trajectory.samples, trajectory.start
     (3300, array([ 0.4, -1.2,  0.3,  0. ,  0. ,  0. ]))
-
-    ```
     """
     machine = puma560()
     return Trajectory(
@@ -132,12 +129,9 @@ def comparison(*, duration: float = 2.5) -> Trajectory:
 
     - `duration`: from rest to rest [s]. The recording ends with it.
 
-    ```python
     >>> import sim
     >>> sim.comparison().samples
     1251
-
-    ```
     """
     right = np.pi / 2
     interval = 0.002

@@ -105,7 +105,6 @@ def ultrasound(
 
     - `ValueError`: too few patterns, or noise that is no finite number from zero up.
 
-    ```python
     >>> import sim
     >>> echoes = sim.ultrasound()
     >>> echoes.inputs.shape, echoes.targets.shape
@@ -114,8 +113,6 @@ def ultrasound(
     (3150, 1850)
     >>> echoes.kinds[:4]
     ('wall', 'corner', 'edge', 'pole')
-
-    ```
     """
     sonar = Sonar() if sonar is None else sonar
     count = len(KINDS)

@@ -21,14 +21,11 @@ class Sonar:
     axis, equally far to its left and right (thesis Fig. 6.3-1). The thesis gives no dimensions:
     the defaults are those of common 40 kHz piezoelectric transducers in 16 mm cans.
 
-    ```python
     >>> import sim
     >>> round(sim.Sonar().speed_of_sound), round(sim.Sonar().wavelength * 1e3, 1)
     (343, 8.6)
     >>> round(sim.Sonar().absorption, 1)
     1.3
-
-    ```
     """
 
     frequency: float = 40e3

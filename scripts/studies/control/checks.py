@@ -45,7 +45,7 @@ class ExactLoop(AbstractController):
 
     controller: ComputedTorque
 
-    def begin(self, q: Array) -> ExactState:
+    def begin(self, q: Array | np.ndarray) -> ExactState:
         q = jnp.asarray(q)
         return ExactState(q, self.controller.begin(q))
 
@@ -53,10 +53,11 @@ class ExactLoop(AbstractController):
         self,
         state: ExactState,
         reference: Reference,
-        q: Array,
+        q: Array | np.ndarray,
         interval: float | Array,
-        qd: Array | None = None,
+        qd: Array | np.ndarray | None = None,
     ) -> tuple[Array, ExactState]:
+        q = jnp.asarray(q)
         qd = (q - state.before) / interval
         torque, inner = self.controller.step(state.controller, reference, q, interval, qd)
         return torque, ExactState(q, inner)

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxcslc import CSLC, LinkParameters
@@ -35,7 +36,7 @@ class LoopBatch(AbstractController):
 
         return cls(jax.tree_util.tree_map(stacked, *loops))
 
-    def begin(self, q: Float[Array, "robots joints"]) -> Any:
+    def begin(self, q: Float[Array | np.ndarray, "robots joints"]) -> Any:
         """Each robot's state."""
         arrays, static = eqx.partition(self.loops, eqx.is_array)
 
@@ -49,9 +50,9 @@ class LoopBatch(AbstractController):
         self,
         state: Any,
         reference: Reference,
-        q: Float[Array, "robots joints"],
+        q: Float[Array | np.ndarray, "robots joints"],
         interval: float | Array,
-        qd: Float[Array, "robots joints"] | None = None,
+        qd: Float[Array | np.ndarray, "robots joints"] | None = None,
     ) -> tuple[Float[Array, "robots joints"], Any]:
         """Each robot's torque and state."""
         del qd
@@ -94,7 +95,9 @@ class KnownPayloadLoop(AbstractController):
             jnp.asarray(stop),
         )
 
-    def begin(self, q: Float[Array, " joints"]) -> tuple[Float[Array, ""], OutputFeedbackState]:
+    def begin(
+        self, q: Float[Array | np.ndarray, " joints"]
+    ) -> tuple[Float[Array, ""], OutputFeedbackState]:
         """Its clock, and the loop's state."""
         return jnp.zeros(()), self.loop.begin(q)
 
@@ -102,9 +105,9 @@ class KnownPayloadLoop(AbstractController):
         self,
         state: tuple[Float[Array, ""], OutputFeedbackState],
         reference: Reference,
-        q: Float[Array, " joints"],
+        q: Float[Array | np.ndarray, " joints"],
         interval: float | Array,
-        qd: Float[Array, " joints"] | None = None,
+        qd: Float[Array | np.ndarray, " joints"] | None = None,
     ) -> tuple[Float[Array, " joints"], tuple[Float[Array, ""], OutputFeedbackState]]:
         """As `OutputFeedback.step`."""
         del qd
