@@ -10,6 +10,7 @@ from ..motion import (
     SavitzkyGolay,
     TorqueAlignment,
     VelocitySource,
+    static_fractions,
     uniform_interval,
 )
 from ..network import CSLC
@@ -31,12 +32,13 @@ class Candidates:
 
     Every combination is a candidate. Except for the torque alignments, each tuple is in order:
     the search climbs along it from neighbour to neighbour. Steps of about √2 in a spacing and of
-    2 in a cut-off are as fine as a recording can tell apart.
+    2 in a cut-off are as fine as a recording can distinguish.
 
     **Attributes**
 
     - `smoothings`: one or more families, one behind the other: neighbours of one class are a
-      family, in order of its strength. The search begins with the first family.
+      family, in order of its strength. The search begins with the first family; another one must
+      lower the score by a fifth.
     - `velocities`, `torque_alignments`, `torque_lags`, `threshold_fractions`: as of
       `Preparation`.
     - `cutoffs`, `joint_weights`: as of `LeastSquares`.
@@ -92,14 +94,6 @@ class Candidates:
         cutoffs = [f for f in _SMOOTHING_CUTOFFS if 4.0 * f < rate < f * recording.samples / 20]
         windows = [w for w in _WINDOWS if rate and 20 * w <= recording.samples]
         static = (False,) if network is None else static_friction_joints(network)
-        fractions: tuple[float | tuple[float, ...], ...] = _THRESHOLD_FRACTIONS
-        if all(static):
-            fractions = (0.0,)
-        elif any(static):
-            fractions = tuple(
-                tuple(0.0 if joint else fraction for joint in static)
-                for fraction in _THRESHOLD_FRACTIONS
-            )
         return cls(
             smoothings=(
                 *(AveragedSplines(j) for j in spacings or _SPACINGS[:1]),
@@ -107,7 +101,9 @@ class Candidates:
                 *map(SavitzkyGolay, windows),
             ),
             velocities=("position",) if recording.velocity is None else ("position", "recorded"),
-            threshold_fractions=fractions,
+            threshold_fractions=tuple(
+                static_fractions(fraction, static) for fraction in _THRESHOLD_FRACTIONS
+            ),
             cutoffs=(None, *(f for f in _CUTOFFS if 4.0 * f < rate)),
         )
 

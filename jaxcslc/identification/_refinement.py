@@ -22,15 +22,15 @@ _SETTLED = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Refinement:
-    """Thresholds found from a fit's residuals, and the fit that was made with them.
+    """Thresholds from a fit's residuals, and the fit that was made with them.
 
     **Attributes**
 
-    - `settings`: those given, with the thresholds found; `settings.patterns` prepares other
+    - `settings`: those of the call, with these thresholds; `settings.patterns` prepares other
       recordings alike.
     - `patterns`: the recording under these settings.
     - `fit`: to these patterns.
-    - `static_friction`: what the residuals of the fit before said.
+    - `static_friction`: the ramps in the residuals of the fit before.
     - `rounds`: the thresholds that each fit was made with, from the first to `fit`'s, each (n,)
       [rad/s or m/s].
     - `settled`: whether the last change was small; if not, the rounds ran out.
@@ -63,15 +63,15 @@ def refine_thresholds(
     fraction: float = 0.01,
     rounds: int = 4,
 ) -> Refinement:
-    """Fits, finds the thresholds of static friction in the residuals, and fits again (7.5).
+    """Fits, takes the thresholds of static friction from the residuals, and fits again (7.5).
 
-    The thesis starts with one hundredth of each joint's greatest speed and, once the network has
-    learnt enough for static friction to show, updates the thresholds to the speeds at the brink
-    of its regions (Fig. 7.6-4, Fig. B.6-1). With better thresholds the plateau beside the ramps
+    The thesis starts with one hundredth of each joint's greatest speed. Once the network fits well
+    enough for static friction to show, it updates the thresholds to the speeds at the brink of its
+    regions (Fig. 7.6-4, Fig. B.6-1). With better thresholds the plateau beside the ramps
     is better known, so this goes round until thresholds settle. What the ramps are and how they
-    are told from noise is said in `jaxcslc.motion.thresholds_from_residuals`.
+    are distinguished from noise: see `jaxcslc.motion.thresholds_from_residuals`.
 
-    (On simulated PUMA 560 machines, 10 seeds each: from thresholds of one hundredth to those found,
+    (On simulated PUMA 560 machines, 10 seeds each: from thresholds of one hundredth to the refined,
     the error of the dry coefficients fell from 1.5 % to 0.7 %, that of the viscous from 3.2 % to
     1.1 %; with twice the γ from 4.0 % to 0.4 % and from 6.9 % to 1.2 %. ε on another trajectory,
     slow pairs included, fell by 13 and 16 %. Joints that turn round quickly did not always show
@@ -86,8 +86,8 @@ def refine_thresholds(
 
     - `network`: n joints.
     - `recording`: of n joints, in order of time.
-    - `settings`: of everything else, such as those of `choose_settings`; their own thresholds are
-      not used. Too narrow a spacing buries the ramps in noise, too wide a one smears them: of
+    - `settings`: all other options, such as those of `choose_settings`; their thresholds are not
+      used. Too narrow a spacing buries the ramps in noise, too wide a one smears them: of
       splines, those of `choose_spacing` or a little narrower.
     - `fraction`: of the greatest speeds, to start from; no threshold will be below it.
     - `rounds`: how many times the thresholds are updated at most.

@@ -121,11 +121,11 @@ class Scoring:
     ) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " cells"]]:
         """Of each joint, and of each joint in each fold where it is judged."""
         squares = _by_fold(np.where(self.judged, error**2, 0.0), self.fold, self.folds)
-        counts = _by_fold(self.judged, self.fold, self.folds)
-        some = counts > 0
-        total = np.where(some.any(axis=0), counts.sum(axis=0), np.nan)
+        number = _by_fold(self.judged, self.fold, self.folds)
+        some = number > 0
+        total = np.where(some.any(axis=0), number.sum(axis=0), np.nan)
         whole = np.sqrt(squares.sum(axis=0) / total)
-        cells = np.sqrt(squares[some] / counts[some])
+        cells = np.sqrt(squares[some] / number[some])
         # A fold that is met exactly, as without any noise, must not outweigh all others.
         return whole, np.maximum(cells, 1e-9 * np.max(cells))
 

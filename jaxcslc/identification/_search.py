@@ -11,6 +11,10 @@ _ROUNDS = 4
 _ALL = 5
 # Rounding alone, as between weights of a single joint, is no improvement.
 _LEAST_GAIN = 1e-6
+# Another family of smoothings must lower the score by a fifth. On simulated arms with white noise
+# of 1e-4 rad, a Butterworth filter lowered the score of slow motion by 5 and 14 %, by smoother
+# predictions, while the torque errors on faster motion rose to three times those of splines.
+_FAMILY_GAIN = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +62,7 @@ class CoordinateSearch:
 
         The family of smoothings that `start` belongs to is searched together with all options,
         round after round until nothing improves. Then each other family is climbed along with
-        the options as they are; if one does better, the rounds go on with it.
+        the options as they are; if one lowers the score by a fifth, the rounds go on with it.
 
         **Arguments**
 
@@ -68,7 +72,7 @@ class CoordinateSearch:
 
         **Returns**
 
-        The settings of the least score.
+        The settings of the least score within their family of smoothings.
         """
         best = start
         # Where each family did best, to climb on from there.
@@ -80,7 +84,7 @@ class CoordinateSearch:
                 if number != current:
                     other = self._along(family, family.replaced(best, starts[number]))
                     starts[number] = family.value_of(other)
-                    best = self._better(best, [other])
+                    best = self._better(best, [other], _FAMILY_GAIN)
             if family_of(families, best) == current:
                 break
         return best
@@ -110,10 +114,12 @@ class CoordinateSearch:
                 best = better
         return best
 
-    def _better(self, best: Settings, others: Sequence[Settings]) -> Settings:
-        """The best of some settings; `best` itself if none of them improves it."""
+    def _better(
+        self, best: Settings, others: Sequence[Settings], gain: float = _LEAST_GAIN
+    ) -> Settings:
+        """The best of some settings; `best` itself if none lowers its score by so large a part."""
         better = min(others, key=self._scored, default=best)
-        improved = self._scored(better) < (1.0 - _LEAST_GAIN) * self._scored(best)
+        improved = self._scored(better) < (1.0 - gain) * self._scored(best)
         return better if improved else best
 
     def _scored(self, settings: Settings) -> float:

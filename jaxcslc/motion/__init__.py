@@ -28,6 +28,7 @@ from ._preparation import (
     VelocitySource as VelocitySource,
     as_recorded as as_recorded,
     prepare as prepare,
+    static_fractions as static_fractions,
 )
 from ._recording import (
     MINIMUM_SAMPLES as MINIMUM_SAMPLES,

@@ -28,8 +28,8 @@ def align_torque(
 
     **Returns**
 
-    The aligned torques, shape `(samples, joints)`. Nothing is known of the demand before the
-    first sample, which keeps its own.
+    The aligned torques, shape `(samples, joints)`. The demand before the first
+    sample is unknown; the first sample keeps its torque.
 
     **Raises**
 

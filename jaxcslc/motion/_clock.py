@@ -11,8 +11,8 @@ UNIFORM_TO = 1e-3
 """Intervals that differ by less than this part of their mean count as equal: time stamps are
 written with a finite number of digits, and a part in a thousand changes no derivative by more."""
 
-KNOWN_TO = 0.1
-"""An interval counts as told by the motion when its standard deviation is this part of a period:
+DETERMINED_TO = 0.1
+"""An interval is determined by the motion if its standard deviation is below this part of a period:
 rounding to whole periods is then wrong less than once in a million times."""
 
 
@@ -37,7 +37,7 @@ def uniform_interval(time: Float[np.ndarray, " samples"]) -> float:
     0.25
     """
     if time.size < 2:
-        raise ValueError(f"{time.size} samples; expected two or more to tell an interval")
+        raise ValueError(f"{time.size} samples; expected two or more for an interval")
     interval = float((time[-1] - time[0]) / (time.size - 1))
     intervals = np.diff(time)
     worst = int(np.argmax(np.abs(intervals - interval)))
@@ -111,10 +111,10 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
     1 rad/s a delay that varies by 0.2 ms moves a position by 0.2 mrad, which can be a hundred
     times the encoder's own noise.
 
-    But where the arm moves, the positions tell the time that has passed between two samples: for
+    Where the arm moves, the positions determine the time that has passed between two samples: for
     small noise it is $\Delta q \cdot \dot q / |\dot q|^2$, all joints taken together and each
     weighted by its noise. Between samples of an even clock it is a whole number of periods. Where
-    the arm is too slow to tell, the stamps decide, and a wrong guess moves the positions by
+    the arm is too slow, the stamps decide, and a wrong guess moves the positions by
     little more than their noise.
 
     (On 21 s of a real Panda, stamped at nominally 1 kHz, this takes the residual of the smoothed
@@ -158,25 +158,25 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
     # The velocities come from the stamped times first and from the restored ones then.
     for _ in range(2):
         passed, deviation = _time_passed(time, position / noise, spacing)
-        known = deviation < KNOWN_TO * period
-        ticks = _ticks(stamps, np.where(known, passed, np.nan), period)
+        determined = deviation < DETERMINED_TO * period
+        ticks = _ticks(stamps, np.where(determined, passed, np.nan), period)
         time = np.median(stamps - ticks * period) + ticks * period
         # Equal times, of samples that repeat positions but not torques, cannot be splined.
         new = np.append(True, np.diff(ticks) > 0)
         fresh = fresh.rows(new)
         time, stamps, position = time[new], fresh.time, fresh.position
     passed, deviation = _time_passed(time, position / noise, spacing)
-    known = deviation < KNOWN_TO * period
-    if np.mean(known) < 0.5:
+    determined = deviation < DETERMINED_TO * period
+    if np.mean(determined) < 0.5:
         raise RecordingError(
-            f"the motion is too slow or too noisy to show a clock of {period:g} s: it tells "
-            f"{np.mean(known):.0%} of the intervals; expected half of them or more"
+            f"the motion is too slow or too noisy to show a clock of {period:g} s: it determines "
+            f"{np.mean(determined):.0%} of the intervals; expected half of them or more"
         )
-    misfit = np.median(np.abs(passed - np.diff(time))[known]) / period
-    if misfit > KNOWN_TO:
+    misfit = np.median(np.abs(passed - np.diff(time))[determined]) / period
+    if misfit > DETERMINED_TO:
         raise RecordingError(
             f"the motion shows no clock of {period:g} s: half of its intervals are {misfit:.2g} "
-            f"periods or more from whole numbers of them; expected less than {KNOWN_TO}"
+            f"periods or more from whole numbers of them; expected less than {DETERMINED_TO}"
         )
     strayed = float(np.ptp(stamps - time))
     if strayed > 0.01 * (stamps[-1] - stamps[0]):
@@ -192,7 +192,7 @@ def _time_passed(
     scaled: Float[np.ndarray, "samples joints"],
     spacing: int,
 ) -> tuple[Float[np.ndarray, " intervals"], Float[np.ndarray, " intervals"]]:
-    """Time between samples as the motion tells it, from positions in units of their noise."""
+    """Time between samples as the motion determines it, from positions in units of their noise."""
     _, velocity, _ = AveragedSplines(spacing, sections=False).smooth(time, scaled)
     between = 0.5 * (velocity[1:] + velocity[:-1])
     squared = np.maximum(np.sum(between**2, axis=1), np.finfo(np.float64).tiny)
@@ -207,7 +207,7 @@ def _ticks(
     passed: Float[np.ndarray, " intervals"],
     period: float,
 ) -> Int[np.ndarray, " samples"]:
-    """Numbers the samples in periods; intervals that are NaN are told by the stamps."""
+    """Numbers the samples in periods; intervals that are NaN follow the stamps."""
     ticks = np.zeros(stamps.size, dtype=np.int64)
     delay = stamps[0]
     for sample, interval in enumerate(passed, start=1):

@@ -121,18 +121,18 @@ def parallel_filter(
     regressors: list[Float[np.ndarray, "rows coefficients"]] = []
     columns: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []
     for joint in range(joints):
-        counts = mask[:, joint]
-        weight = zero_phase(counts.astype(np.float64), interval, cutoff=cutoff, order=order)
+        valid = mask[:, joint]
+        weight = zero_phase(valid.astype(np.float64), interval, cutoff=cutoff, order=order)
         sides = np.concatenate([regressor[:, joint], torque[:, joint, None]], axis=1)
         # Empty columns, of coefficients that have no part in this joint, are not worth a filter.
-        present = np.flatnonzero(np.any(sides[counts] != 0.0, axis=0))
+        present = np.flatnonzero(np.any(sides[valid] != 0.0, axis=0))
         filtered = np.zeros((kept.size, coefficients + 1))
         filtered[:, present] = zero_phase(
-            np.where(counts[:, None], sides[:, present], 0.0), interval, cutoff=cutoff, order=order
+            np.where(valid[:, None], sides[:, present], 0.0), interval, cutoff=cutoff, order=order
         )[kept]
-        chosen = weight[kept] >= least_weight
-        regressors.append(filtered[chosen, :-1])
-        columns.append((filtered[chosen, -1], joint, kept[chosen], weight[kept][chosen]))
+        enough = weight[kept] >= least_weight
+        regressors.append(filtered[enough, :-1])
+        columns.append((filtered[enough, -1], joint, kept[enough], weight[kept][enough]))
     return FilteredEquations(
         regressor=np.concatenate(regressors),
         torque=np.concatenate([rows for rows, *_ in columns]),

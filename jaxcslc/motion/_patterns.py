@@ -67,12 +67,12 @@ class Patterns(eqx.Module):
         The patterns with `start <= time < end`. There may be none.
         """
         time = np.asarray(self.time)
-        chosen = (time >= start) & (time < end)
-        return jax.tree_util.tree_map(lambda values: values[chosen], self)
+        inside = (time >= start) & (time < end)
+        return jax.tree_util.tree_map(lambda values: values[inside], self)
 
 
 def joints_left_out(patterns: Patterns) -> tuple[int, ...]:
-    """The joints of which masking leaves nothing: their own torques teach a fit nothing.
+    """The joints of which masking leaves no sample: a fit sees none of their torques.
 
     **Arguments**
 
@@ -80,7 +80,7 @@ def joints_left_out(patterns: Patterns) -> tuple[int, ...]:
 
     **Returns**
 
-    Their numbers, counted from 1; empty where every joint has some pair that counts.
+    Their numbers, counted from 1; empty where every joint has an unmasked sample.
 
     >>> import numpy as np
     >>> from jaxcslc.motion import joints_left_out, prepare, Recording

@@ -20,6 +20,10 @@ DEFAULT_THRESHOLD_FRACTION = 0.03
 VelocitySource: TypeAlias = Literal["position", "recorded"]
 """Where velocities and accelerations come from; see `Preparation`."""
 
+STATIC_FRICTION_PART = 0.1
+"""What is left of a threshold fraction for a joint with a term of static friction: such pairs
+determine the term. Slower ones, at which the joint may be at rest, determine nothing."""
+
 # Sampling intervals that differ by less change no smoothing by more than other errors do.
 _SAME_SPAN = 1.1
 
@@ -45,8 +49,8 @@ class Preparation:
     - `smooth_torque`: smooth the aligned torque by the filter of the positions.
     - `threshold_fraction`: of each joint's greatest speed, below which static friction is taken
       to matter and pairs are left out (Section 7.2.2); one for all joints or one for each. None
-      stands for `DEFAULT_THRESHOLD_FRACTION`, but for joints whose network has a term of static
-      friction: see `with_static_friction`.
+      stands for `DEFAULT_THRESHOLD_FRACTION`, and for a tenth of it at joints whose network has a
+      term of static friction: see `with_static_friction`.
     - `thresholds`: these speeds themselves, one for all joints or one for each [rad/s or m/s], in
       place of `threshold_fraction`; or None. See `jaxcslc.identification.refine_thresholds`.
     - `backlash`: leave out the pairs that may be in backlash (Eqn 2.5-7), up to half of them. For
@@ -205,7 +209,8 @@ class Preparation:
 
         Masks of slow pairs exist because viscous and dry friction alone cannot explain them. A
         term of static friction can, and is determined by slow pairs only: by default, joints
-        with such a term keep them. A `threshold_fraction` or `thresholds` that were set stay.
+        with such a term keep them, down to a tenth of the usual threshold, below which a joint
+        may be at rest. A `threshold_fraction` or `thresholds` that were set stay.
 
         **Arguments**
 
@@ -217,14 +222,14 @@ class Preparation:
 
         >>> from jaxcslc.motion import Preparation
         >>> Preparation().with_static_friction([True, False]).threshold_fraction
-        (0.0, 0.03)
+        (0.003, 0.03)
         >>> set_by_hand = Preparation(threshold_fraction=0.1)
         >>> set_by_hand.with_static_friction([True, False]).threshold_fraction
         0.1
         """
         if self.threshold_fraction is not None or self.thresholds is not None or not any(joints):
             return self
-        fractions = tuple(0.0 if static else DEFAULT_THRESHOLD_FRACTION for static in joints)
+        fractions = static_fractions(DEFAULT_THRESHOLD_FRACTION, joints)
         return dataclasses.replace(self, threshold_fraction=fractions)
 
     def check(self, recording: Recording, chosen_on: Sampling | None = None) -> tuple[str, ...]:
@@ -305,6 +310,29 @@ reach over 36 ms to either side in place of 18 ms',)
             torque = np.stack([np.interp(at, recording.time, x) for x in torque.T], axis=1)
         torque = align_torque(torque, self.torque_alignment)
         return self.smoothing.low_pass(recording.time, torque) if self.smooth_torque else torque
+
+
+def static_fractions(fraction: float, joints: Sequence[bool]) -> float | tuple[float, ...]:
+    """Threshold fractions of joints, smaller where a term of static friction explains slow pairs.
+
+    **Arguments**
+
+    - `fraction`: of joints without such a term.
+    - `joints`: True for each joint with one.
+
+    **Returns**
+
+    One fraction a joint, or `fraction` itself if no joint has such a term.
+
+    >>> from jaxcslc.motion import static_fractions
+    >>> static_fractions(0.1, [True, False])
+    (0.01, 0.1)
+    """
+    if not any(joints):
+        return fraction
+    # Rounded, so that 0.3 % is 0.003.
+    slower = round(STATIC_FRICTION_PART * fraction, 12)
+    return tuple(slower if static else fraction for static in joints)
 
 
 def prepare(recording: Recording, **options: Any) -> Patterns:

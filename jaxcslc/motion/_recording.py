@@ -179,7 +179,7 @@ class Recording(eqx.Module):
             raise RecordingError("position has no columns; expected one column a joint")
         if samples < MINIMUM_SAMPLES:
             raise RecordingError(
-                f"{samples} samples; expected at least {MINIMUM_SAMPLES} to tell an acceleration"
+                f"{samples} samples; expected at least {MINIMUM_SAMPLES} for an acceleration"
             )
         fault = first_fault(as_columns(self.time, **quantities))
         if fault is not None and fault.row is not None:
@@ -196,27 +196,27 @@ class Recording(eqx.Module):
         """How many joints were recorded."""
         return self.position.shape[1]
 
-    def rows(self, chosen: slice | Bool[np.ndarray, " samples"]) -> "Recording":
-        """Some of the samples, as a recording of their own.
+    def rows(self, selected: slice | Bool[np.ndarray, " samples"]) -> "Recording":
+        """Some of the samples, as a recording.
 
         **Arguments**
 
-        - `chosen`: a slice, or True for each sample to keep, shape `(samples,)`.
+        - `selected`: a slice, or True for each sample to keep, shape `(samples,)`.
 
         **Returns**
 
-        The recording of the chosen samples.
+        The recording of these samples.
 
         **Raises**
 
         - `RecordingError`: fewer than five are left.
         """
         return Recording(
-            self.time[chosen],
-            self.position[chosen],
-            self.torque[chosen],
-            None if self.velocity is None else self.velocity[chosen],
-            None if self.acceleration is None else self.acceleration[chosen],
+            self.time[selected],
+            self.position[selected],
+            self.torque[selected],
+            None if self.velocity is None else self.velocity[selected],
+            None if self.acceleration is None else self.acceleration[selected],
         )
 
 

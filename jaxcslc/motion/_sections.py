@@ -134,10 +134,10 @@ def _fitted(
         misfit = design @ coefficients - (values - extreme)
         return float(misfit @ misfit), float(coefficients[0])
 
-    found = scipy.optimize.minimize_scalar(
+    best = scipy.optimize.minimize_scalar(
         lambda instant: fit(instant)[0],
         bounds=(time[first], time[last]) if first < last else (near[0], near[-1]),
         method="bounded",
         options={"xatol": 1e-3 * scale / near.size},
     )
-    return float(found.x), extreme + fit(float(found.x))[1]
+    return float(best.x), extreme + fit(float(best.x))[1]

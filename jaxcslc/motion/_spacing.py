@@ -12,9 +12,9 @@ def left_out_error(
     position: Float[np.ndarray, "samples joints"],
     smoothing: AveragedSplines,
 ) -> Float[np.ndarray, " joints"]:
-    r"""How well averaged splines foretell each sample from all the others, joint by joint.
+    r"""How well averaged splines predict each sample from all the others, joint by joint.
 
-    Of the j splines, one runs through a given sample and j - 1 do not know it. Their mean is the
+    Of the j splines, one runs through a sample and j - 1 do not. Their mean is the
     average with that sample left out, and it misses the sample by $j / (j - 1)$ times the
     residual: exact leave-one-out cross-validation of the positions for the price of one
     smoothing.
@@ -68,7 +68,7 @@ def choose_spacing(
     positions do, so what is best for them is the widest spacing that takes next to nothing from
     the motion.
 
-    *Next to nothing* is measured in what the encoder can tell. With $e_j$ the left-out error of
+    *Next to nothing* is measured by the encoder's resolution. With $e_j$ the left-out error of
     spacing j and σ the deviation of the noise, at least a count's $1/\sqrt{12}$, the choice is the
     widest candidate with
 

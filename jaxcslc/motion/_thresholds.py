@@ -22,7 +22,7 @@ class StaticFriction(eqx.Module):
     **Attributes**
 
     - `thresholds`: speeds above which it is insignificant, shape `(joints,)` [rad/s or m/s].
-    - `found`: False where nothing is to be seen and the threshold stays at its minimum, shape
+    - `significant`: False where no ramp is seen and the threshold stays at its minimum, shape
         `(joints,)`.
     - `excess`: $k^s - k^d$ of Eqn 2.5-4, the height of the ramp at rest, shape `(joints,)`
         [N m or N]; 0 where there is none.
@@ -32,12 +32,12 @@ class StaticFriction(eqx.Module):
     >>> import numpy as np
     >>> from jaxcslc.motion import thresholds_from_residuals
     >>> qd = np.sin(np.arange(2000) * 0.02)[:, None]
-    >>> thresholds_from_residuals(qd, 0.0 * qd).found.tolist()
+    >>> thresholds_from_residuals(qd, 0.0 * qd).significant.tolist()
     [False]
     """
 
     thresholds: Float[np.ndarray, " joints"]
-    found: Bool[np.ndarray, " joints"]
+    significant: Bool[np.ndarray, " joints"]
     excess: Float[np.ndarray, " joints"]
     slope_velocity: Float[np.ndarray, " joints"]
     significance: Float[np.ndarray, " joints"]
@@ -72,7 +72,7 @@ def thresholds_from_residuals(
     - There is static friction to be seen if the excess is `significance` standard errors or more.
     - The threshold is where the fitted ramp has come down to `insignificant` times its height at
       rest (4.6 γ for one hundredth), or to the standard error of the plateau, below which the
-      data cannot tell it from none, whichever comes first.
+      data do not distinguish it from none, whichever comes first.
 
     Where the acceleration carries a joint through the ramp in less time than the smoothing
     resolves, the ramp looks wider and lower than it is, or is not seen at all.
@@ -128,22 +128,22 @@ def thresholds_from_residuals(
     excess = np.array([ramp.excess for ramp in ramps])
     gamma = np.array([ramp.gamma for ramp in ramps])
     units = np.array([ramp.significance for ramp in ramps])
-    told = np.array([ramp.plateau_error for ramp in ramps])
-    found = (units >= significance) & (excess > 0.0)
-    height = np.where(found, excess, 1.0)
-    negligible = np.clip(np.maximum(told, insignificant * height) / height, None, 1.0)
-    brinks = np.where(found, -gamma * np.log(negligible), 0.0)
+    plateau_error = np.array([ramp.plateau_error for ramp in ramps])
+    significant = (units >= significance) & (excess > 0.0)
+    height = np.where(significant, excess, 1.0)
+    negligible = np.clip(np.maximum(plateau_error, insignificant * height) / height, None, 1.0)
+    brinks = np.where(significant, -gamma * np.log(negligible), 0.0)
     return StaticFriction(
         thresholds=np.maximum(brinks, lowest),
-        found=found,
-        excess=np.where(found, excess, 0.0),
-        slope_velocity=np.where(found, gamma, 0.0),
+        significant=significant,
+        excess=np.where(significant, excess, 0.0),
+        slope_velocity=np.where(significant, gamma, 0.0),
         significance=units,
     )
 
 
 class _Ramp(eqx.Module):
-    """A fitted ramp: its height and width, and how well it and its plateau are known."""
+    """A fitted ramp: its height and width, and the standard errors of it and its plateau."""
 
     excess: float = 0.0
     gamma: float = 0.0
@@ -171,7 +171,7 @@ def _ramp(
     if not lowest < greatest:
         return _Ramp()
     bins = _binned(speed, residual, considered, lowest, greatest)
-    # Five bins are the fewest to tell a ramp of three unknowns and a γ from.
+    # Five bins are the fewest for a ramp of three unknowns and a γ.
     least, most = _LEAST * lowest, _MOST * greatest
     if bins.speed.size < 5 or not least < most or not np.any(bins.deviation > 0.0):
         return _Ramp()

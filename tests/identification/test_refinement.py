@@ -87,7 +87,7 @@ def test_without_static_friction_thresholds_stay(
     pendulum: jc.CSLC, rng: np.random.Generator
 ) -> None:
     refined = refine_thresholds(pendulum, swing(pendulum, rng, excess=0.0), SETTINGS)
-    assert refined.settled and not refined.static_friction.found[0]
+    assert refined.settled and not refined.static_friction.significant[0]
     np.testing.assert_allclose(refined.rounds[-1], refined.rounds[0])
 
 
@@ -108,7 +108,7 @@ def test_a_simulated_machine_whose_slopes_are_known(puma: jc.CSLC, puma_k: jax.A
     recording, _ = sim.simulate(machine, sim.training(), seed=3)
     settings = jc.Settings(jc.Preparation(jc.AveragedSplines(17), torque_alignment="mean"))
     refined = refine_thresholds(puma, recording, settings)
-    assert refined.static_friction.found.tolist()[:5] == [True] * 5
+    assert refined.static_friction.significant.tolist()[:5] == [True] * 5
     ends = 5.0 * np.array(slopes)
     ratio = refined.rounds[-1] / ends
     assert np.all((ratio[:5] > 0.5) & (ratio[:5] < 2.0))

@@ -27,7 +27,7 @@ def test_without_noise_the_law_itself_is_found(plateau: float, slope: float) -> 
     qd = speeds(60000)
     error = static_torque(qd) + plateau * np.sign(qd) + slope * qd
     static = thresholds_from_residuals(qd, error)
-    assert np.all(static.found)
+    assert np.all(static.significant)
     # A bin's residual belongs to its mean speed but for the ramp's bend within it.
     np.testing.assert_allclose(static.slope_velocity, GAMMAS, rtol=0.1)
     np.testing.assert_allclose(static.excess, EXCESS, rtol=0.1)
@@ -51,7 +51,7 @@ def test_noise_alone_is_no_static_friction(seed: int) -> None:
     noise = rng.normal(0.0, 0.1, (qd.shape[0] + 9, 3))
     error = np.stack([np.convolve(column, np.ones(10), "valid") for column in noise.T], axis=1)
     static = thresholds_from_residuals(qd, error)
-    assert not np.any(static.found)
+    assert not np.any(static.significant)
     np.testing.assert_allclose(static.thresholds, 0.01 * np.max(np.abs(qd), axis=0))
     assert np.all(static.excess == 0.0) and np.all(static.slope_velocity == 0.0)
 
@@ -60,7 +60,7 @@ def test_jumps_smoothed_away_are_no_static_friction() -> None:
     """They leave ramps the other way down: friction that grows only gradually from a reversal."""
     qd = speeds()
     static = thresholds_from_residuals(qd, -static_torque(qd))
-    assert not np.any(static.found)
+    assert not np.any(static.significant)
 
 
 def test_single_reversals_do_not_decide(rng: np.random.Generator) -> None:
@@ -74,7 +74,7 @@ def test_single_reversals_do_not_decide(rng: np.random.Generator) -> None:
         for turn in turns[5:20:6]:
             spoilt[turn - 15 : turn + 15, joint] += rng.normal(0.0, 2.0, 30)
     found = thresholds_from_residuals(qd, spoilt)
-    assert np.all(found.found)
+    assert np.all(found.significant)
     np.testing.assert_allclose(found.thresholds, clean.thresholds, rtol=0.25)
 
 
@@ -97,7 +97,7 @@ def test_only_considered_pairs_are_looked_at(rng: np.random.Generator) -> None:
     static = thresholds_from_residuals(qd, spoilt, considered=considered)
     clean = thresholds_from_residuals(qd, error, considered=considered)
     np.testing.assert_allclose(static.thresholds, clean.thresholds)
-    assert np.all(static.found)
+    assert np.all(static.significant)
 
 
 def test_slower_than_the_minimum_is_not_looked_at() -> None:
@@ -106,7 +106,7 @@ def test_slower_than_the_minimum_is_not_looked_at() -> None:
     error = np.where(np.abs(qd) > minimum, static_torque(qd), -5.0 * np.sign(qd))
     static = thresholds_from_residuals(qd, error, minimum=minimum)
     # Means of runs in a bin know nothing of the slow side: the runs end there.
-    assert np.all(static.found)
+    assert np.all(static.significant)
     assert np.all(static.thresholds >= minimum)
 
 
@@ -115,7 +115,7 @@ def test_joints_that_rest_or_move_at_one_speed_have_nothing_to_show() -> None:
     qd[:, 1] = 0.0
     qd[:, 2] = 1.0
     static = thresholds_from_residuals(qd, static_torque(qd))
-    assert static.found.tolist() == [True, False, False]
+    assert static.significant.tolist() == [True, False, False]
     assert static.thresholds[1] == 0.0
     assert static.thresholds[2] == pytest.approx(0.01)
 

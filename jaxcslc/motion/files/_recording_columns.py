@@ -17,7 +17,7 @@ EXPECTED = (
 
 @dataclasses.dataclass(frozen=True)
 class Columns:
-    """Which columns a recording file has, once they have been found to be in order."""
+    """Which columns a recording file has, once they are checked."""
 
     joints: int
     optional: tuple[str, ...]
@@ -80,16 +80,16 @@ def checked_columns(file: str, names: Sequence[str]) -> Columns:
     for quantity in REQUIRED:
         if not numbers[quantity]:
             raise wrong(f"missing column {quantity}_1 (no {quantity} columns at all)")
-    for quantity, found in numbers.items():
-        gaps = [f"{quantity}_{number}" for number in range(1, max(found, default=0))]
+    for quantity, present in numbers.items():
+        gaps = [f"{quantity}_{number}" for number in range(1, max(present, default=0))]
         gaps = [name for name in gaps if name not in names]
         if gaps:
-            raise wrong(f"missing column {_listed(gaps)} before {quantity}_{max(found)}")
+            raise wrong(f"missing column {_listed(gaps)} before {quantity}_{max(present)}")
     joints = len(numbers["position"])
-    for quantity, found in numbers.items():
-        if found and len(found) != joints:
+    for quantity, present in numbers.items():
+        if present and len(present) != joints:
             raise wrong(
-                f"{joints} position columns but {len(found)} {quantity} columns "
+                f"{joints} position columns but {len(present)} {quantity} columns "
                 "(as many of each are needed)"
             )
     return Columns(joints, tuple(quantity for quantity in OPTIONAL if numbers[quantity]))

@@ -11,7 +11,7 @@ from .. import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
 
 
 class RecordingChunk(eqx.Module):
-    """Successive rows of a recording file that is too long to be held at once.
+    """Successive rows of a recording file that is too long for memory.
 
     **Attributes**
 
@@ -169,7 +169,7 @@ def save_recording(
 
     **Arguments**
 
-    - `recording`: one, or successive parts of one that is too long to be held at once.
+    - `recording`: one, or successive parts of one that is too long for memory.
     - `path`: ends in `.csv` or `.parquet`; its folder exists.
 
     **Raises**
@@ -215,9 +215,9 @@ def _columns_of(part: Recording | RecordingChunk) -> dict[str, Float[np.ndarray,
     )
 
 
-def _check_joints(path: Path, found: int, expected: int | None) -> None:
-    if expected is not None and found != expected:
+def _check_joints(path: Path, count: int, expected: int | None) -> None:
+    if expected is not None and count != expected:
         raise RecordingError(
-            f"{path}: {found} position columns; expected {expected}, one for each joint "
+            f"{path}: {count} position columns; expected {expected}, one for each joint "
             "of the robot"
         )

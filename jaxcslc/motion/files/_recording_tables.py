@@ -121,7 +121,7 @@ def _read_csv(path: Path, columns: Columns) -> Iterator[dict[str, Float[np.ndarr
             for batch in reader:
                 yield _as_numpy(batch, columns)
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-        # Arrow tells the cell of some faults only, and not its line: look again, slowly.
+        # Arrow names the cell of some faults only, and not its line: look again, slowly.
         raise _faulty_cell(path) or RecordingError(f"{path}: {_one_line(error)}") from error
 
 

@@ -50,7 +50,7 @@ def threshold_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
         {
             "joint": joint + 1,
             "from residuals [rad/s]": thresholds[joint],
-            "seen in residuals": str(bool(refined.static_friction.found[joint])),
+            "seen in residuals": str(bool(refined.static_friction.significant[joint])),
             "thesis [rad/s]": float(thesis[joint]),
             "five γ of the plant [rad/s]": 5 * puma.machine.static_velocity[joint],
         }
