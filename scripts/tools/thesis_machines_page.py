@@ -107,11 +107,12 @@ def spreads(k: Mapping[str, float]) -> list[tuple[str, str, float]]:
 def page(performed: sim.Truth) -> str:
     """The page as text. `performed`: the training trajectory as Armstrong's machine performs it."""
     network = jc.derive(sim.puma560().robot)
-    names = network.names[:31]
+    inertial = network.layout.inertial
+    names = network.names[inertial]
     parts = [_INTRODUCTION]
     armstrong = _inertial(network, sim.puma560())
-    thesis = {name: thesis_coefficients(name).coefficients[:31] for name in _MACHINES}
-    weight = {name: thesis_coefficients(name).sensitivity[:31] for name in _MACHINES}
+    thesis = {name: thesis_coefficients(name).coefficients[inertial] for name in _MACHINES}
+    weight = {name: thesis_coefficients(name).sensitivity[inertial] for name in _MACHINES}
     preset = {name: _inertial(network, machine) for name, machine in _MACHINES.items()}
 
     parts.append(_WHY)
@@ -152,7 +153,7 @@ def page(performed: sim.Truth) -> str:
                 [
                     [k.name, k.unit, *(_number(value) for value in row[:3]), f"{row[3]:.4f}"]
                     for k, *row in zip(
-                        network.coefficients[:31],
+                        network.coefficients[network.layout.inertial],
                         thesis[name].tolist(),
                         preset[name].tolist(),
                         change.tolist(),
@@ -189,7 +190,7 @@ def _cost(
             (f"`puma_{name.lower()}` against it", preset[name] - thesis[name]),
             ("Armstrong against it", armstrong - thesis[name]),
         ):
-            torque = np.asarray(network_torque(np.append(change, np.zeros(12)), *motion))
+            torque = np.asarray(network_torque(_without_friction(network, change), *motion))
             over = np.sqrt(np.mean(torque**2, axis=0))
             distance = float(np.linalg.norm(weight[name] * change))
             rows.append(
@@ -222,15 +223,17 @@ def _cost(
 
 def _distance_of_unlike(network: jc.CSLC, name: str) -> float:
     machine, thesis = sim.puma560(), thesis_coefficients(name)
-    k, weight = thesis.coefficients[:31], thesis.sensitivity[:31]
+    inertial = network.layout.inertial
+    k, weight = thesis.coefficients[inertial], thesis.sensitivity[inertial]
     links = nearest_links(machine.robot, k, weight, least=0.01, shift=_FAR)
-    return float(np.linalg.norm(weight * (np.asarray(network.coefficients_from(links))[:31] - k)))
+    difference = np.asarray(network.coefficients_from(links))[inertial] - k
+    return float(np.linalg.norm(weight * difference))
 
 
 def _smallest_eigenvalue(network: jc.CSLC, machine: sim.Machine) -> float:
     low, high = np.array(machine.position_range).T
     q = np.random.default_rng(0).uniform(low, high, (_CONFIGURATIONS, 6))
-    k = np.append(_inertial(network, machine), np.zeros(12))
+    k = _without_friction(network, _inertial(network, machine))
     return float(np.linalg.eigvalsh(np.asarray(network.mass_matrix(k, q))).min())
 
 
@@ -254,7 +257,15 @@ def _links() -> str:
 
 def _inertial(network: jc.CSLC, machine: sim.Machine) -> Float[np.ndarray, "31"]:
     assert machine.robot.links is not None  # a machine has them
-    return np.asarray(network.coefficients_from(machine.robot.links))[:31]
+    return np.asarray(network.coefficients_from(machine.robot.links))[network.layout.inertial]
+
+
+def _without_friction(
+    network: jc.CSLC, inertial: Float[np.ndarray, "31"]
+) -> Float[np.ndarray, " coefficients"]:
+    k = np.zeros(network.size)
+    k[network.layout.inertial] = inertial
+    return k
 
 
 def _number(value: float, digits: int = 4) -> str:

@@ -68,8 +68,12 @@ def test_torque_and_each_term(puma: CSLC, rng: np.random.Generator) -> None:
     assert_allclose(alone(network, "gravity", k, patterns), puma.gravity_term(k, q), **close)
     friction = alone(network, "viscous", k, patterns) + alone(network, "dry", k, patterns)
     assert_allclose(friction, puma.friction_term(k, qd), **close)
-    assert_allclose(alone(network, "viscous", k, patterns), k[31:37] * qd, rtol=1e-14)
-    assert_allclose(alone(network, "dry", k, patterns), k[37:] * np.sign(qd), rtol=1e-14)
+    assert_allclose(
+        alone(network, "viscous", k, patterns), k[puma.layout.of("viscous")] * qd, rtol=1e-14
+    )
+    assert_allclose(
+        alone(network, "dry", k, patterns), k[puma.layout.of("dry")] * np.sign(qd), rtol=1e-14
+    )
 
 
 def test_hidden_nodes_are_the_quantities_that_the_thesis_names(

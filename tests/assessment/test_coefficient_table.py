@@ -40,6 +40,6 @@ def test_wrong_input(puma: jc.CSLC, puma_k: jax.Array) -> None:
     with pytest.raises(ValueError, match=r"groups: expected some of mass, .* got 'inertia'"):
         coefficient_rows(puma, groups=["inertia"])
     with pytest.raises(ValueError, match=r"true: expected shape \(43,\), got \(31,\)"):
-        coefficient_rows(puma, reference={"true": puma_k[:31]})
+        coefficient_rows(puma, reference={"true": puma_k[puma.layout.inertial]})
     with pytest.raises(ValueError, match=r"sensitivity: expected shape \(43,\), got \(1,\)"):
         coefficient_rows(puma, sensitivity=np.ones(1))

@@ -59,11 +59,11 @@ class TestKnownArm:
         patterns = _drawn(loaded, loaded_k, rng, 150, 0.3)
         found = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
         rows, torque = _rows(loaded, patterns)
-        target = torque - rows[:, :43] @ np.asarray(arm.k)
-        own = rows[:, 43:]
+        of_arm, own = rows[:, loaded.layout.unloaded], rows[:, loaded.layout.payload]
+        target = torque - of_arm @ np.asarray(arm.k)
         body, squares, *_ = np.linalg.lstsq(own, target, rcond=None)
         bread = np.linalg.inv(own.T @ own)
-        follow = bread @ own.T @ rows[:, :43]
+        follow = bread @ own.T @ of_arm
         covariance = squares[0] / (len(target) - 10) * bread
         covariance += follow @ np.asarray(arm.covariance) @ follow.T
         assert_allclose(found.parameters, body, atol=_ROUNDING)
@@ -180,7 +180,10 @@ class TestPhysical:
         self, puma: jc.CSLC, loaded: jc.CSLC, k: np.ndarray, rng: np.random.Generator, noise: float
     ) -> jc.PayloadFit:
         return jc.fit_payload(
-            puma, _drawn(loaded, k, rng, 150, noise), previous=k[:43], solver=ORDINARY
+            puma,
+            _drawn(loaded, k, rng, 150, noise),
+            previous=k[loaded.layout.unloaded],
+            solver=ORDINARY,
         )
 
     def test_is_the_body(
@@ -227,9 +230,11 @@ class TestPhysical:
         """One joint with an upright axis: nothing but the moment of inertia about it."""
         arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
         network = jc.derive(arm, lengths="numeric").with_payload()
-        k = np.concatenate([np.full(network.size - 10, 0.1), body_of(BODY)])
+        k = np.full(network.size, 0.1)
+        k[network.layout.payload] = body_of(BODY)
+        arm_k = k[network.layout.unloaded]
         found = jc.fit_payload(
-            network, _drawn(network, k, rng, 50, 0.0), previous=k[:-10], solver=ORDINARY
+            network, _drawn(network, k, rng, 50, 0.0), previous=arm_k, solver=ORDINARY
         )
         assert np.flatnonzero(np.asarray(found.determined)).tolist() == [2]
         assert len(found.unidentifiable) == 9
