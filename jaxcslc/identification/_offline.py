@@ -81,9 +81,9 @@ def fit_payload(
     else:
         assert unloaded is not None
         payload = whole.layout.indices("payload").tolist()
-        alone = solver.equations(whole, unloaded).without(whole, payload)
+        alone = solver.equations(whole, unloaded).without(payload)
         both = solver.equations(whole, loaded).followed_by(alone, loaded.samples)
-        fit = solver.fit_equations(whole, both, loaded.samples + unloaded.samples, throw=throw)
+        fit = solver.fit_equations(both, loaded.samples + unloaded.samples, throw=throw)
     body = _possible(fit, whole.layout.payload)
     return PayloadFit(fit, None if body is None else link_of(body))
 

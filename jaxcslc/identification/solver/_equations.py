@@ -1,15 +1,13 @@
 from collections.abc import Collection
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ...motion import Patterns, parallel_filter, uniform_interval
 from ...network import CSLC
 from ._compiled import regressor_of
-from ._factors import JointFactors
-from ._triangle import triangle_of
+from ._factors import JointFactors, Unknowns
 
 
 class Equations(eqx.Module):
@@ -17,17 +15,19 @@ class Equations(eqx.Module):
 
     **Attributes**
 
+    - `unknowns`: the coefficients.
     - `rows`: for each joint (rows, s + 1), its s coefficients' columns and the torque.
     - `sample`: for each joint, the sample that each row belongs to.
     """
 
+    unknowns: Unknowns = eqx.field(static=True)
     rows: tuple[Float[np.ndarray, "_ _"], ...]
     sample: tuple[Int[np.ndarray, " _"], ...]
 
     @classmethod
     def of(
         cls,
-        network: CSLC,
+        unknowns: Unknowns,
         regressor: Float[np.ndarray, "samples joints coefficients"],
         torque: Float[np.ndarray, "samples joints"],
         mask: Bool[np.ndarray, "samples joints"],
@@ -42,30 +42,37 @@ class Equations(eqx.Module):
                 np.concatenate(
                     [regressor[own, joint][:, list(support)], torque[own, joint, None]], axis=1
                 )
-                for joint, (support, own) in enumerate(zip(network.support, samples, strict=True))
+                for joint, (support, own) in enumerate(zip(unknowns.support, samples, strict=True))
             ]
-            return cls(tuple(rows), tuple(samples))
+            return cls(unknowns, tuple(rows), tuple(samples))
         filtered = parallel_filter(
             regressor, torque, mask, interval=uniform_interval(time), cutoff=cutoff
         )
-        joints = [filtered.joint == joint for joint in range(network.joint_count)]
+        joints = [filtered.joint == joint for joint in range(len(unknowns.support))]
         rows = [
             np.concatenate(
                 [filtered.regressor[own][:, list(support)], filtered.torque[own, None]], axis=1
             )
-            for support, own in zip(network.support, joints, strict=True)
+            for support, own in zip(unknowns.support, joints, strict=True)
         ]
-        return cls(tuple(rows), tuple(filtered.sample[own] for own in joints))
+        return cls(unknowns, tuple(rows), tuple(filtered.sample[own] for own in joints))
 
-    def without(self, network: CSLC, places: Collection[int]) -> "Equations":
+    def without(self, indices: Collection[int]) -> "Equations":
         """The same with nothing that depends on these coefficients."""
-        kept = [[*(place not in places for place in own), True] for own in network.support]
-        rows = (rows * np.array(own) for rows, own in zip(self.rows, kept, strict=True))
-        return Equations(tuple(rows), self.sample)
+        kept = ([*(i not in indices for i in own), True] for own in self.unknowns.support)
+        rows = (rows * np.array(factor) for rows, factor in zip(self.rows, kept, strict=True))
+        return Equations(self.unknowns, tuple(rows), self.sample)
+
+    def instants(self) -> tuple[Int[np.ndarray, " instants"], list[Int[np.ndarray, " _"]]]:
+        """The samples of all equations in ascending order, and for each joint which of them its
+        equations belong to."""
+        kept = np.unique(np.concatenate(self.sample))
+        return kept, [np.searchsorted(kept, sample) for sample in self.sample]
 
     def followed_by(self, other: "Equations", after: int) -> "Equations":
         """Both sets, the other's recording so many samples later."""
         return Equations(
+            self.unknowns,
             tuple(np.concatenate(rows) for rows in zip(self.rows, other.rows, strict=True)),
             tuple(
                 np.concatenate([mine, after + theirs])
@@ -74,21 +81,30 @@ class Equations(eqx.Module):
         )
 
     def factors(self) -> JointFactors:
-        """The factors of all equations."""
-        return JointFactors(
-            tuple(jnp.asarray(_triangles([rows])[0]) for rows in self.rows),
-            jnp.array([float(len(rows)) for rows in self.rows]),
-        )
+        """The factors of all equations, as NumPy's arrays."""
+        return JointFactors.of_rows(self.rows, np.array([float(len(rows)) for rows in self.rows]))
 
     def factors_of_folds(self, fold: Int[np.ndarray, " samples"], folds: int) -> JointFactors:
         """The factors of each fold by itself, all arrays with a leading axis of folds."""
-        triangles: list[Array] = []
+        rows: list[np.ndarray] = []
         counts: list[np.ndarray] = []
-        for rows, sample in zip(self.rows, self.sample, strict=True):
-            parts = [rows[fold[sample] == number] for number in range(folds)]
-            triangles.append(jnp.asarray(_triangles(parts)))
+        for all_rows, sample in zip(self.rows, self.sample, strict=True):
+            parts = [all_rows[fold[sample] == number] for number in range(folds)]
+            padded = np.zeros((folds, max(map(len, parts)), all_rows.shape[1]))
+            for filled, part in zip(padded, parts, strict=True):
+                filled[: len(part)] = part
+            rows.append(padded)
             counts.append(np.array([float(len(part)) for part in parts]))
-        return JointFactors(tuple(triangles), jnp.asarray(np.stack(counts, axis=-1)))
+        return JointFactors.of_rows(tuple(rows), np.stack(counts, axis=-1))
+
+    def selected(self, mask: Bool[np.ndarray, " samples"]) -> "Equations":
+        """Those of some samples."""
+        kept = [mask[sample] for sample in self.sample]
+        return Equations(
+            self.unknowns,
+            tuple(rows[own] for rows, own in zip(self.rows, kept, strict=True)),
+            tuple(sample[own] for sample, own in zip(self.sample, kept, strict=True)),
+        )
 
 
 def equations_of(
@@ -99,18 +115,10 @@ def equations_of(
 ) -> Equations:
     """One a pair that counts, or those that a parallel filter makes of them; on the host."""
     return Equations.of(
-        network,
+        Unknowns.of(network),
         np.asarray(regressor_of(network, patterns)) if regressor is None else regressor,
         np.asarray(patterns.torque),
         np.asarray(patterns.mask),
         time=np.asarray(patterns.time),
         cutoff=cutoff,
     )
-
-
-def _triangles(parts: list[Float[np.ndarray, "_ columns"]]) -> Float[np.ndarray, "parts s s"]:
-    """The triangle of each part."""
-    padded = np.zeros((len(parts), max(len(part) for part in parts), parts[0].shape[1]))
-    for place, part in zip(padded, parts, strict=True):
-        place[: len(part)] = part
-    return triangle_of(padded)

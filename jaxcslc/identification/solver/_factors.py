@@ -1,3 +1,6 @@
+import dataclasses
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,9 +14,34 @@ from ...network import CSLC
 _BLOCK = 2048
 # Rows that are factorised at once, and cells of the matrix that they make. LAPACK libraries spread
 # larger factorisations over threads that then wait for each other: on two cores OpenBLAS took
-# 0.1 s for 2,048 x 29, and 0.6 ms for eight of 256 x 29.
+# 0.1 s for 2,048 x 29, and 0.6 ms for eight of 256 x 29; 56 matrices of 256 x 54 took 0.21 s, and
+# the same rows as 112 of 128 x 54 took 0.01 s.
 _ROWS = 256
 _CELLS = 7000
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknowns:
+    """The coefficients that equations are solved for.
+
+    **Attributes**
+
+    - `names`: of the p coefficients.
+    - `support`: for each joint, the indices of those that its equations depend on, ascending.
+    """
+
+    names: tuple[str, ...]
+    support: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, network: CSLC) -> "Unknowns":
+        """Of a network."""
+        return cls(network.names, network.support)
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients, p."""
+        return len(self.names)
 
 
 class JointFactors(eqx.Module):
@@ -33,14 +61,23 @@ class JointFactors(eqx.Module):
     Both may have leading axes, as for the folds of a cross-validation.
     """
 
-    triangles: tuple[Float[Array, "*batch _ _"], ...]
-    counts: Float[Array, "*batch joints"]
+    triangles: tuple[Float[Array | np.ndarray, "*batch _ _"], ...]
+    counts: Float[Array | np.ndarray, "*batch joints"]
 
     @classmethod
     def empty(cls, network: CSLC) -> "JointFactors":
         """The factors of no patterns."""
         sizes = [len(support) + 1 for support in network.support]
         return cls(tuple(jnp.zeros((size, size)) for size in sizes), jnp.zeros(network.joint_count))
+
+    @classmethod
+    def of_rows(
+        cls,
+        rows: tuple[Float[np.ndarray, "*batch _ _"], ...],
+        counts: Float[np.ndarray, "*batch joints"],
+    ) -> "JointFactors":
+        """Of equations on the host, for each joint (..., rows, s + 1)."""
+        return cls(tuple(triangle_of(own) for own in rows), counts)
 
     def joined(self, other: "JointFactors") -> "JointFactors":
         """The factors of both sets of patterns together."""
@@ -52,26 +89,33 @@ class JointFactors(eqx.Module):
             self.counts + other.counts,
         )
 
-    def stacked(self, network: CSLC, weights: Float[Array, " joints"]) -> Float[Array, "_ columns"]:
+    def stacked(
+        self, unknowns: Unknowns, weights: Float[Array | np.ndarray, "*batch joints"]
+    ) -> Float[Array | np.ndarray, "*batch _ columns"]:
         """All triangles in the columns of all coefficients, joints scaled by their weights."""
-        rows: list[Array] = []
+        xp = np if isinstance(self.counts, np.ndarray) else jnp
+        rows: list[Any] = []
         for joint, (support, triangle) in enumerate(
-            zip(network.support, self.triangles, strict=True)
+            zip(unknowns.support, self.triangles, strict=True)
         ):
-            place = np.array([*support, network.size])
-            wide = jnp.zeros((triangle.shape[0], network.size + 1), triangle.dtype)
-            rows.append(weights[joint] * wide.at[:, place].set(triangle))
-        return jnp.concatenate(rows)
+            # Where in the triangle, with a column of zeros behind, each coefficient's column is.
+            column = np.full(unknowns.size + 1, len(support) + 1)
+            column[[*support, unknowns.size]] = np.arange(len(support) + 1)
+            wide = xp.concatenate([triangle, xp.zeros_like(triangle[..., :1])], axis=-1)
+            rows.append(weights[..., joint, None, None] * wide[..., column])
+        return xp.concatenate(rows, axis=-2)
 
-    def residual_norms(
-        self, network: CSLC, k: Float[Array, " coefficients"]
-    ) -> Float[Array, " joints"]:
-        """Root of the sum of squared torque errors of each joint, without seeing them again."""
-        norms: list[Array] = []
-        for support, triangle in zip(network.support, self.triangles, strict=True):
-            own = jnp.concatenate([k[np.array(support, dtype=int)], -jnp.ones(1, k.dtype)])
-            norms.append(jnp.linalg.norm(triangle @ own))
-        return jnp.stack(norms)
+    def root_mean_squares(
+        self, unknowns: Unknowns, k: Float[Array | np.ndarray, "*batch coefficients"]
+    ) -> Float[Array | np.ndarray, "*batch joints"]:
+        """Root mean square torque error of each joint, without seeing the patterns again."""
+        xp = np if isinstance(self.counts, np.ndarray) else jnp
+        norms: list[Any] = []
+        for support, triangle in zip(unknowns.support, self.triangles, strict=True):
+            coefficients = k[..., np.array(support, dtype=int)]
+            error = (triangle[..., :-1] @ coefficients[..., None])[..., 0] - triangle[..., -1]
+            norms.append(xp.linalg.norm(error, axis=-1))
+        return xp.stack(norms, axis=-1) / xp.sqrt(xp.maximum(self.counts, 1.0))
 
 
 def factorise(
@@ -129,3 +173,36 @@ def join_rows(triangle: Float[Array, "s s"], rows: Float[Array, "s samples"]) ->
         return jnp.linalg.qr(jnp.concatenate([triangle, piece.T]), mode="r"), None
 
     return jax.lax.scan(step, triangle, pieces)[0]
+
+
+def triangle_of(rows: Float[np.ndarray, "*batch rows columns"]) -> Float[np.ndarray, "..."]:
+    """The triangle R of an orthogonal factorisation, (..., columns, columns), signs arbitrary.
+
+    Rows are taken as many at a time as a core can factorise alone, and their triangles stacked
+    and factorised in turn. Fewer rows than columns are filled up with zeros.
+
+    >>> import numpy as np
+    >>> rows = np.random.default_rng(0).normal(size=(5000, 3))
+    >>> triangle = triangle_of(rows)
+    >>> bool(np.allclose(triangle.T @ triangle, rows.T @ rows))
+    True
+    """
+    *batch, _, columns = rows.shape
+    at_once = max(2 * columns, _CELLS // columns)
+    while rows.shape[-2] > at_once:
+        pieces = -(-rows.shape[-2] // at_once)
+        filled = _filled(rows, pieces * at_once)
+        triangles = _upper(filled.reshape(*batch, pieces, at_once, columns))
+        rows = triangles.reshape(*batch, pieces * columns, columns)
+    return _upper(_filled(rows, max(rows.shape[-2], columns)))
+
+
+def _upper(rows: np.ndarray) -> np.ndarray:
+    triangle: Any = np.linalg.qr(rows, mode="r")  # the stub promises Q as well
+    return triangle
+
+
+def _filled(rows: np.ndarray, count: int) -> np.ndarray:
+    """Zero rows behind the end."""
+    widths = [(0, 0)] * (rows.ndim - 2) + [(0, count - rows.shape[-2]), (0, 0)]
+    return np.pad(rows, widths)

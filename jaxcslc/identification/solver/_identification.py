@@ -1,3 +1,6 @@
+import json
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +12,48 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._environment import require
-from ._identification_document import arrays_from, document_of, read_document, write_document
-from ._solution import RESULTS
 from ._undetermined import describe
+
+
+# Beyond this condition, errors of the regressor decide the coefficients.
+_MEANINGLESS = 1e6
+_VERSION = 1
+_RESULTS = ("successful", "rank_deficient", "no_equations", "nonfinite")
+# Entries and their shapes, in coefficients (p) and joints (n).
+_ARRAYS = {
+    "k": "p",
+    "standard_error": "p",
+    "covariance": "pp",
+    "independent_covariance": "pp",
+    "torque_error": "n",
+    "equations": "n",
+    "effective_equations": "n",
+    "degrees_of_freedom": "",
+    "rank": "",
+    "condition": "",
+    "undetermined": "pp",
+    "determined": "p",
+}
+_INTEGERS = ("rank",)
+_TRUTHS = ("determined",)
+# What may be infinite, and is written as null.
+_OPEN = ("standard_error",)
+
+
+class RESULTS(eqx.Enumeration):
+    """How a fit ended. The members are the messages."""
+
+    successful = ""
+    rank_deficient = (
+        "The patterns do not determine every coefficient: `unidentifiable` names those that they"
+        " cannot tell. Record motion that excites them, fix them at known values, or derive with"
+        " lengths='numeric'."
+    )
+    no_equations = (
+        "Fewer equations than coefficients are left after masking. Lower the velocity thresholds"
+        " or record more motion."
+    )
+    nonfinite = "The patterns hold NaN or infinite numbers."
 
 
 class Identification(eqx.Module):
@@ -81,6 +123,16 @@ class Identification(eqx.Module):
     errors: str = eqx.field(static=True)
 
     @property
+    def meaningful(self) -> Bool[Array, ""]:
+        """Whether the condition allows any conclusion about single coefficients.
+
+        Measured motion has some six significant digits at best. Where the condition is above
+        1e6, the combination that is least determined is made of the errors of the regressor
+        itself, for which no standard error allows.
+        """
+        return self.condition < _MEANINGLESS
+
+    @property
     def unidentifiable(self) -> tuple[str, ...]:
         """What the patterns cannot tell, in words: coefficients, and what is known of them.
 
@@ -142,7 +194,7 @@ class Identification(eqx.Module):
 
     def document(self) -> dict[str, Any]:
         """Everything in it as plain data; what JSON has no number for is None."""
-        return document_of(self)
+        return _document_of(self)
 
     def save(self, path: Path | str) -> None:
         """Writes it as JSON, numbers in full precision.
@@ -151,7 +203,8 @@ class Identification(eqx.Module):
 
         - `OSError`: the file cannot be written.
         """
-        write_document(Path(path), self.document())
+        text = json.dumps(self.document(), indent=1, allow_nan=False) + "\n"
+        Path(path).write_text(text, encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path | str) -> "Identification":
@@ -162,8 +215,8 @@ class Identification(eqx.Module):
         - `OSError`: there is no such file.
         - `ValueError`: it holds something else; the message names the entry.
         """
-        document = read_document(Path(path))
-        return cls(**arrays_from(document, str(path)))
+        document = _read_document(Path(path))
+        return cls(**_arrays_from(document, str(path)))
 
     def __repr__(self) -> str:
         if isinstance(self.k, Tracer) or self.k.ndim != 1:
@@ -181,3 +234,79 @@ class Identification(eqx.Module):
         width = max(len(name) for name in self.names)
         lines = [f"{name:<{width}}  {value:>11.5g} ± {error:.2g}" for name, value, error in values]
         return "\n".join([repr(self), *lines])
+
+
+def _document_of(fit: Identification) -> dict[str, Any]:
+    """An `Identification` as plain data."""
+    result = next(name for name in _RESULTS if bool(fit.result == getattr(RESULTS, name)))
+    return {
+        "version": _VERSION,
+        "names": list(fit.names),
+        "errors": fit.errors,
+        "result": result,
+        **{name: _plain(np.asarray(getattr(fit, name)).tolist()) for name in _ARRAYS},
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _read_document(path: Path) -> dict[str, Any]:
+    """**Raises** `ValueError` in one line unless a file holds a JSON object."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise ValueError(f"{path}: expected an identification as a JSON object")
+    return document
+
+
+def _arrays_from(document: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The fields of an `Identification` from what `_document_of` made.
+
+    **Raises** `ValueError` naming the entry that is missing or wrong.
+    """
+    if "freedom" in document:  # its name in files of earlier versions
+        document = {**document, "degrees_of_freedom": document["freedom"]}
+    for name in ("version", "names", "errors", "result", *_ARRAYS):
+        if name not in document:
+            raise ValueError(f"{where}: no entry {name!r}; expected a saved identification")
+    if document["version"] != _VERSION:
+        raise ValueError(f"{where}: version is {document['version']!r}; expected {_VERSION}")
+    names = document["names"]
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{where}: names: expected a list of names")
+    if document["errors"] not in ("independent", "correlated"):
+        raise ValueError(f"{where}: errors: expected 'independent' or 'correlated'")
+    if document["result"] not in _RESULTS:
+        raise ValueError(f"{where}: result: expected one of {', '.join(_RESULTS)}")
+    equations = document["equations"]
+    sizes = {"p": len(names), "n": len(equations) if isinstance(equations, list) else 0}
+    fields = {
+        name: _array(document[name], name, tuple(sizes[axis] for axis in axes), where)
+        for name, axes in _ARRAYS.items()
+    }
+    return {
+        **fields,
+        "result": getattr(RESULTS, document["result"]),
+        "names": tuple(names),
+        "errors": document["errors"],
+    }
+
+
+def _array(value: Any, name: str, shape: tuple[int, ...], where: str) -> Any:
+    expected = f"{where}: {name}: expected numbers of shape {shape}"
+    try:
+        array = np.asarray(value, dtype=float)  # None becomes NaN
+    except (TypeError, ValueError):
+        raise ValueError(expected) from None
+    if array.shape != shape:
+        raise ValueError(f"{expected}, got {array.shape}")
+    if name in _OPEN:
+        array = np.where(np.isnan(array), np.inf, array)
+    dtype = int if name in _INTEGERS else bool if name in _TRUTHS else float
+    return jnp.asarray(array.astype(dtype))

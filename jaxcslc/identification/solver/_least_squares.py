@@ -3,6 +3,7 @@ from collections.abc import Iterable
 from typing import Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -12,25 +13,27 @@ from ..._environment import require_float64
 from ...motion import Patterns
 from ...network import CSLC
 from ._compiled import filled_up, regressor_of
-from ._correlated import ERRORS, Errors
 from ._equations import Equations, equations_of
-from ._factors import JointFactors, factorise
+from ._factors import JointFactors, Unknowns, factorise
 from ._fixed import Fixed
-from ._folds import fit_without_each
-from ._identification import Identification
+from ._identification import RESULTS, Identification
 from ._losses import LOSSES, Loss
-from ._robust import ordinary_residuals, robust_residuals, with_errors
+from ._minimum import Solution, fold_coefficients, minimum, weighted_minimum
+from ._robust import robust_residuals
 from ._rows import AbstractRows, KeptRows, PatternRows
-from ._solution import RESULTS
-from ._solve import Solution, solve
+from ._standard_errors import (
+    ERRORS,
+    Errors,
+    independent_errors,
+    ordinary_residuals,
+    with_errors,
+)
 from ._streaming import factors_of_stream
 
 
 JointWeights = (
     Literal["equal", "residual"] | tuple[float, ...] | Float[Array | np.ndarray, " joints"]
 )
-# Weights settle to a percent in two rounds: residuals hardly depend on them.
-_ROUNDS = 3
 # A regressor of no more entries is kept for the second pass, half a gigabyte of them.
 _KEPT = 1 << 26
 
@@ -128,7 +131,7 @@ class LeastSquares:
         - `ValueError`: if patterns and network differ in joints, or are not in float64.
         - `RuntimeError`: with `throw`, if patterns are not finite or too few.
         """
-        return checked(_fit_patterns(self, network, patterns, fixed), throw)
+        return checked(self._fit_patterns(network, patterns, fixed), throw)
 
     def fit_stream(
         self,
@@ -184,23 +187,21 @@ class LeastSquares:
         throw: bool = True,
     ) -> Identification:
         """The ordinary fit of factorised patterns, its errors for independent noise."""
-        return checked(_fit(network, factors, self.joint_weights, self.rcond, fixed)[0], throw)
+        unknowns = Unknowns.of(network)
+        solution, _ = self._minimum(unknowns, factors, fixed)
+        return checked(_independent_errors(unknowns, factors, solution, fixed), throw)
 
     def fit_equations(
-        self,
-        network: CSLC,
-        equations: Equations,
-        samples: int,
-        fixed: Fixed | None = None,
-        throw: bool = True,
+        self, equations: Equations, samples: int, fixed: Fixed | None = None, throw: bool = True
     ) -> Identification:
         """The fit of equations of recordings of so many samples, as `fit`; on the host."""
-        rows = KeptRows.of(equations, samples) if self._passes_twice else None
-        return checked(_fit_rows(self, network, equations.factors(), rows, fixed), throw)
+        rows = KeptRows.from_equations(equations, samples) if self._passes_twice else None
+        return checked(self._fit_rows(equations.unknowns, equations.factors(), rows, fixed), throw)
 
     def equations(self, network: CSLC, patterns: Patterns) -> Equations:
-        """The equations that `fit` solves, one for each pair that counts, or those that the
+        """The equations that `fit` solves, one for each pair of the mask, or those that the
         parallel filter makes of them; on the host."""
+        check_patterns(network, patterns)
         return equations_of(network, patterns, self.cutoff)
 
     def fit_folds(
@@ -227,7 +228,10 @@ class LeastSquares:
         if regressor is None:
             regressor = _host_regressor(network, patterns)
         k = self._fit_folds(network, patterns, regressor, fold)
-        return np.asarray(patterns.torque) - np.einsum("tjp,tp->tj", regressor, k[fold])
+        errors = np.array(patterns.torque, float)
+        for number, coefficients in enumerate(k):
+            errors[fold == number] -= regressor[fold == number] @ coefficients
+        return errors
 
     def _fit_folds(
         self,
@@ -237,8 +241,17 @@ class LeastSquares:
         fold: Int[np.ndarray, " samples"],
     ) -> Float[np.ndarray, "folds coefficients"]:
         equations = equations_of(network, patterns, self.cutoff, regressor)
-        factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
-        return fit_without_each(network, factors, residual_weights=self.joint_weights == "residual")
+        folds = int(np.max(fold)) + 1
+        if self.loss == "squared":
+            factors = equations.factors_of_folds(fold, folds)
+            return fold_coefficients(equations.unknowns, factors, self.joint_weights, self.rcond)
+        # Iterative, so one after the other.
+        solver = dataclasses.replace(self, errors="independent")
+        fits = (
+            solver.fit_equations(equations.selected(fold != number), len(fold), throw=False)
+            for number in range(folds)
+        )
+        return np.stack([np.asarray(fit.k) for fit in fits])
 
     @property
     def description(self) -> str:
@@ -259,80 +272,68 @@ class LeastSquares:
         """The ordinary fit needs no more of its equations than their factors."""
         return self.loss != "squared" or self.errors != "independent"
 
-
-def _fit_patterns(
-    solver: LeastSquares, network: CSLC, patterns: Patterns, fixed: Fixed | None
-) -> Identification:
-    check_patterns(network, patterns)
-    again, cutoff = solver._passes_twice, solver.cutoff
-    rows: AbstractRows | None = None
-    samples = patterns.q.shape[0]
-    if cutoff is None:
+    def _fit_patterns(
+        self, network: CSLC, patterns: Patterns, fixed: Fixed | None
+    ) -> Identification:
+        check_patterns(network, patterns)
+        if self.cutoff is not None:
+            return self.fit_equations(
+                equations_of(network, patterns, self.cutoff), len(patterns.q), fixed, throw=False
+            )
+        rows: AbstractRows | None = None
+        samples = len(patterns.q)
         weight = jnp.asarray(patterns.mask, float)
         motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
         q, qd, qdd, torque, weight = (jnp.asarray(filled_up(x)) for x in motion)
         factors = _factorise(network, q, qd, qdd, torque, weight)
-        if again and (_traced(*motion) or patterns.q.size * network.size > _KEPT):
+        if self._passes_twice and (_traced(*motion) or patterns.q.size * network.size > _KEPT):
             phase = (jnp.arange(len(q)) + 0.5) / samples
-            rows = PatternRows(q, qd, qdd, torque, weight, phase)
-        elif again:
-            rows = KeptRows.of(equations_of(network, patterns, None), samples)
-    else:
-        equations = equations_of(network, patterns, cutoff)
-        factors = equations.factors()
-        rows = KeptRows.of(equations, samples) if again else None
-    return _fit_rows(solver, network, factors, rows, fixed)
+            rows = PatternRows(network, q, qd, qdd, torque, weight, phase)
+        elif self._passes_twice:
+            rows = KeptRows.from_equations(equations_of(network, patterns, None), samples)
+        return self._fit_rows(Unknowns.of(network), factors, rows, fixed)
 
+    def _fit_rows(
+        self,
+        unknowns: Unknowns,
+        factors: JointFactors,
+        rows: AbstractRows | None,
+        fixed: Fixed | None,
+    ) -> Identification:
+        """The fit of equations, with a second pass if there are `rows`."""
+        solution, weights = self._minimum(unknowns, factors, fixed)
+        if rows is None:
+            return _independent_errors(unknowns, factors, solution, fixed)
+        factors, solution, weights = jax.tree.map(jnp.asarray, (factors, solution, weights))
+        if self.loss == "squared":
+            residuals = _ordinary_residuals(rows, solution, weights)
+        else:
+            residuals = _robust_residuals(
+                rows,
+                factors,
+                solution,
+                weights,
+                residual_weights=self.joint_weights == "residual",
+                loss=self.loss,
+                rcond=self.rcond,
+                fixed=fixed,
+            )
+        return _with_errors(rows, factors, residuals, self.errors, fixed)
 
-def _fit_rows(
-    solver: LeastSquares,
-    network: CSLC,
-    factors: JointFactors,
-    rows: AbstractRows | None,
-    fixed: Fixed | None,
-) -> Identification:
-    """The fit of equations, with a second pass if there are `rows`."""
-    fit, solution, weights = _fit(network, factors, solver.joint_weights, solver.rcond, fixed)
-    if rows is None:
-        return fit
-    if solver.loss == "squared":
-        found = _ordinary(network, rows, solution, weights)
-    else:
-        found = _robust(
-            network,
-            rows,
+    def _minimum(
+        self, unknowns: Unknowns, factors: JointFactors, fixed: Fixed | None
+    ) -> tuple[Solution, Array | np.ndarray]:
+        """The ordinary solution, and the weights of joints that it ended with."""
+        on_host = isinstance(factors.counts, np.ndarray)
+        solve = minimum if on_host else _compiled_minimum
+        if on_host and fixed is not None:
+            fixed = jax.tree.map(np.asarray, fixed)
+        return weighted_minimum(
+            unknowns,
             factors,
-            solution,
-            weights,
-            residual_weights=solver.joint_weights == "residual",
-            loss=solver.loss,
-            rcond=solver.rcond,
-            fixed=fixed,
+            self.joint_weights,
+            lambda weights: solve(unknowns, factors, weights, self.rcond, fixed),
         )
-    return _with_errors(network, rows, factors, found, solver.errors, fixed)
-
-
-def _fit(
-    network: CSLC,
-    factors: JointFactors,
-    joint_weights: JointWeights,
-    rcond: float | None,
-    fixed: Fixed | None = None,
-) -> tuple[Identification, Solution, Float[Array, " joints"]]:
-    """The ordinary fit, and the weights of joints that it ended with."""
-    n = network.joint_count
-    if isinstance(joint_weights, str):
-        weights = jnp.ones(n)
-    else:
-        weights = jnp.asarray(joint_weights, float)
-        if weights.shape != (n,):
-            raise ValueError(f"joint_weights: expected {n} numbers, got {len(weights)}")
-    solution, fit = _solve(network, factors, weights, rcond, fixed)
-    if isinstance(joint_weights, str) and joint_weights == "residual":
-        for _ in range(_ROUNDS):
-            weights = _residual_weights(fit)
-            solution, fit = _solve(network, factors, weights, rcond, fixed)
-    return fit, solution, weights
 
 
 def checked(fit: Identification, throw: bool) -> Identification:
@@ -342,14 +343,6 @@ def checked(fit: Identification, throw: bool) -> Identification:
     # Rank deficiency is an answer, not a failure.
     failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
     return fit.result.error_if(fit, failed)
-
-
-def _residual_weights(fit: Identification) -> Float[Array, " joints"]:
-    """One over each joint's residual; a joint without equations, or without error, weighs 1."""
-    error = fit.torque_error
-    largest = jnp.max(error)
-    floor = jnp.where(largest > 0, 1e-12 * largest, 1.0)
-    return jnp.where(fit.equations > 0, 1.0 / jnp.maximum(error, floor), 1.0)
 
 
 def _host_regressor(network: CSLC, patterns: Patterns) -> np.ndarray:
@@ -362,9 +355,10 @@ def _traced(*arrays: Array | np.ndarray) -> bool:
 
 
 _factorise = eqx.filter_jit(factorise)
-_solve = eqx.filter_jit(solve)
-_ordinary = eqx.filter_jit(ordinary_residuals)
-_robust = eqx.filter_jit(robust_residuals)
+_compiled_minimum = eqx.filter_jit(minimum)
+_independent_errors = eqx.filter_jit(independent_errors)
+_ordinary_residuals = eqx.filter_jit(ordinary_residuals)
+_robust_residuals = eqx.filter_jit(robust_residuals)
 _with_errors = eqx.filter_jit(with_errors)
 
 

@@ -1,19 +1,13 @@
-import dataclasses
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...network import CSLC
-from ._correlated import Errors, correlated_covariance, effective_counts, waves_for
 from ._factors import JointFactors
 from ._fixed import Fixed
-from ._identification import Identification
 from ._losses import Loss, influence, robust_scale, slope, weight
+from ._minimum import Solution, minimum
 from ._rows import AbstractRows
-from ._solution import RESULTS
-from ._solve import Solution, identification, minimum
+from ._standard_errors import Residuals
 
 
 # Coefficients that change by less than this part of themselves have settled. Huber's rounds take
@@ -22,24 +16,7 @@ _SETTLED = 1e-9
 _ROUNDS = 100
 
 
-class Residuals(NamedTuple):
-    """What the errors of a fit are judged by: its solution, the weights of joints that went with
-    it, and (instants, n) residuals, of a robust loss those of its pseudo-values."""
-
-    solution: Solution
-    weights: Float[Array, " joints"]
-    residual: Float[Array, "instants joints"]
-
-
-def ordinary_residuals(
-    network: CSLC, rows: AbstractRows, solution: Solution, weights: Float[Array, " joints"]
-) -> Residuals:
-    """Of a fit that minimised squares."""
-    return Residuals(solution, weights, _errors(network, rows, solution.k)[0])
-
-
 def robust_residuals(
-    network: CSLC,
     rows: AbstractRows,
     factors: JointFactors,
     solution: Solution,
@@ -52,8 +29,8 @@ def robust_residuals(
 ) -> Residuals:
     """A fit by iteratively reweighted least squares (Holland and Welsch 1977).
 
-    The scale of each joint's noise is taken from the median modulus of its errors. The
-    bisquare's minimum is looked for from Huber's, which is the only one it has.
+    The scale of each joint's noise is taken from the median absolute error. The search for the
+    bisquare's minimum starts from Huber's, which has only one.
 
     To terms of higher order, a robust fit is an ordinary one to pseudo-values, whose residuals
     are psi(u) over the mean of psi'(u), times the scale (Street, Carroll and Ruppert, American
@@ -64,70 +41,42 @@ def robust_residuals(
       `residual_weights`, one over the robust scales take their place.
     """
     k = solution.k
-    for stage in ("huber",) if loss == "huber" else ("huber", "bisquare"):
-        k = _reweighted(network, rows, k, weights, residual_weights, stage, rcond, fixed)
-    error, scale = _errors(network, rows, k)
+    stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", "bisquare")
+    for stage in stages:
+        k = _reweighted(rows, k, weights, residual_weights, stage, rcond, fixed)
+    error, scale = errors_and_scale(rows, k)
     weights = 1.0 / scale if residual_weights else weights
     residual = _pseudo_residuals(rows, error, scale, loss)
-    whole = minimum(network, factors, weights, rcond, fixed)
+    whole = minimum(rows.unknowns, factors, weights, rcond, fixed)
     squares = jnp.sum((weights[None, :] * residual) ** 2)
-    return Residuals(
-        dataclasses.replace(
-            whole,
-            k=k,
-            variance=squares / jnp.maximum(jnp.sum(rows.counts) - whole.rank, 1.0),
-            result=RESULTS.where(jnp.all(jnp.isfinite(k)), whole.result, RESULTS.nonfinite),
-        ),
-        weights,
-        residual,
+    whole = whole._replace(
+        k=k,
+        variance=squares / jnp.maximum(jnp.sum(rows.counts) - whole.rank, 1.0),
+        finite=whole.finite & jnp.all(jnp.isfinite(k)),
     )
+    return Residuals(whole, weights, residual)
 
 
-def with_errors(
-    network: CSLC,
-    rows: AbstractRows,
-    factors: JointFactors,
-    found: Residuals,
-    errors: Errors,
-    fixed: Fixed | None = None,
-) -> Identification:
-    """The fit with standard errors that allow for independent or for correlated errors."""
-    solution, weights, residual = found
-    if errors == "independent":
-        covariance = solution.variance * solution.inverse_gram
-        degrees_of_freedom = jnp.maximum(jnp.sum(rows.counts) - solution.rank, 1.0)
-        effective = factors.counts
-    else:
-        effective = effective_counts(residual, rows.counts)
-        used = waves_for(effective)
-        waves = rows.waves(network, weights[None, :] ** 2 * residual, weights, used)
-        covariance = correlated_covariance(waves, solution.inverse_gram, used)
-        degrees_of_freedom = jnp.sum(used)
-    return identification(
-        network,
-        factors,
-        solution,
-        covariance,
-        degrees_of_freedom=degrees_of_freedom,
-        effective=effective,
-        errors=errors,
-        fixed=fixed,
-    )
-
-
-def _errors(
-    network: CSLC, rows: AbstractRows, k: Float[Array, " coefficients"]
+def robust_weights(
+    rows: AbstractRows, k: Float[Array, " coefficients"], loss: Loss
 ) -> tuple[Float[Array, "instants joints"], Float[Array, " joints"]]:
-    """Torque errors of the equations that count, zero elsewhere; and each joint's scale."""
-    error = rows.counts * (rows.torque - rows.predicted(network, k))
+    """The roots of the weights of all equations in a round of reweighting, and joints' scales."""
+    error, scale = errors_and_scale(rows, k)
+    return jnp.sqrt(weight(loss, error / scale[None, :])), scale
+
+
+def errors_and_scale(
+    rows: AbstractRows, k: Float[Array, " coefficients"]
+) -> tuple[Float[Array, "instants joints"], Float[Array, " joints"]]:
+    """Torque errors of the equations that take part, zero elsewhere; and each joint's scale."""
+    error = rows.counts * (rows.torque - rows.predicted(k))
     scale = robust_scale(error, rows.counts)
-    # Errors of which more than half are rounding still tell the others from themselves.
+    # Where more than half of the errors are rounding, a floor still tells outliers from them.
     floor = 1e-12 * jnp.max(jnp.abs(rows.torque), axis=0)
     return error, jnp.maximum(scale, jnp.where(floor > 0.0, floor, 1.0))
 
 
 def _reweighted(
-    network: CSLC,
     rows: AbstractRows,
     start: Float[Array, " coefficients"],
     weights: Float[Array, " joints"],
@@ -138,10 +87,9 @@ def _reweighted(
 ) -> Float[Array, " coefficients"]:
     def improve(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         k, _, rounds = state
-        error, scale = _errors(network, rows, k)
-        root = jnp.sqrt(weight(loss, error / scale[None, :]))
-        own = 1.0 / scale if residual_weights else weights
-        better = minimum(network, rows.factors(network, root), own, rcond, fixed).k
+        root, scale = robust_weights(rows, k, loss)
+        joint_weights = 1.0 / scale if residual_weights else weights
+        better = minimum(rows.unknowns, rows.factors(root), joint_weights, rcond, fixed).k
         return better, jnp.max(jnp.abs(better - k)) / jnp.max(jnp.abs(better)), rounds + 1
 
     def unsettled(state: tuple[Array, Array, Array]) -> Array:

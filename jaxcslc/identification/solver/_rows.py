@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ...network import CSLC
 from ._equations import Equations
-from ._factors import JointFactors, factorise, join_rows
+from ._factors import JointFactors, Unknowns, factorise, join_rows
 
 
 # Patterns that are expanded into regressor rows at once, as in `factorise`.
@@ -20,88 +20,99 @@ _STEP = 256
 
 
 class AbstractRows(eqx.Module):
-    """The equations of a fit, to go over again: one a joint at each instant.
+    """The equations of a fit, for a second pass: one of each joint at each instant.
 
     **Attributes**
 
-    - `counts`: (instants, n) 1 where an equation counts, 0 where it does not.
+    - `counts`: (instants, n) 1 for an equation that takes part, 0 for one that does not.
     - `torque`: (instants, n), the right-hand sides [N m or N].
-    - `phase`: (instants,), when an instant is, as a part of the recording's length.
+    - `phase`: (instants,), the time of an instant over the length of the recording.
     """
 
     counts: eqx.AbstractVar[Float[Array, "instants joints"]]
     torque: eqx.AbstractVar[Float[Array, "instants joints"]]
     phase: eqx.AbstractVar[Float[Array, " instants"]]
 
+    @property
     @abc.abstractmethod
-    def factors(self, network: CSLC, weight: Float[Array, "instants joints"]) -> JointFactors:
-        """Of the equations that count, both sides multiplied by `weight`."""
+    def unknowns(self) -> Unknowns:
+        """The coefficients of the equations."""
 
     @abc.abstractmethod
-    def predicted(
-        self, network: CSLC, k: Float[Array, " coefficients"]
-    ) -> Float[Array, "instants joints"]:
-        """The right-hand sides that `k` gives."""
+    def factors(self, weight: Float[Array, "instants joints"]) -> JointFactors:
+        """Of the equations that take part, both sides multiplied by `weight`."""
 
     @abc.abstractmethod
-    def waves(
+    def predicted(self, k: Float[Array, " coefficients"]) -> Float[Array, "instants joints"]:
+        """The right-hand sides that `k` predicts."""
+
+    @abc.abstractmethod
+    def cosine_sums(
         self,
-        network: CSLC,
-        pull: Float[Array, "instants joints"],
+        residual: Float[Array, "instants joints"],
         weights: Float[Array, " joints"],
-        used: Float[Array, " waves"],
-    ) -> "Waves":
-        """Goes over all rows once more; `pull` is what each is multiplied by in `Waves.sums`,
-        `weights` are those of joints, `used` is 1 for the waves that count, the first ones."""
+        used: Float[Array, " components"],
+    ) -> "CosineSums":
+        """A further pass over all rows.
+
+        - `residual`: weighted, what multiplies each row in `CosineSums.sums`.
+        - `weights`: of joints.
+        - `used`: 1 for the cosine components that take part, the lowest ones.
+        """
 
 
-class Waves(NamedTuple):
+class CosineSums(NamedTuple):
     """Sums over all instants, each multiplied by a cosine of a number of half periods.
 
-    - `sums`: (waves, p), of the regressor's rows times what pulls at them.
-    - `grams`: (waves, p, p), of the outer products of weighted rows with themselves.
-    - `power`: (p, p), the same times the squares of all cosines that count, added up.
+    - `sums`: (components, p), of the regressor rows times the weighted residuals.
+    - `grams`: (components, p, p), of the outer products of weighted rows with themselves.
+    - `power`: (p, p), the same times the sum of the squares of the cosines that take part.
     """
 
-    sums: Float[Array, "waves coefficients"]
-    grams: Float[Array, "waves coefficients coefficients"]
+    sums: Float[Array, "components coefficients"]
+    grams: Float[Array, "components coefficients coefficients"]
     power: Float[Array, "coefficients coefficients"]
 
     @classmethod
-    def none(cls, size: int, waves: int) -> "Waves":
+    def empty(cls, size: int, components: int) -> "CosineSums":
         """Of no instants."""
         return cls(
-            jnp.zeros((waves, size)), jnp.zeros((waves, size, size)), jnp.zeros((size, size))
+            jnp.zeros((components, size)),
+            jnp.zeros((components, size, size)),
+            jnp.zeros((size, size)),
         )
 
     def plus(
         self,
         support: tuple[int, ...],
         rows: Float[Array, "_ instants"],
-        pull: Float[Array, " instants"],
+        residual: Float[Array, " instants"],
         weight: Float[Array, " instants"],
         phase: Float[Array, " instants"],
-        used: Float[Array, " waves"],
-    ) -> "Waves":
-        """With further rows, of one joint, given as columns of its support."""
-        own = np.array(support, dtype=int)
+        used: Float[Array, " components"],
+    ) -> "CosineSums":
+        """With further rows, of one joint, as columns of its support."""
+        indices = np.array(support, dtype=int)
         number = jnp.arange(1, len(used) + 1)
-        shapes = used[:, None] * jnp.sqrt(2.0)
-        shapes = shapes * jnp.cos(jnp.pi * number[:, None] * phase[None, :])
-        heavy = rows * weight[None, :]
-        square = jnp.sum(shapes**2, axis=0)
-        return Waves(
-            self.sums.at[:, own].add((shapes * pull[None, :]) @ rows.T),
-            self.grams.at[:, own[:, None], own[None, :]].add(
-                (shapes[:, None, :] * heavy[None]) @ rows.T
+        cosines = used[:, None] * jnp.sqrt(2.0)
+        cosines = cosines * jnp.cos(jnp.pi * number[:, None] * phase[None, :])
+        weighted = rows * weight[None, :]
+        square = jnp.sum(cosines**2, axis=0)
+        return CosineSums(
+            self.sums.at[:, indices].add((cosines * residual[None, :]) @ rows.T),
+            self.grams.at[:, indices[:, None], indices[None, :]].add(
+                (cosines[:, None, :] * weighted[None]) @ rows.T
             ),
-            self.power.at[own[:, None], own[None, :]].add((heavy * square[None, :]) @ rows.T),
+            self.power.at[indices[:, None], indices[None, :]].add(
+                (weighted * square[None, :]) @ rows.T
+            ),
         )
 
 
 class PatternRows(AbstractRows):
-    """Equations as recorded: their regressor is computed block by block, whenever it is asked."""
+    """Equations as recorded: their regressor is computed block by block in each pass."""
 
+    network: CSLC
     q: Float[Array, "instants joints"]
     qd: Float[Array, "instants joints"]
     qdd: Float[Array, "instants joints"]
@@ -109,40 +120,46 @@ class PatternRows(AbstractRows):
     counts: Float[Array, "instants joints"]
     phase: Float[Array, " instants"]
 
-    def factors(self, network: CSLC, weight: Float[Array, "instants joints"]) -> JointFactors:
-        return factorise(network, self.q, self.qd, self.qdd, self.torque, self.counts * weight)
+    @property
+    def unknowns(self) -> Unknowns:
+        return Unknowns.of(self.network)
 
-    def predicted(
-        self, network: CSLC, k: Float[Array, " coefficients"]
-    ) -> Float[Array, "instants joints"]:
+    def factors(self, weight: Float[Array, "instants joints"]) -> JointFactors:
+        motion = (self.q, self.qd, self.qdd)
+        return factorise(self.network, *motion, self.torque, self.counts * weight)
+
+    def predicted(self, k: Float[Array, " coefficients"]) -> Float[Array, "instants joints"]:
+        support = self.network.support
+
         def step(none: None, block: tuple[Array, ...]) -> tuple[None, Array]:
-            columns = network.columns(*block)
-            own = [
-                k[np.array(support, dtype=int)] @ rows
-                for support, rows in zip(network.support, columns, strict=True)
+            columns = self.network.columns(*block)
+            torque = [
+                k[np.array(indices, dtype=int)] @ rows
+                for indices, rows in zip(support, columns, strict=True)
             ]
-            return none, jnp.stack(own)
+            return none, jnp.stack(torque)
 
         _, predicted = jax.lax.scan(step, None, self._blocked(self.q, self.qd, self.qdd))
-        return jnp.swapaxes(predicted, 1, 2).reshape(-1, len(network.support))[: len(self.q)]
+        return jnp.swapaxes(predicted, 1, 2).reshape(-1, len(support))[: len(self.q)]
 
-    def waves(
+    def cosine_sums(
         self,
-        network: CSLC,
-        pull: Float[Array, "instants joints"],
+        residual: Float[Array, "instants joints"],
         weights: Float[Array, " joints"],
-        used: Float[Array, " waves"],
-    ) -> Waves:
-        def step(waves: Waves, block: tuple[Array, ...]) -> tuple[Waves, None]:
-            q, qd, qdd, pull, weight, phase = block
-            columns = network.columns(q, qd, qdd)
-            for joint, (support, rows) in enumerate(zip(network.support, columns, strict=True)):
-                waves = waves.plus(support, rows, pull[joint], weight[joint], phase[0], used)
-            return waves, None
+        used: Float[Array, " components"],
+    ) -> CosineSums:
+        support = self.network.support
+
+        def step(sums: CosineSums, block: tuple[Array, ...]) -> tuple[CosineSums, None]:
+            q, qd, qdd, residual, weight, phase = block
+            columns = self.network.columns(q, qd, qdd)
+            for joint, (indices, rows) in enumerate(zip(support, columns, strict=True)):
+                sums = sums.plus(indices, rows, residual[joint], weight[joint], phase[0], used)
+            return sums, None
 
         weight = self.counts * weights[None, :] ** 2
-        blocks = self._blocked(self.q, self.qd, self.qdd, pull, weight, self.phase[:, None])
-        return jax.lax.scan(step, Waves.none(network.size, len(used)), blocks)[0]
+        blocks = self._blocked(self.q, self.qd, self.qdd, residual, weight, self.phase[:, None])
+        return jax.lax.scan(step, CosineSums.empty(self.network.size, len(used)), blocks)[0]
 
     def _blocked(self, *arrays: Float[Array, "instants _"]) -> tuple[Array, ...]:
         """(instants, joints) to (blocks, joints, size), zeros behind the end."""
@@ -162,22 +179,22 @@ class KeptRows(AbstractRows):
     torque: Float[Array, "instants joints"]
     counts: Float[Array, "instants joints"]
     phase: Float[Array, " instants"]
+    of: Unknowns = eqx.field(static=True)
 
     @classmethod
-    def of(cls, equations: Equations, samples: int) -> "KeptRows":
+    def from_equations(cls, equations: Equations, samples: int) -> "KeptRows":
         """Equations of a recording of so many samples, instants of several joints joined."""
-        kept = np.unique(np.concatenate(equations.sample))
+        kept, indices = equations.instants()
         instants = max(1, -(-len(kept) // _STEP)) * _STEP
         if instants > 16 * _STEP:  # as `filled_up` does
             instants = 1 << (instants - 1).bit_length()
         n = len(equations.rows)
         torque, counts = np.zeros((2, instants, n))
         columns: list[Array] = []
-        for joint, (rows, sample) in enumerate(zip(equations.rows, equations.sample, strict=True)):
-            at = np.searchsorted(kept, sample)
-            own = np.zeros((instants, rows.shape[1] - 1))
-            own[at], torque[at, joint], counts[at, joint] = rows[:, :-1], rows[:, -1], 1.0
-            columns.append(jnp.asarray(own))
+        for joint, (rows, at) in enumerate(zip(equations.rows, indices, strict=True)):
+            filled = np.zeros((instants, rows.shape[1] - 1))
+            filled[at], torque[at, joint], counts[at, joint] = rows[:, :-1], rows[:, -1], 1.0
+            columns.append(jnp.asarray(filled))
         phase = np.zeros(instants)
         phase[: len(kept)] = (kept + 0.5) / samples
         return cls(
@@ -185,36 +202,37 @@ class KeptRows(AbstractRows):
             torque=jnp.asarray(torque),
             counts=jnp.asarray(counts),
             phase=jnp.asarray(phase),
+            of=equations.unknowns,
         )
 
-    def factors(self, network: CSLC, weight: Float[Array, "instants joints"]) -> JointFactors:
-        del network
+    @property
+    def unknowns(self) -> Unknowns:
+        return self.of
+
+    def factors(self, weight: Float[Array, "instants joints"]) -> JointFactors:
         triangles: list[Array] = []
-        for joint, own in enumerate(self.columns):
-            rows = jnp.concatenate([own, self.torque[:, joint, None]], axis=1)
+        for joint, columns in enumerate(self.columns):
+            rows = jnp.concatenate([columns, self.torque[:, joint, None]], axis=1)
             rows = rows * (self.counts * weight)[:, joint, None]
             size = rows.shape[1]
             triangles.append(join_rows(jnp.zeros((size, size)), rows.T))
         return JointFactors(tuple(triangles), jnp.sum(self.counts * weight != 0, axis=0) * 1.0)
 
-    def predicted(
-        self, network: CSLC, k: Float[Array, " coefficients"]
-    ) -> Float[Array, "instants joints"]:
-        own = [
-            rows @ k[np.array(support, dtype=int)]
-            for support, rows in zip(network.support, self.columns, strict=True)
+    def predicted(self, k: Float[Array, " coefficients"]) -> Float[Array, "instants joints"]:
+        torque = [
+            rows @ k[np.array(indices, dtype=int)]
+            for indices, rows in zip(self.of.support, self.columns, strict=True)
         ]
-        return jnp.stack(own, axis=1)
+        return jnp.stack(torque, axis=1)
 
-    def waves(
+    def cosine_sums(
         self,
-        network: CSLC,
-        pull: Float[Array, "instants joints"],
+        residual: Float[Array, "instants joints"],
         weights: Float[Array, " joints"],
-        used: Float[Array, " waves"],
-    ) -> Waves:
-        waves = Waves.none(network.size, len(used))
+        used: Float[Array, " components"],
+    ) -> CosineSums:
+        sums = CosineSums.empty(self.of.size, len(used))
         weight = self.counts * weights[None, :] ** 2
-        for joint, (support, rows) in enumerate(zip(network.support, self.columns, strict=True)):
-            waves = waves.plus(support, rows.T, pull[:, joint], weight[:, joint], self.phase, used)
-        return waves
+        for j, (indices, rows) in enumerate(zip(self.of.support, self.columns, strict=True)):
+            sums = sums.plus(indices, rows.T, residual[:, j], weight[:, j], self.phase, used)
+        return sums
