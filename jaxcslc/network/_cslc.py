@@ -139,6 +139,32 @@ class CSLC(AbstractTermSum):
         )
         return CSLC(algebra=self.algebra, terms=terms)
 
+    def without_law(self, kind: str, joints: Sequence[int]) -> "CSLC":
+        """The same network without a friction law, or a spring, of some joints, counted from 1.
+
+        **Raises** `ValueError` if the network has no such term.
+
+        >>> import jaxcslc as jc
+        >>> network = jc.derive(jc.puma560())
+        >>> network.without_law("dry", (1, 2)).names[-4:]
+        ('kd3', 'kd4', 'kd5', 'kd6')
+        """
+        self.layout.of(kind)
+        robot = self.robot
+        for joint in joints:
+            remaining = (word for word in robot.friction_per_joint[joint - 1] if word != kind)
+            robot = robot.with_friction(*remaining, joint=joint)
+        terms = tuple(
+            JointTerm.of(term.law, robot)
+            if isinstance(term, JointTerm) and term.kind == kind
+            else term
+            for term in self.terms
+        )
+        return CSLC(
+            dataclasses.replace(self.algebra, robot=robot),
+            tuple(term for term in terms if term.kind != kind or term.size),
+        )
+
     @property
     def _static_friction(self) -> StaticFriction | None:
         laws = (term.law for term in self.terms if isinstance(term, JointTerm))
