@@ -89,7 +89,9 @@ def identify(
         network = slopes.network
     step("fitting coefficients")
     vectors = {}
-    if previous is None or groups is None:
+    if slopes is not None:
+        fit = slopes.fit
+    elif previous is None or groups is None:
         fit = settings.fit(network, patterns["training"])
     else:
         fit = settings.reidentify(network, patterns["training"], previous, groups)

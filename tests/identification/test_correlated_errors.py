@@ -12,9 +12,10 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 import jaxcslc as jc
-from jaxcslc.identification.solver._correlated import WAVES, effective_counts
 from jaxcslc.identification.solver._equations import Equations
+from jaxcslc.identification.solver._factors import Unknowns
 from jaxcslc.identification.solver._rows import KeptRows, PatternRows
+from jaxcslc.identification.solver._standard_errors import COMPONENTS, effective_counts
 
 from .conftest import ORDINARY, Motion, patterns_of
 
@@ -122,24 +123,24 @@ def test_equals_its_formula(arm: jc.CSLC, motion: Motion, rng: np.random.Generat
     counts = np.asarray(patterns.backlash_mask)
     rows = np.asarray(arm.regressor(*motion))
     error = np.where(counts, np.asarray(patterns.torque) - rows @ np.asarray(fit.k), 0.0)
-    pulls = np.einsum("tj,tjp->tp", weights**2 * error, rows)
+    scores = np.einsum("tj,tjp->tp", weights**2 * error, rows)
     weighted = (rows * weights[:, None] * counts[..., None]).reshape(-1, p)
     effective = np.asarray(fit.effective_equations)
-    waves = int(np.clip(np.round(0.4 * effective.min() ** (2 / 3)), 8, WAVES))
-    assert float(fit.degrees_of_freedom) == waves
-    bread = np.linalg.inv(weighted.T @ weighted)
-    hat = weighted @ bread @ weighted.T
+    components = int(np.clip(np.round(0.4 * effective.min() ** (2 / 3)), 8, COMPONENTS))
+    assert float(fit.degrees_of_freedom) == components
+    inverse_gram = np.linalg.inv(weighted.T @ weighted)
+    hat = weighted @ inverse_gram @ weighted.T
     left = np.zeros(p)
     phase = (np.arange(SAMPLES) + 0.5) / SAMPLES
     total = np.zeros((p, p))
-    for k in range(1, waves + 1):
+    for k in range(1, components + 1):
         shape = np.sqrt(2) * np.cos(np.pi * k * phase)
-        off = bread @ (shape @ pulls)
-        total += np.outer(off, off) / waves
-        # White noise of covariance I pulls at the coefficients through these rows.
-        through = (np.repeat(shape, 2)[:, None] * weighted) @ bread
-        left += np.diag(through.T @ (through - hat @ through)) / waves
-    root = np.sqrt(left / np.diag(bread))
+        off = inverse_gram @ (shape @ scores)
+        total += np.outer(off, off) / components
+        # White noise of covariance I scores at the coefficients through these rows.
+        through = (np.repeat(shape, 2)[:, None] * weighted) @ inverse_gram
+        left += np.diag(through.T @ (through - hat @ through)) / components
+    root = np.sqrt(left / np.diag(inverse_gram))
     expected = total / np.outer(root, root)
     assert_allclose(fit.covariance, expected, rtol=1e-6, atol=1e-12)
     assert_allclose(fit.standard_error, np.sqrt(np.diag(expected)), rtol=1e-6)
@@ -168,33 +169,33 @@ def test_kept_rows_are_the_patterns_rows(
     counts = rng.random(motion[0].shape) < 0.7
     torque, weight = np.asarray(patterns.torque), counts.astype(float)
     phase = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    streamed = PatternRows(*(jnp.asarray(x) for x in (*motion, torque, weight, phase)))
+    streamed = PatternRows(arm, *(jnp.asarray(x) for x in (*motion, torque, weight, phase)))
     equations = Equations.of(
-        arm,
+        Unknowns.of(arm),
         np.asarray(arm.regressor(*motion)),
         torque,
         counts,
         time=np.asarray(patterns.time),
         cutoff=None,
     )
-    kept = KeptRows.of(equations, SAMPLES)
+    kept = KeptRows.from_equations(equations, SAMPLES)
     some = np.any(counts, axis=1)
     at = np.flatnonzero(some)
-    pull = rng.normal(size=motion[0].shape) * weight
+    residual = rng.normal(size=motion[0].shape) * weight
     padded = np.zeros(kept.counts.shape)
-    padded[: len(at)] = pull[at]
+    padded[: len(at)] = residual[at]
     k, weights, used = jnp.asarray(TRUE[:p]), jnp.array([2.0, 0.5]), jnp.array([1.0, 1.0, 0.0])
     for one, other in zip(
-        streamed.waves(arm, jnp.asarray(pull), weights, used),
-        kept.waves(arm, jnp.asarray(padded), weights, used),
+        streamed.cosine_sums(jnp.asarray(residual), weights, used),
+        kept.cosine_sums(jnp.asarray(padded), weights, used),
         strict=True,
     ):
         assert_allclose(one, other, atol=1e-8)
-    predicted, others = streamed.predicted(arm, k), kept.predicted(arm, k)
+    predicted, others = streamed.predicted(k), kept.predicted(k)
     assert_allclose((predicted * weight)[at], (others * kept.counts)[: len(at)], atol=1e-10)
     ones = (jnp.ones(motion[0].shape), jnp.ones(kept.counts.shape))
     for one, other in zip(
-        streamed.factors(arm, ones[0]).triangles, kept.factors(arm, ones[1]).triangles, strict=True
+        streamed.factors(ones[0]).triangles, kept.factors(ones[1]).triangles, strict=True
     ):
         assert_allclose(one.T @ one, other.T @ other, atol=1e-8)
 

@@ -12,7 +12,6 @@ from jaxtyping import TypeCheckError
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.solver._correlated import ERRORS
 from jaxcslc.identification.solver._least_squares import check_choice
 from jaxcslc.identification.solver._losses import (
     LOSSES,
@@ -22,6 +21,7 @@ from jaxcslc.identification.solver._losses import (
     slope,
     weight,
 )
+from jaxcslc.identification.solver._standard_errors import ERRORS
 
 from .conftest import ORDINARY, Motion, patterns_of
 

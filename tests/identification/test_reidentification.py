@@ -78,11 +78,11 @@ def test_equals_numpy_on_the_columns_that_are_fitted(
     rows, target = np.asarray(puma.regressor(*motion))[counts], np.asarray(patterns.torque)[counts]
     target = target - rows[:, rest] @ np.asarray(before.k)[rest]
     k, squares, rank, _ = np.linalg.lstsq(rows[:, free], target, rcond=None)
-    bread = np.linalg.inv(rows[:, free].T @ rows[:, free])
+    inverse_gram = np.linalg.inv(rows[:, free].T @ rows[:, free])
     variance = squares[0] / (len(target) - rank)
-    follow = -bread @ rows[:, free].T @ rows[:, rest]
+    follow = -inverse_gram @ rows[:, free].T @ rows[:, rest]
     known = np.asarray(before.covariance)[np.ix_(rest, rest)]
-    covariance = variance * bread + follow @ known @ follow.T
+    covariance = variance * inverse_gram + follow @ known @ follow.T
     assert_allclose(np.asarray(fit.k)[free], k, atol=_ROUNDING)
     assert_allclose(np.asarray(fit.covariance)[np.ix_(free, free)], covariance, rtol=1e-6)
     assert_allclose(

@@ -8,8 +8,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.identification import settings_document, settings_from
-from jaxcslc.identification.solver._equations import Equations
-from jaxcslc.identification.solver._triangle import triangle_of
+from jaxcslc.identification.solver._factors import triangle_of
 from jaxcslc.motion import AbstractSmoothing, CentralDifferences, Sampling, register_smoothing
 
 
@@ -84,12 +83,8 @@ def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
     equations = solver.equations(network, patterns)
     k = solver.fit_folds(network, patterns, fold)
     for number in range(folds):
-        rows = [fold[sample] != number for sample in equations.sample]
-        others = Equations(
-            tuple(x[own] for x, own in zip(equations.rows, rows, strict=True)),
-            tuple(x[own] for x, own in zip(equations.sample, rows, strict=True)),
-        )
-        oracle = solver.fit_factors(network, others.factors())
+        others = equations.selected(fold != number)
+        oracle = solver.fit_equations(others, samples)
         np.testing.assert_allclose(k[number], oracle.k, rtol=1e-8, atol=1e-8)
 
     errors = solver.held_out_errors(network, patterns, fold)

@@ -130,7 +130,7 @@ class Report:
                 " those of the previous identification"
             ]
         yield [coefficient_text(self.rows())]
-        if self.slopes is not None:
+        if self.slopes is not None and self.network.static_slopes is not None:
             yield [_slopes(self.slopes)]
         yield self._determination()
         for name, table in self.errors.items():
@@ -177,5 +177,5 @@ def _slopes(fit: SlopeFit) -> str:
     )
     return (
         f"slopes of static friction [s/rad or s/m]: {listed};"
-        " the intervals above hold for these slopes"
+        " the intervals above allow for their errors"
     )

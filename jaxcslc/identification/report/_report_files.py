@@ -67,6 +67,7 @@ def report_document(report: "Report") -> dict[str, Any]:
         document["static_slopes"] = np.asarray(network.static_slopes, float)
     document |= {
         "friction": list(network.robot.friction),
+        "joint_friction": [list(terms) for terms in network.robot.friction_per_joint],
         "coupled": [list(pair) for pair in network.robot.coupled],
         "expressions": [coefficient.expression for coefficient in network.coefficients],
         "units": [coefficient.unit for coefficient in network.coefficients],

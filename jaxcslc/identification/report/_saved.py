@@ -133,9 +133,15 @@ def _with_friction(robot: Manipulator, document: dict[str, Any], path: Path) -> 
             raise ValueError(f"{path}: {name}: expected a list")
     if robot.joint_friction is not None:
         return robot
+    joint_friction = document.get("joint_friction")
+    if joint_friction is not None and not isinstance(joint_friction, list):
+        raise ValueError(f"{path}: joint_friction: expected a list")
     try:
         if terms is not None and tuple(terms) != robot.friction:
             robot = robot.with_friction(*terms)
+        for joint, own in enumerate(joint_friction or (), 1):
+            if tuple(own) != robot.friction:
+                robot = robot.with_friction(*own, joint=joint)
         if pairs and not robot.coupled:
             robot = robot.with_coupling(*pairs)
     except (RobotError, TypeError) as error:

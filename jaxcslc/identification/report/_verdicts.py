@@ -22,9 +22,6 @@ _WELL = 0.1
 # Variance inflation above this: most of a coefficient's variance comes from its correlation with
 # others (Belsley, Kuh and Welsch 1980).
 _CORRELATED = 10.0
-# Condition number above which coefficients lose half of float64's digits, and any error of the
-# regressor exceeds them.
-MEANINGLESS_CONDITION = 1e8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +94,7 @@ def verdicts(
     interval = fit.confidence_interval(level)
     inflation = None if excitation is None else np.asarray(excitation.variance_inflation)
     determined, combinations = np.asarray(fit.determined), _determined_combinations(fit)
-    meaningless = float(fit.condition) > MEANINGLESS_CONDITION
+    meaningless = not bool(fit.meaningful)
     result: list[Verdict] = []
     for i, coefficient in enumerate(network.coefficients):
         name, (low, high) = coefficient.name, interval[i]

@@ -4,9 +4,8 @@ import numpy as np
 
 from ...motion import Recording
 from ...network import CSLC
-from ..solver import Identification
+from ..solver import MEANINGLESS_CONDITION, Identification
 from ._errors import ErrorTable
-from ._verdicts import MEANINGLESS_CONDITION
 
 
 def fit_warnings(
@@ -25,7 +24,7 @@ def fit_warnings(
     not move, whose torque is constant, or of whose torque's variance the fit explains less than
     half, as with a wrong unit.
     """
-    if float(fit.condition) > MEANINGLESS_CONDITION:
+    if not bool(fit.meaningful):
         yield (
             f"condition number {float(fit.condition):.2g} exceeds {MEANINGLESS_CONDITION:.0g}: no"
             " coefficient is well determined, whatever its standard error; use a motion that"

@@ -9,7 +9,11 @@ from ._factors import (
     factorise as factorise,
 )
 from ._fixed import Fixed as Fixed, Previous as Previous
-from ._identification import RESULTS as RESULTS, Identification as Identification
+from ._identification import (
+    MEANINGLESS_CONDITION as MEANINGLESS_CONDITION,
+    RESULTS as RESULTS,
+    Identification as Identification,
+)
 from ._least_squares import (
     JointWeights as JointWeights,
     LeastSquares as LeastSquares,

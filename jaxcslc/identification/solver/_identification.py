@@ -15,8 +15,9 @@ from ..._environment import require
 from ._undetermined import describe
 
 
-# Beyond this condition, errors of the regressor decide the coefficients.
-_MEANINGLESS = 1e6
+# Beyond this condition of a regressor with columns of unit length, the least determined combination
+# of coefficients follows the eighth digit of the regressor, which no measured motion has.
+MEANINGLESS_CONDITION = 1e8
 _VERSION = 1
 _RESULTS = ("successful", "rank_deficient", "no_equations", "nonfinite")
 # Entries and their shapes, in coefficients (p) and joints (n).
@@ -126,11 +127,10 @@ class Identification(eqx.Module):
     def meaningful(self) -> Bool[Array, ""]:
         """Whether the condition allows any conclusion about single coefficients.
 
-        Measured motion has some six significant digits at best. Where the condition is above
-        1e6, the combination that is least determined is made of the errors of the regressor
-        itself, for which no standard error allows.
+        Above `MEANINGLESS_CONDITION`, the least determined combination consists of errors of the
+        regressor itself, for which no standard error allows.
         """
-        return self.condition < _MEANINGLESS
+        return self.condition <= MEANINGLESS_CONDITION
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
@@ -18,7 +18,8 @@ _ROUNDS = 3
 # A coefficient that shares this part of a unit null vector is not determined by itself.
 _SHARE = 1e-6
 
-Numbers = Array | np.ndarray
+# NumPy's arrays or JAX's.
+Numbers = Any
 
 
 class Solution(NamedTuple):
@@ -158,7 +159,7 @@ def residual_weights(
 class Coefficients(NamedTuple):
     """The coefficients of a minimum alone."""
 
-    k: Float[np.ndarray, "folds coefficients"]
+    k: Float[Numbers, "folds coefficients"]
 
 
 def fold_coefficients(

@@ -15,7 +15,6 @@ CUTOFF = 15.0  # Hz
 SLOWEST = 5e-3  # rad/s, of smoothed motion; slower joints may be at rest
 _MARGIN = 2  # samples on either side of a reversal
 _LENGTH = 100  # samples of a window, at most
-_BLOCKS = 30  # stretches of time, within which residuals are correlated
 # Windows start from static friction of a tenth of dry friction, gone to exp(-3) at a tenth of the
 # greatest speed.
 _START = 0.1
@@ -85,12 +84,16 @@ class Identifier:
         return models
 
     def _slopes(self, patterns: jc.Patterns) -> Model:
-        solver = jc.LeastSquares(errors="independent")
-        fit = jc.fit_slopes(self.network, patterns, solver=solver, blocks=_BLOCKS)
-        k, error = np.asarray(fit.fit.k), np.asarray(fit.fit.standard_error)
-        static = self.network.layout.of("static")
+        fit = jc.fit_slopes(self.network, patterns)
         slopes = np.asarray(fit.slopes), np.asarray(fit.slope_error)
-        return Model(fit.network, k, k[static], error[static], *slopes)
+        # Joints whose slope is not determined have no static friction left.
+        magnitude, error = np.zeros(slopes[0].size), np.full(slopes[0].size, np.inf)
+        joints = np.setdiff1d(np.arange(magnitude.size), np.array(fit.dropped, int) - 1)
+        if joints.size:
+            static = fit.network.layout.of("static")
+            magnitude[joints] = fit.fit.k[static]
+            error[joints] = fit.fit.standard_error[static]
+        return Model(fit.network, np.asarray(fit.fit.k), magnitude, error, *slopes)
 
     def _windows(
         self,
