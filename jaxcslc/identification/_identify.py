@@ -107,6 +107,7 @@ def identify(
         held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
     elif previous is None:
         held_out = cross_validated_error(network, patterns["training"], settings)
+    warnings += () if slopes is None else slopes.warnings
     warnings += () if held_out is None else held_out.warnings
     warnings += fit_warnings(network, training, fit, errors["training"])
     return Report(

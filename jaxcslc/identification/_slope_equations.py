@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 
 from ..motion import Patterns
 from ..network import CSLC
-from .solver import Equations, JointFactors, LeastSquares, Unknowns
+from .solver import Equations, JointFactors, LeastSquares, Unknowns, triangle_of
 
 
 # One pair in a hundred is slower than what counts as the slowest observed speed: fewer cannot
@@ -152,7 +152,7 @@ class SlopeEquations:
             key = (joint, slope_of.get(joint, 0.0))
             if key not in self.triangles:
                 rows = self._rows(joint, slopes) * self.weights[joint][:, None]
-                self.triangles[key] = JointFactors.of_rows((rows,), np.ones(1)).triangles[0]
+                self.triangles[key] = triangle_of(rows)
             triangles.append(self.triangles[key])
         for i, joint in enumerate(self.joints):
             triangles[joint] = triangles[joint].copy()

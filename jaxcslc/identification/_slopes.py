@@ -279,7 +279,7 @@ def _searched(
     solution, squares = _evaluated(equations, slopes, weights, rcond)
     damping = _DAMPING
     for step in range(max_steps):
-        moving = np.ones(len(slopes), bool)
+        moving, proposed = np.ones(len(slopes), bool), slopes
         for _ in range(len(slopes)):
             heights = np.where(moving, solution.k[list(equations.columns)], 0.0)
             damped = equations.damped(slopes, heights, weights, damping)

@@ -161,8 +161,8 @@ class CSLC(AbstractTermSum):
             for term in self.terms
         )
         return CSLC(
-            dataclasses.replace(self.algebra, robot=robot),
-            tuple(term for term in terms if term.kind != kind or term.size),
+            algebra=dataclasses.replace(self.algebra, robot=robot),
+            terms=tuple(term for term in terms if term.kind != kind or term.size),
         )
 
     @property

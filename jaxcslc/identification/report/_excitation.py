@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..._environment import require
 from ...motion import Patterns
 from ...network import CSLC
-from ..solver import factorise, filled_up
+from ..solver import Unknowns, factorise, filled_up, rank_tolerance
 
 
 # Most coefficients that `worst_combination` names.
@@ -129,7 +129,7 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
     motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque)
     weight = jnp.asarray(patterns.mask, float)
     factors = _factorise(network, *(jnp.asarray(filled_up(x)) for x in (*motion, weight)))
-    triangle = factors.stacked(network, jnp.ones(network.joint_count))[:, :-1]
+    triangle = factors.stacked(Unknowns.of(network), jnp.ones(network.joint_count))[:, :-1]
     length = jnp.linalg.norm(triangle, axis=0)
     scaled = triangle / jnp.where(length > 0, length, 1.0)[None, :]
     _, singular, right = jnp.linalg.svd(scaled, full_matrices=False)
@@ -139,9 +139,7 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
         group: np.flatnonzero([other == group for other in groups])
         for group in dict.fromkeys(groups)
     }
-    # What counts as zero in `least_squares` too.
-    rounding = 10 * jnp.finfo(scaled.dtype).eps
-    rounding *= jnp.maximum(network.size, jnp.sqrt(jnp.sum(factors.counts)))
+    rounding = rank_tolerance(network.size, jnp.sum(factors.counts))
     counted = singular > rounding * singular[0]
     inverse = jnp.where(counted, 1.0 / jnp.where(counted, singular, 1.0), 0.0)
     undetermined = jnp.sum(jnp.where(counted[:, None], 0.0, right) ** 2, axis=0) > 1e-12
@@ -160,7 +158,7 @@ def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
     )
 
 
-# The same transformation of the same function as in `least_squares`: compiled once for both.
+# The same transformation of the same function as in `LeastSquares.fit`: compiled once for both.
 _factorise = eqx.filter_jit(factorise)
 
 

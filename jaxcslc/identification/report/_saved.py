@@ -133,13 +133,13 @@ def _with_friction(robot: Manipulator, document: dict[str, Any], path: Path) -> 
             raise ValueError(f"{path}: {name}: expected a list")
     if robot.joint_friction is not None:
         return robot
-    joint_friction = document.get("joint_friction")
-    if joint_friction is not None and not isinstance(joint_friction, list):
+    joint_friction: Any = document.get("joint_friction", [])
+    if not isinstance(joint_friction, list):
         raise ValueError(f"{path}: joint_friction: expected a list")
     try:
         if terms is not None and tuple(terms) != robot.friction:
             robot = robot.with_friction(*terms)
-        for joint, own in enumerate(joint_friction or (), 1):
+        for joint, own in enumerate(joint_friction, 1):
             if tuple(own) != robot.friction:
                 robot = robot.with_friction(*own, joint=joint)
         if pairs and not robot.coupled:

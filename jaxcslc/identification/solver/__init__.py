@@ -7,6 +7,7 @@ from ._factors import (
     JointFactors as JointFactors,
     Unknowns as Unknowns,
     factorise as factorise,
+    triangle_of as triangle_of,
 )
 from ._fixed import Fixed as Fixed, Previous as Previous
 from ._identification import (

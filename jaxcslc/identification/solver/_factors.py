@@ -157,7 +157,9 @@ def factorise(
 
     start = JointFactors.empty(network) if factors is None else factors
     triangles, _ = jax.lax.scan(
-        step, start.triangles, tuple(blocked(x) for x in (q, qd, qdd, torque, weight))
+        step,
+        tuple(map(jnp.asarray, start.triangles)),
+        tuple(blocked(x) for x in (q, qd, qdd, torque, weight)),
     )
     return JointFactors(triangles, start.counts + jnp.sum(weight != 0, axis=0))
 

@@ -288,7 +288,9 @@ class LeastSquares:
         factors = _factorise(network, q, qd, qdd, torque, weight)
         if self._passes_twice and (_traced(*motion) or patterns.q.size * network.size > _KEPT):
             phase = (jnp.arange(len(q)) + 0.5) / samples
-            rows = PatternRows(network, q, qd, qdd, torque, weight, phase)
+            rows = PatternRows(
+                network=network, q=q, qd=qd, qdd=qdd, torque=torque, counts=weight, phase=phase
+            )
         elif self._passes_twice:
             rows = KeptRows.from_equations(equations_of(network, patterns, None), samples)
         return self._fit_rows(Unknowns.of(network), factors, rows, fixed)

@@ -124,11 +124,12 @@ def minimum(
 def weighted_minimum(
     unknowns: Unknowns,
     factors: JointFactors,
-    joint_weights: str | tuple[float, ...],
+    joint_weights: Any,
     solve: Callable[[Any], Any],
 ) -> tuple[Any, Any]:
     """What `solve` makes of the weights of joints, and these weights.
 
+    - `joint_weights`: those of `LeastSquares`.
     - `solve`: a function of the weights (..., n) that returns what has coefficients `k`; called
       once for weights that are numbers, and a few times more to weight joints by residual.
     """
@@ -165,7 +166,7 @@ class Coefficients(NamedTuple):
 def fold_coefficients(
     unknowns: Unknowns,
     factors: JointFactors,
-    joint_weights: str | tuple[float, ...],
+    joint_weights: Any,
     rcond: float | None,
 ) -> Float[np.ndarray, "folds coefficients"]:
     """The coefficients fitted to all folds but one, for each one left out.
