@@ -13,7 +13,7 @@ import jaxcslc
 # The packages that users are sent to are checked through the names that they export.
 PUBLIC = {
     name: value
-    for name, value in vars(jaxcslc).items()
+    for name, value in ((name, getattr(jaxcslc, name)) for name in dir(jaxcslc))
     if not name.startswith("_") and (inspect.isclass(value) or inspect.isfunction(value))
 }
 FUNCTIONS = {name: value for name, value in PUBLIC.items() if inspect.isfunction(value)}
