@@ -380,7 +380,10 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it() -> None:
 def test_importing_the_library_leaves_everything_as_it_was() -> None:
     """No output, no change of JAX's configuration, nothing heavy that most users do not need."""
     program = (
-        "import jax; before = dict(jax.config.values); import jaxcslc, sys; "
+        "import sys; import jaxcslc; assert 'jax' not in sys.modules; "
+        "import jax; before = dict(jax.config.values); "
+        "names = [getattr(jaxcslc, name) for name in dir(jaxcslc) "
+        "if name not in ('adaptive', 'training')]; assert len(names) >= 50; "
         "assert dict(jax.config.values) == before; "
         "heavy = {'sim', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel', 'pandas', 'tomlkit', "
         "'sympy', 'optimistix', 'scipy.interpolate', 'scipy.optimize', 'scipy.signal', "

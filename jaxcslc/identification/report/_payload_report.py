@@ -22,6 +22,16 @@ class PayloadReport:
     - `fit`: the `PayloadFit`, with uncertainty and the nearest body that can exist.
     - `patterns`: of the loaded recording.
     - `errors`: torque errors over them, `"with"` and `"without"` the payload's coefficients.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> network = jc.derive(jc.puma560()).with_payload()
+    >>> t, rate = np.arange(500)[:, None] * 0.01, np.arange(1.0, 7.0)
+    >>> q, qd, qdd = np.sin(rate * t), rate * np.cos(rate * t), -(rate**2) * np.sin(rate * t)
+    >>> k = np.ones(network.size)
+    >>> recording = jc.Recording(t[:, 0], q, np.asarray(network.torque(k, q, qd, qdd)))
+    >>> report = jc.identify_payload(network, recording, settings=jc.Settings(), previous=k)
+    >>> report.errors.names
+    ('with', 'without')
     """
 
     network: CSLC

@@ -27,6 +27,16 @@ class SavedReport:
     - `settings`: of the fit; None if the file has none.
     - `motion`: some of the training recording's states, as patterns without torques; None if the
       file has none.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
+    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> jc.SavedReport(network, fit, settings=None, motion=None).fit.names == network.names
+    True
     """
 
     network: CSLC
