@@ -119,4 +119,4 @@ class PayloadCompensation(AbstractController):
         feedback = OutputFeedback(self.controller.with_coefficients(k), self.filter)
         torque, inner = feedback.step(state.feedback, reference, q, interval)
         estimator = self.estimator.step(state.estimator, q, torque, interval)
-        return torque, PayloadCompensationState(inner, estimator, body)
+        return jnp.asarray(torque), PayloadCompensationState(inner, estimator, body)

@@ -1,2 +1,2 @@
-from ._ultrasound import Echoes as Echoes, ultrasound as ultrasound
-from ._ultrasound_echo import Sonar as Sonar
+from ._echoes import Echoes as Echoes, ultrasound as ultrasound
+from ._sonar import Sonar as Sonar

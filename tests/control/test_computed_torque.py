@@ -102,7 +102,7 @@ def test_errors_follow_the_response_that_the_gains_prescribe(puma: jc.CSLC, puma
         error[sample] = at[sample] - data.qpos
         reference = Reference(at[sample], rate[sample], second[sample])
         data.ctrl[:], state = step(
-            state, reference, np.array(data.qpos), np.array(data.qvel), interval
+            state, reference, np.array(data.qpos), interval, np.array(data.qvel)
         )
         mujoco.mj_step(model, data)
     prescribed = _oscillator(first, np.zeros(6), time)
@@ -124,6 +124,7 @@ def test_an_integral_takes_out_what_a_wrong_model_leaves(puma: jc.CSLC, puma_k: 
         ) -> tuple[tuple[Array, ...], None]:
             q, qd, state = carry
             torque, state = controller.step(state, Reference.rest(target), q, INTERVAL, qd)
+            state = jnp.asarray(state)
             qd = qd + INTERVAL * puma.forward_dynamics(k, q, qd, torque)
             return (q + INTERVAL * qd, qd, state), None
 

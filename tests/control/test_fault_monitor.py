@@ -76,7 +76,9 @@ def test_faults_are_named_and_the_arm_comes_to_rest(
     when = result.observed["detected"][-1][joint - 1]
     assert 0 < when - BEGINS < 0.06
     assert np.all(np.abs(result.observed["torque"]) <= LIMIT)
-    late = result.truth.time > when + guard.stop + 0.5  # friction stops what model error leaves
+    late = (
+        result.truth.time > when + guard.stop_time + 0.5
+    )  # friction stops what model error leaves
     assert np.max(np.abs(result.truth.velocity[late])) < 0.02
     assert np.max(np.abs(result.truth.position - START)) < 1.2
 
@@ -93,7 +95,7 @@ def test_all_samples_lost(guard: FaultMonitor) -> None:
     """Without any reading the arm follows its model to rest."""
     result, found = _performed(guard, sim.Fault("lost samples", None, start=BEGINS))
     assert found == tuple(f"joint {j}: lost samples" for j in range(1, 7))
-    late = result.truth.time > BEGINS + guard.stop + 0.2
+    late = result.truth.time > BEGINS + guard.stop_time + 0.2
     assert np.max(np.abs(result.truth.velocity[late])) < 0.02
 
 
@@ -106,7 +108,7 @@ def test_a_cable_that_tears_slowly(guard: FaultMonitor) -> None:
         sim.Fault("lost samples", None, start=BEGINS + 0.1),
     )
     assert found == tuple(f"joint {j}: lost samples" for j in range(1, 7))
-    late = result.truth.time > BEGINS + guard.stop + 0.5
+    late = result.truth.time > BEGINS + guard.stop_time + 0.5
     assert np.max(np.abs(result.truth.velocity[late])) < 0.02
 
 

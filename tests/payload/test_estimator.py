@@ -189,7 +189,7 @@ def test_it_is_least_squares_on_filtered_signals(
         if n:
             motion = step(motion, q[n - 1], q[n], 0.002)
             effort = step(effort, torque[n - 1], torque[n], 0.002, hold="constant")
-        if (n + 1) % estimator.every == 0:
+        if (n + 1) % estimator.update_every == 0:
             at = chain.read(motion)
             columns = np.asarray(estimator.network.regressor(*at))
             weight = np.sqrt(np.where(np.abs(at.rate) > SLOWEST, 0.02 / NOISE, 0.0))
@@ -250,7 +250,7 @@ def test_torque_noise_is_a_spectral_density(puma: jc.CSLC, arm_k: Array) -> None
 
 
 def test_refusals(puma: jc.CSLC, arm_k: Array, estimator: PayloadEstimator) -> None:
-    with pytest.raises(ValueError, match="known: expected 43 coefficients"):
+    with pytest.raises(ValueError, match="fixed: expected 43 coefficients"):
         PayloadEstimator(puma, arm_k[:4], NOISE)
     with pytest.raises(ValueError, match="noise: expected 6 values, one a joint"):
         PayloadEstimator(puma, arm_k, NOISE[:2])

@@ -60,7 +60,7 @@ class ExactLoop(AbstractController):
         q = jnp.asarray(q)
         qd = (q - state.before) / interval
         torque, inner = self.controller.step(state.controller, reference, q, interval, qd)
-        return torque, ExactState(q, inner)
+        return jnp.asarray(torque), ExactState(q, inner)
 
 
 def prescribed(

@@ -120,4 +120,4 @@ class KnownPayloadLoop(AbstractController):
         )
         loop = OutputFeedback(controller.with_coefficients(k), self.loop.filter)
         torque, inner = loop.step(inner, reference, q, interval)
-        return torque, (clock + interval, inner)
+        return jnp.asarray(torque), (clock + interval, inner)

@@ -7,16 +7,7 @@ import pytest
 from scipy.special import jn_zeros
 
 import sim
-from sim.ultrasound._ultrasound_echo import (
-    EchoPaths,
-    absorption,
-    amplitude,
-    directivity,
-    pulse,
-    received,
-    receiver_noise,
-)
-from sim.ultrasound._ultrasound_paths import (
+from sim.ultrasound._paths import (
     curved,
     diffraction,
     edge,
@@ -24,6 +15,15 @@ from sim.ultrasound._ultrasound_paths import (
     plane,
     scattered,
     vertical_corner,
+)
+from sim.ultrasound._sonar import (
+    EchoPaths,
+    absorption,
+    amplitude,
+    directivity,
+    pulse,
+    received,
+    receiver_noise,
 )
 
 

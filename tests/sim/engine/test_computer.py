@@ -27,16 +27,16 @@ class Proportional(AbstractController):
 
     gain: jax.Array
 
-    def begin(self, q: jax.Array) -> jax.Array:
+    def begin(self, q: Any) -> jax.Array:
         return jnp.zeros(q.shape[:-1], int)
 
     def step(
         self,
         state: jax.Array,
         reference: Reference,
-        q: jax.Array,
+        q: Any,
         interval: float | jax.Array,
-        qd: jax.Array | None = None,
+        qd: Any = None,
     ) -> tuple[jax.Array, jax.Array]:
         return jnp.broadcast_to(self.gain, q.shape) * (reference.q - q), state + 1
 

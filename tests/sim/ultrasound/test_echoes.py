@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import sim
-from sim.ultrasound._ultrasound import COEFFICIENTS, features, onset, position
-from sim.ultrasound._ultrasound_echo import received
-from sim.ultrasound._ultrasound_objects import KINDS, column, pole, wall
-from sim.ultrasound._ultrasound_paths import curved
+from sim.ultrasound._echoes import COEFFICIENTS, features, onset, position
+from sim.ultrasound._objects import KINDS, column, pole, wall
+from sim.ultrasound._paths import curved
+from sim.ultrasound._sonar import received
 
 
 SONAR = sim.Sonar()

@@ -80,7 +80,7 @@ def test_pid_is_its_formula_on_a_moving_arm():
     )
     q, interval = np.zeros(1), 0.25
     state = pid.begin(q)
-    errors, torques = sim.minimum_jerk(np.array([0.0, 0.25, 0.5])), []
+    errors, torques = np.asarray(sim.minimum_jerk(np.array([0.0, 0.25, 0.5]))), []
     for error in errors:
         torque, state = pid.step(state, Reference.rest(np.array([error])), q, interval)
         torques.append(float(torque[0]))
