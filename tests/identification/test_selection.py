@@ -434,3 +434,25 @@ def test_slow_pairs_are_kept_where_a_term_explains_them(rng: np.random.Generator
     assert fractions == ((0.001,), (0.003,), (0.01,))
     patterns = resolved.patterns(recording)
     assert np.sum(patterns.mask) > np.sum(by_hand.patterns(recording).mask)
+
+
+def test_a_validation_recording_of_a_coarser_encoder_is_named(
+    pendulum: jc.CSLC, rng: np.random.Generator
+):
+    recording = swing(pendulum, rng, position=0.0)
+    fine, coarse = (
+        dataclasses.replace(recording, position=step * np.round(recording.position / step))
+        for step in (1e-4, 1e-3)
+    )
+    settings = jc.Settings(jc.Preparation(jc.AveragedSplines(9)))
+    report = jc.identify(pendulum, fine, coarse, settings)
+    start = "validation recording: joint 1: encoder steps of 0.001, 10 times the 0.0001"
+    (warning,) = [text for text in report.warnings if text.startswith(start)]
+    assert warning.endswith("that the settings were chosen for")
+    adapted = jc.identify(pendulum, fine, coarse)
+    (warning,) = [text for text in adapted.warnings if text.startswith(start)]
+    assert "; prepared by settings of its own: " in warning
+    # Smoothed for its own encoder, it shows smaller errors than by the other recording's settings.
+    errors = [float(r.errors["validation"].rms[0, 0]) for r in (adapted, report)]
+    assert errors[0] < errors[1]
+    assert not any(text.startswith(start) for text in jc.identify(pendulum, fine, fine).warnings)
