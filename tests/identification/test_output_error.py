@@ -51,4 +51,10 @@ def test_other_friction_is_refused() -> None:
     windows = motion_windows(np.ones((50, 1)), length=20, slowest=0.1, trim=2)
     recording = jc.Recording(np.arange(50) * 0.002, np.zeros((50, 1)), np.zeros((50, 1)))
     with pytest.raises(ValueError, match="expected viscous, dry and static friction"):
-        fit_windows(network, np.zeros(network.size), recording, windows, (np.zeros((50, 1)),) * 2)
+        fit_windows(
+            network,
+            np.zeros(network.size),
+            recording,
+            windows,
+            (np.zeros((50, 1)), np.zeros((50, 1))),
+        )

@@ -58,7 +58,8 @@ def test_it_stands_while_it_picks_up_and_puts_down() -> None:
     wanted = task.path.reference(times, np.broadcast_to(tasks.START, (4, 6)))
     assert_allclose(wanted.qd, 0.0, atol=1e-9)
     assert_allclose(wanted.q, np.stack([tasks.PICK, tasks.PLACE, tasks.PICK, tasks.PLACE]))
-    (load,) = task.loads
+    assert len(task.loads) == 1
+    load = task.loads[0]
     assert (load.start, load.stop) == (task.picked, task.placed)
     assert not tasks.Task(0.0, 1.1).loads
     low, high = np.array(sim.puma560().position_range).T

@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import numpy as np
@@ -32,7 +33,7 @@ def test_regions_are_around_changes_of_sign() -> None:
     # It turns at 0.401 s and 1.201 s, between two samples.
     turning = np.cos(2 * np.pi * (time - 0.001) / 1.6)
     velocity = np.stack([turning, np.ones(1000)], axis=1)
-    truth = SimpleNamespace(time=time, velocity=velocity)
+    truth: Any = SimpleNamespace(time=time, velocity=velocity)
     masks = study.regions(truth)
     at, away = masks[study.AT], masks[study.AWAY]
     assert not np.any(at & away)
@@ -43,7 +44,7 @@ def test_regions_are_around_changes_of_sign() -> None:
 
 
 def test_best_is_the_least_over_all_seeds() -> None:
-    def one(low: float, high: float) -> object:
+    def one(low: float, high: float) -> study.Errors:
         trials = {"filter": {1.0: np.array([low]), 2.0: np.array([high])}}
         empty = {"filter": {1.0: np.array([np.nan]), 2.0: np.array([np.nan])}}
         return study.Errors(
