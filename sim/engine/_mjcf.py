@@ -90,24 +90,24 @@ def mjcf(
             )
     robot.length_values()  # names the length that has no value
 
-    def friction(freedom: int) -> str:
+    def friction(dof: int) -> str:
         """Attributes of a degree of freedom's joint."""
-        text = "" if viscous is None else f' damping="{float(viscous[freedom])!r}"'
-        if breakaway is not None and breakaway[freedom] > 0:
+        text = "" if viscous is None else f' damping="{float(viscous[dof])!r}"'
+        if breakaway is not None and breakaway[dof] > 0:
             # The time constant is MuJoCo's shortest: a joint that friction can stop within a
             # step is stopped, whatever the step.
             text += (
-                f' frictionloss="{float(breakaway[freedom])!r}"'
+                f' frictionloss="{float(breakaway[dof])!r}"'
                 f' solreffriction="{2 * float(time_step)!r} 1"'
                 f' solimpfriction="{_IMPEDANCE} {_IMPEDANCE} 1"'
             )
         return text
 
-    def joint_line(name: str, i: int, inertia: float, freedom: int) -> str:
+    def joint_line(name: str, i: int, inertia: float, dof: int) -> str:
         kind = "hinge" if robot.joints[i].kind == "R" else "slide"
         return (
             f'<joint name="{name}" type="{kind}" axis="0 0 1" armature="{inertia!r}"'
-            f"{friction(freedom)}/>"
+            f"{friction(dof)}/>"
         )
 
     lines = [
@@ -138,12 +138,12 @@ def mjcf(
             f"{pad}  {joint_line(f'joint_{i + 1}', i, motor, i)}",
         ]
     lines += ["  " * (i + 2) + "</body>" for i in reversed(range(n))]
-    for freedom, i in enumerate(soft, start=n):
+    for dof, i in enumerate(soft, start=n):
         lines += [
             f'    <body name="rotor_{i + 1}">',
             f'      <inertial pos="0 0 0" mass="{_SMALLEST_MASS}"'
             f' diaginertia="{_numbers([_SMALLEST_MOMENT] * 3)}"/>',
-            f"      {joint_line(f'rotor_{i + 1}', i, float(links[i].motor_inertia), freedom)}",
+            f"      {joint_line(f'rotor_{i + 1}', i, float(links[i].motor_inertia), dof)}",
             "    </body>",
         ]
     lines += ["  </worldbody>"]

@@ -52,17 +52,17 @@ def check_time_step(
 
     - `MachineError`: names the joint and the longest step.
     """
-    n, freedoms = machine.joint_count, model.nv
+    n, dofs = machine.joint_count, model.nv
     transmission = Transmission.of(machine)
-    if freedoms == n:
+    if dofs == n:
         return
     data = mujoco.MjData(model)
     data.qpos[:n], data.qpos[transmission.rotor] = position, position
     mujoco.mj_forward(model, data)
-    mass, stiffness, damping = np.zeros((3, freedoms, freedoms))
+    mass, stiffness, damping = np.zeros((3, dofs, dofs))
     mujoco.mj_fullM(model, data, mass)
     for i in np.flatnonzero(transmission.flexible):
-        apart = np.zeros(freedoms)
+        apart = np.zeros(dofs)
         apart[transmission.rotor[i]], apart[i] = 1.0, -1.0
         stiffness += machine.stiffness[i] * np.outer(apart, apart)
         damping += machine.transmission_damping[i] * np.outer(apart, apart)

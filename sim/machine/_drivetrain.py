@@ -49,7 +49,7 @@ class Drives:
 
 @dataclass(frozen=True, eq=False)
 class Transmission:
-    """How rotors and links hang together (2.5.3), and where a plant keeps their motion.
+    """How rotors and links are coupled (2.5.3), and which degrees of freedom a plant has for them.
 
     A plant's degrees of freedom are the links, one a joint, and after them the rotors of the
     joints whose transmission gives way. Every array here may have leading batch axes: machines
@@ -59,7 +59,7 @@ class Transmission:
     >>> import sim
     >>> soft = (float("inf"), 5e4, *(float("inf"),) * 4)
     >>> transmission = sim.Transmission.of(dataclasses.replace(sim.puma560(), stiffness=soft))
-    >>> transmission.rotor, transmission.freedoms
+    >>> transmission.rotor, transmission.degrees_of_freedom
     (array([0, 6, 2, 3, 4, 5]), 7)
     """
 
@@ -75,7 +75,7 @@ class Transmission:
         return cls(np.array(machine.flexible), np.array(machine.backlash))
 
     @property
-    def freedoms(self) -> int:
+    def degrees_of_freedom(self) -> int:
         """How many degrees of freedom there are."""
         return int(self.flexible.size + np.count_nonzero(self.flexible))
 
@@ -89,7 +89,7 @@ class Transmission:
         self,
         on_rotor: Float[np.ndarray, "*batch joints"],
         on_link: Float[np.ndarray, "*batch joints"],
-    ) -> Float[np.ndarray, "*batch freedoms"]:
+    ) -> Float[np.ndarray, "*batch dofs"]:
         """Values of each degree of freedom from those of rotors and links; added up where rotor
         and link are one body."""
         links = np.where(self.flexible, on_link, on_rotor + on_link)

@@ -67,8 +67,12 @@ class MotorLinearity:
         """Standard deviation of the measurements that the line was fitted to [N m]; NaN for two,
         through which a line always goes."""
         fitted = self.residual[:-1]
-        freedom = fitted.size - 2
-        return math.sqrt(float(fitted @ fitted) / freedom) if freedom else math.nan
+        degrees_of_freedom = fitted.size - 2
+        return (
+            math.sqrt(float(fitted @ fitted) / degrees_of_freedom)
+            if degrees_of_freedom
+            else math.nan
+        )
 
     @property
     def excess(self) -> float:
