@@ -23,7 +23,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from scripts.benchmarks.c_library import shared_library
 
 

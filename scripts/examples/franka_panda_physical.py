@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import all_or_nothing, text_table, write_csv, write_json
+from jaxcslc.identification.report import all_or_nothing, text_table, write_csv, write_json
 from jaxcslc.motion import RecordingError, resample
 from scripts.examples.franka_panda import DATA, PERIOD, Target, read_recording
 

@@ -36,7 +36,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 import jaxcslc as jc
-from jaxcslc.identification import text_table, write_csv
+from jaxcslc.identification.report import text_table, write_csv
 from jaxcslc.manipulator import tx40
 from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError
 

@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from jaxcslc.motion import as_recorded
 from scripts.studies import command
 from scripts.studies.truth import true_coefficients

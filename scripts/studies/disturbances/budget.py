@@ -41,7 +41,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import all_or_nothing
+from jaxcslc.identification.report import all_or_nothing
 from jaxcslc.motion import choose_spacing
 from scripts.studies import command
 from scripts.studies.disturbances.fits import Fits, identify, judge

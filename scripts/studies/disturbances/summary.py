@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t as student
 
-from jaxcslc.identification import text_table, write_csv
+from jaxcslc.identification.report import text_table, write_csv
 from jaxcslc.plotting import save_picture
 from scripts.studies.disturbances.measures import OFF, ON, Line, lines
 from scripts.studies.disturbances.pictures import budget_picture

@@ -31,7 +31,7 @@ from tqdm import tqdm
 import jaxcslc as jc
 import sim
 from jaxcslc.control import FAULTS, ComputedTorque, FaultMonitor, OutputFeedback
-from jaxcslc.identification import all_or_nothing, text_table, write_csv
+from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from scripts.studies import command
 from scripts.studies.truth import true_coefficients
 

@@ -43,7 +43,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import all_or_nothing, write_csv
+from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
 from scripts.studies import command
 from scripts.studies.generalisation.patterns import data_of, in_range, stop_set

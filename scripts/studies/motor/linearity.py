@@ -15,7 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 import sim
-from jaxcslc.identification import all_or_nothing, write_csv
+from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
 from scripts.studies import command
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture

@@ -29,7 +29,7 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from jaxcslc.identification import write_csv
+from jaxcslc.identification.report import write_csv
 from jaxcslc.plotting import save_picture
 
 

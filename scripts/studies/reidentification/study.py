@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import text_table, write_csv
+from jaxcslc.identification.report import text_table, write_csv
 from jaxcslc.motion import choose_spacing
 from jaxcslc.plotting import save_picture
 from scripts.studies import command

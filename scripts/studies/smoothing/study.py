@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import all_or_nothing, write_csv
+from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.motion import AbstractSmoothing, SavitzkyGolay, away_from_reversals, choose_spacing
 from jaxcslc.plotting import save_picture
 from scripts.studies import command

@@ -21,7 +21,7 @@ import numpy as np
 import jaxcslc as jc
 import sim
 from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
-from jaxcslc.identification import all_or_nothing, text_table, write_csv, write_json
+from jaxcslc.identification.report import all_or_nothing, text_table, write_csv, write_json
 from jaxcslc.training import (
     PERAL,
     AdaptedRates,

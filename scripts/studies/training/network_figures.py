@@ -24,7 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxcslc.adaptive import AdaptiveNetwork, PolynomialTerms, fully_connected
-from jaxcslc.identification import all_or_nothing, write_json
+from jaxcslc.identification.report import all_or_nothing, write_json
 from jaxcslc.plotting import save_picture
 from jaxcslc.training import (
     Backpropagation,

@@ -28,7 +28,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from jaxcslc.identification import all_or_nothing, write_csv, write_json
+from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
 from jaxcslc.plotting import save_picture
 from jaxcslc.training import (
     AdaptedRates,
