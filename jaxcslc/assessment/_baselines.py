@@ -2,8 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification.report import torque_errors
-from ..identification.solver import regressor_of
+from ..identification.solver import Fixed, LeastSquares
 from ..motion import Patterns
 from ..network import CSLC
 
@@ -39,10 +38,11 @@ def regress_friction(
     >>> bool(np.allclose(jc.regress_friction(network, patterns, wrong), k))
     True
     """
-    friction = network.layout.friction
-    rigid = np.array(network.without_friction(jnp.asarray(k)))
-    residual = np.asarray(torque_errors(network, patterns, jnp.asarray(rigid)))
-    mask = np.asarray(patterns.mask)
-    columns = np.asarray(regressor_of(network, patterns))[:, :, friction]
-    rigid[friction] = np.linalg.lstsq(columns[mask], residual[mask], rcond=None)[0]
-    return jnp.asarray(rigid)
+    rigid = network.without_friction(jnp.asarray(k))
+    names = [network.names[index] for index in network.layout.friction]
+    if not names:
+        return rigid
+    solver = LeastSquares(joint_weights="equal", errors="independent")
+    fixed = Fixed.except_for(network, rigid, names)
+    equations = solver.equations(network, patterns)  # on the host: nothing to compile
+    return solver.fit_equations(equations, patterns.samples, fixed, throw=False).k

@@ -199,8 +199,8 @@ def _judged(
     own, worth = _root_mean_square(training, training_mask)
     others, others_worth = _root_mean_square(held_out, held_out_mask)
     share = min(rank / max(float(worth.sum()), 1.0), 0.9)
-    freedom = np.maximum(worth * (1.0 - share), 1.0)
-    chance = scipy.special.fdtri(np.maximum(others_worth, 1.0), freedom, 1.0 - _CHANCE)
+    degrees_of_freedom = np.maximum(worth * (1.0 - share), 1.0)
+    chance = scipy.special.fdtri(np.maximum(others_worth, 1.0), degrees_of_freedom, 1.0 - _CHANCE)
     return HeldOut(own, others, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
 
 

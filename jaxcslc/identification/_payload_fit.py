@@ -75,7 +75,7 @@ class PayloadFit(eqx.Module):
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
-        """What the motion does not tell of the payload, in words."""
+        """What the motion does not determine of the payload, in words."""
         return tuple(
             sentence
             for sentence in self.fit.unidentifiable

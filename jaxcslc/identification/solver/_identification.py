@@ -46,8 +46,8 @@ class RESULTS(eqx.Enumeration):
 
     successful = ""
     rank_deficient = (
-        "The patterns do not determine every coefficient: `unidentifiable` names those that they"
-        " cannot tell. Record motion that excites them, fix them at known values, or derive with"
+        "The patterns do not determine every coefficient: `unidentifiable` names the others."
+        " Record motion that excites them, fix them at known values, or derive with"
         " lengths='numeric'."
     )
     no_equations = (
@@ -134,7 +134,7 @@ class Identification(eqx.Module):
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
-        """What the patterns cannot tell, in words: coefficients, and what is known of them.
+        """What the patterns do not determine, in words: coefficients, and determined combinations.
 
         One entry for every group of coefficients that the patterns leave undetermined, with the
         combinations of them that are determined. Not available under `jit`.
@@ -146,8 +146,8 @@ class Identification(eqx.Module):
         """Of the coefficients' errors, (p, p), from -1 to 1; between a coefficient whose error is
         zero and others, 0."""
         deviation = jnp.sqrt(jnp.diag(self.covariance))
-        known = deviation > 0.0
-        scale = jnp.where(known, deviation, 1.0)
+        positive = deviation > 0.0
+        scale = jnp.where(positive, deviation, 1.0)
         correlation = self.covariance / scale[:, None] / scale[None, :]
         return jnp.where(jnp.eye(len(scale), dtype=bool), 1.0, jnp.clip(correlation, -1.0, 1.0))
 

@@ -16,7 +16,7 @@ _MEDIAN = 0.6744897501960817
 
 
 def influence(loss: Loss, u: Float[Array, "..."]) -> Float[Array, "..."]:
-    """psi(u): how hard an equation that is off by `u` standard deviations pulls at a fit.
+    """psi(u): the influence on a fit of an equation with an error of `u` standard deviations.
 
     >>> import jax.numpy as jnp
     >>> influence("huber", jnp.array([0.5, 100.0])).tolist()

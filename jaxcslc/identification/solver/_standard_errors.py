@@ -14,9 +14,9 @@ from ._rows import AbstractRows, CosineSums
 Errors = Literal["independent", "correlated"]
 ERRORS: tuple[str, ...] = get_args(Errors)
 
-# Of the variance of a sum, every cosine tells one degree of freedom: with more than these,
-# Student's t hardly differs from a normal distribution; with fewer, intervals are wide and tell
-# little of themselves.
+# Every cosine component adds one degree of freedom to the variance of a sum: with more than these,
+# Student's t hardly differs from a normal distribution; with fewer, intervals are wide and
+# uncertain themselves.
 COMPONENTS = 32
 _FEWEST_COMPONENTS = 8
 # A fit that leaves less of the noise than this part has as good as no residuals.

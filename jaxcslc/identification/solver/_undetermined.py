@@ -41,10 +41,12 @@ def _sentence(group: list[int], echelon: np.ndarray, names: Sequence[str]) -> st
     listed = ", ".join(names[i] for i in group)
     own = echelon[:, group]
     own = own[np.linalg.norm(own, axis=1) > _NEGLIGIBLE]
-    known = scipy.linalg.null_space(own).T
-    if not known.size:
+    determined = scipy.linalg.null_space(own).T
+    if not determined.size:
         return f"{listed}: nothing in the patterns depends on {'it' if len(group) == 1 else 'them'}"
-    combinations = [_combination(row, [names[i] for i in group]) for row in _reduced_echelon(known)]
+    combinations = [
+        _combination(row, [names[i] for i in group]) for row in _reduced_echelon(determined)
+    ]
     several = len(combinations) > 1
     return (
         f"{listed}: only the combination{'s' if several else ''} {', '.join(combinations)}"
