@@ -1,4 +1,3 @@
-from ._candidates import Candidates as Candidates
 from ._held_out import (
     HeldOut as HeldOut,
     cross_validated_error as cross_validated_error,
@@ -21,7 +20,6 @@ from ._physical_parameters import (
 )
 from ._refinement import Refinement as Refinement, refine_thresholds as refine_thresholds
 from ._reidentification import reidentify as reidentify
-from ._selection import Selection as Selection, Trial as Trial, choose_settings as choose_settings
 from ._settings import (
     Settings as Settings,
     settings_document as settings_document,
@@ -45,6 +43,12 @@ from .report import (
     predicted_torque as predicted_torque,
     torque_errors as torque_errors,
     verdicts as verdicts,
+)
+from .selection import (
+    Candidates as Candidates,
+    Selection as Selection,
+    Trial as Trial,
+    choose_settings as choose_settings,
 )
 from .solver import (
     RESULTS as RESULTS,

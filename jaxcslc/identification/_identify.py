@@ -4,12 +4,11 @@ from types import MappingProxyType
 
 from ..motion import Patterns, Recording, Sampling
 from ..network import CSLC
-from ._candidates import Candidates
 from ._held_out import cross_validated_error, held_out_error
-from ._selection import choose_settings
 from ._settings import Settings
 from ._slopes import fit_slopes
 from .report import Report, compare, degree_of_excitation, fit_warnings
+from .selection import Candidates, choose_settings
 from .solver import Identification, Previous
 
 

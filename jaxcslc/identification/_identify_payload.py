@@ -6,9 +6,9 @@ from ..motion import Recording
 from ..network import CSLC
 from ._identify import recording_named, without_progress
 from ._offline import fit_payload
-from ._selection import choose_settings
 from ._settings import Settings
 from .report import PayloadReport, compare
+from .selection import choose_settings
 from .solver import Previous
 
 

@@ -2,7 +2,7 @@ import dataclasses
 from itertools import groupby
 from typing import Any, Literal
 
-from ..motion import (
+from ...motion import (
     AbstractSmoothing,
     AveragedSplines,
     Butterworth,
@@ -13,9 +13,9 @@ from ..motion import (
     static_fractions,
     uniform_interval,
 )
-from ..network import CSLC
+from ...network import CSLC
+from .._settings import Settings, static_friction_joints
 from ._search import Axis
-from ._settings import Settings, static_friction_joints
 
 
 # Each family covers pass bands from about 2 to 50 Hz at 2 ms, in steps of about √2.

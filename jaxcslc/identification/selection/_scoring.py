@@ -4,7 +4,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..motion import Recording, zero_phase
+from ...motion import Recording, zero_phase
 
 
 # Fewer judged samples of a joint in one fold say little.

@@ -2,7 +2,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ._settings import Settings
+from .._settings import Settings
 
 
 # The search goes over all options this often at most; two rounds are the rule.

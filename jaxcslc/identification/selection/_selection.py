@@ -4,14 +4,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._environment import require, require_float64
-from ..motion import Derivatives, Preparation, Recording, Sampling
-from ..network import CSLC
+from ..._environment import require, require_float64
+from ...motion import Derivatives, Preparation, Recording, Sampling
+from ...network import CSLC
+from .._settings import Settings
+from ..solver import regressor_of
 from ._candidates import Candidates
 from ._scoring import Scoring
 from ._search import CoordinateSearch
-from ._settings import Settings
-from .solver import regressor_of
 
 
 @dataclasses.dataclass(frozen=True)
