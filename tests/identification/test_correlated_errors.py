@@ -15,7 +15,7 @@ import jaxcslc as jc
 from jaxcslc.identification.solver._equations import Equations
 from jaxcslc.identification.solver._factors import Unknowns
 from jaxcslc.identification.solver._rows import KeptRows, PatternRows
-from jaxcslc.identification.solver._standard_errors import COMPONENTS, effective_counts
+from jaxcslc.identification.solver._standard_errors import COMPONENTS, Errors, effective_counts
 
 from .conftest import ORDINARY, Motion, patterns_of
 
@@ -60,7 +60,7 @@ def blue(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def coverage(
-    network: jc.CSLC, motion: Motion, noises: list[np.ndarray], errors: str
+    network: jc.CSLC, motion: Motion, noises: list[np.ndarray], errors: Errors
 ) -> tuple[float, float]:
     """How often 95 % intervals held the truth, and mean standard error over true deviation."""
     k = TRUE[: network.size]
@@ -72,7 +72,7 @@ def coverage(
         patterns = eqx.tree_at(lambda p: p.torque, first, torque)
         return jc.LeastSquares(joint_weights="equal", errors=errors).fit(
             network, patterns, throw=False
-        )  # type: ignore[arg-type]
+        )
 
     fits = eqx.filter_jit(eqx.filter_vmap(fit))(torque)
     quantile = student.ppf(0.975, np.asarray(fits.degrees_of_freedom))[:, None]
@@ -169,7 +169,16 @@ def test_kept_rows_are_the_patterns_rows(
     counts = rng.random(motion[0].shape) < 0.7
     torque, weight = np.asarray(patterns.torque), counts.astype(float)
     phase = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    streamed = PatternRows(arm, *(jnp.asarray(x) for x in (*motion, torque, weight, phase)))
+    q, qd, qdd = (jnp.asarray(x) for x in motion)
+    streamed = PatternRows(
+        network=arm,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        torque=jnp.asarray(torque),
+        counts=jnp.asarray(weight),
+        phase=jnp.asarray(phase),
+    )
     equations = Equations.of(
         Unknowns.of(arm),
         np.asarray(arm.regressor(*motion)),
