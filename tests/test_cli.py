@@ -98,11 +98,11 @@ class TestIdentify:
         """The settings that one run printed give the same coefficients in the next."""
         _, output = identified
         before = json.loads((output / "identification.json").read_text())
-        given = run(
+        repeated = run(
             *("identify", "puma560", recordings[0], "-o", tmp_path / "again"),
             *("--settings", output / "identification.json"),
         )
-        assert given.exit_code == 0, given.output
+        assert repeated.exit_code == 0, repeated.output
         after = json.loads((tmp_path / "again" / "identification.json").read_text())
         np.testing.assert_allclose(after["k"], before["k"], rtol=1e-9, atol=1e-12)
         assert after["settings"] == before["settings"]
@@ -123,8 +123,8 @@ class TestExport:
             moments = np.sort(np.diag(np.asarray(link.inertia)))
             assert float(link.mass) > 0 and 0 < moments[2] < moments[0] + moments[1]
         identified_k = json.loads((output / "identification.json").read_text())
-        place = identified_k["names"].index("kv2")
-        assert robot.viscous[1] == pytest.approx(identified_k["k"][place], rel=0.1)
+        index = identified_k["names"].index("kv2")
+        assert robot.viscous[1] == pytest.approx(identified_k["k"][index], rel=0.1)
         source = path.read_text()
         assert "# The principal-axis substitution" in source and "[numbering" in source
 
@@ -179,17 +179,17 @@ class TestReidentify:
         """From the first second: the rest of the coefficients is as it was, errors included."""
         cells = _cells(recordings[0])
         _write(tmp_path / "short.csv", cells[:500])
-        known = identified[1] / "identification.json"
+        document_path = identified[1] / "identification.json"
         result = run(
             *("identify", "puma560", tmp_path / "short.csv", "--reidentify", "viscous, dry"),
-            *("--previous", known, "--validate", recordings[1], "-o", tmp_path / "out"),
+            *("--previous", document_path, "--validate", recordings[1], "-o", tmp_path / "out"),
         )
         assert result.exit_code == 0, result.output
         for text in ("re-identified: viscous, dry", "rank 12 of 12", "before", "validation RMS"):
             assert text in result.output
         before, after = (
             jc.Identification.load(path)
-            for path in (known, tmp_path / "out" / "identification.json")
+            for path in (document_path, tmp_path / "out" / "identification.json")
         )
         layout = jc.derive(jc.puma560()).layout
         rigid, friction = layout.inertial, layout.friction
@@ -219,9 +219,9 @@ class TestReidentify:
         recordings: tuple[Path, Path],
         tmp_path: Path,
     ) -> None:
-        known = str(identified[1] / "identification.json")
-        given = [known if option == "KNOWN" else option for option in options]
-        result = run("identify", "puma560", recordings[1], *given, "-o", tmp_path / "o")
+        document_path = str(identified[1] / "identification.json")
+        arguments = [document_path if option == "KNOWN" else option for option in options]
+        result = run("identify", "puma560", recordings[1], *arguments, "-o", tmp_path / "o")
         assert result.exit_code == 2
         (line,) = result.stderr.strip().splitlines()
         for word in words:
@@ -276,10 +276,13 @@ class TestPayload:
     def test_wrong_input_gets_one_line(
         self, loaded: Path, identified: tuple[Result, Path], tmp_path: Path
     ) -> None:
-        known = identified[1] / "identification.json"
+        document_path = identified[1] / "identification.json"
         for arguments, words in (
-            (["panda", loaded, "--previous", known], ["expected an identification of this robot"]),
-            (["puma560", tmp_path / "none.csv", "--previous", known], ["none.csv"]),
+            (
+                ["panda", loaded, "--previous", document_path],
+                ["expected an identification of this robot"],
+            ),
+            (["puma560", tmp_path / "none.csv", "--previous", document_path], ["none.csv"]),
             (["puma560", loaded, "--previous", tmp_path / "no.json"], ["no.json", "no such"]),
             (["puma560", loaded, "--previous", loaded], ["loaded.csv", "not valid JSON"]),
         ):
@@ -322,9 +325,9 @@ def _fewer_joints(cells: list[list[str]]) -> list[list[str]]:
 
 
 def _standing_still(cells: list[list[str]]) -> list[list[str]]:
-    header, first, *rest = cells
+    header, first, *others = cells
     stamp = header.index("time")
-    return [header, first, *([*first[:stamp], row[stamp], *first[stamp + 1 :]] for row in rest)]
+    return [header, first, *([*first[:stamp], row[stamp], *first[stamp + 1 :]] for row in others)]
 
 
 @pytest.mark.parametrize(

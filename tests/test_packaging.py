@@ -64,10 +64,10 @@ def imported(source: str, package: str) -> Iterator[str]:
 
 def forbidden_imports(source: str, package: str) -> list[str]:
     """Imports by which a module of `package` breaks the layering, in the order of the source."""
-    house, _, rest = package.partition(".")
-    folder = rest.partition(".")[0]
+    top_package, _, subpackages = package.partition(".")
+    folder = subpackages.partition(".")[0]
     outside = {"tests", "scripts", "notebooks"}
-    if house == "jaxcslc":
+    if top_package == "jaxcslc":
         outside |= {"sim"}
     if folder == "derivation":  # exact algebra
         outside |= {"jax", "jaxlib", "equinox"}
@@ -76,7 +76,7 @@ def forbidden_imports(source: str, package: str) -> list[str]:
         top, second = (*name.split("."), "")[:2]
         climbs = (
             bool(folder)
-            and house == top == "jaxcslc"
+            and top_package == top == "jaxcslc"
             and second not in {*below(folder), "_environment"}
         )
         return top in outside or climbs
@@ -198,15 +198,15 @@ def test_wheel_holds_both_packages_whole(tmp_path: Path) -> None:
         names = set(wheel.namelist())
         (entry,) = (name for name in names if name.endswith("/entry_points.txt"))
         assert "jaxcslc = jaxcslc.cli:main" in wheel.read(entry).decode()
-    held = {name for name in names if ".dist-info/" not in name}
+    packaged = {name for name in names if ".dist-info/" not in name}
     expected = {
         path.relative_to(ROOT).as_posix()
         for package in ("jaxcslc", "sim")
         for path in (ROOT / package).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert held == expected
-    assert {"jaxcslc/py.typed", "sim/py.typed"} <= held
+    assert packaged == expected
+    assert {"jaxcslc/py.typed", "sim/py.typed"} <= packaged
 
 
 @pytest.mark.parametrize("package", ["jaxcslc", "sim"])

@@ -32,13 +32,13 @@ def test_the_examples_of_the_readme_run_and_agree(capsys: pytest.CaptureFixture[
 def test_the_examples_of_networks_run_one_after_the_other(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    known: dict[str, object] = {}
+    namespace: dict[str, object] = {}
     printed: list[str] = []
     for example in examples_of("docs/networks.md"):
-        exec(compile(example, "docs/networks.md", "exec"), known)
+        exec(compile(example, "docs/networks.md", "exec"), namespace)
         printed.append(capsys.readouterr().out)
-    own, size, relearnt, several, pruned = printed
-    assert "stop set" in own or "not ended" in own
+    training, size, relearnt, several, pruned = printed
+    assert "stop set" in training or "not ended" in training
     assert size == "25 21 ('network 1', 'network 2')\n"
     assert float(relearnt) < 1e-3
     assert "8 of 25 weights" in several
@@ -48,10 +48,10 @@ def test_the_examples_of_networks_run_one_after_the_other(
 def test_the_examples_of_friction_run_one_after_the_other(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    known: dict[str, object] = {}
+    namespace: dict[str, object] = {}
     printed: list[str] = []
     for example in examples_of("docs/friction.md"):
-        exec(compile(example, "docs/friction.md", "exec"), known)
+        exec(compile(example, "docs/friction.md", "exec"), namespace)
         printed.append(capsys.readouterr().out)
     names, slopes, relearnt = printed
     assert names == "('ks6', 'kvp3', 'kvn3')\n"
@@ -62,10 +62,10 @@ def test_the_examples_of_friction_run_one_after_the_other(
 def test_the_examples_of_payload_run_one_after_the_other(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    known: dict[str, object] = {}
+    namespace: dict[str, object] = {}
     printed: list[str] = []
     for example in examples_of("docs/payload.md"):
-        exec(compile(example, "docs/payload.md", "exec"), known)
+        exec(compile(example, "docs/payload.md", "exec"), namespace)
         printed.append(capsys.readouterr().out)
     assert "'pIxx', " in printed[0]
     assert "PayloadFit(1.5" in printed[1] and "LinkParameters(" in printed[1]
@@ -74,11 +74,11 @@ def test_the_examples_of_payload_run_one_after_the_other(
 def test_the_examples_of_control_run_one_after_the_other(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    known: dict[str, object] = {}
+    namespace: dict[str, object] = {}
     printed: list[str] = []
     for example in examples_of("docs/control.md"):
-        exec(compile(example, "docs/control.md", "exec"), known)
+        exec(compile(example, "docs/control.md", "exec"), namespace)
         printed.append(capsys.readouterr().out)
-    torque, off, found = printed
+    torque, off, faults = printed
     assert torque.startswith("[") and off.count("off by at most 0.00") == 2
-    assert found == "('joint 3: lost samples, found at 0.010 s',)\n"
+    assert faults == "('joint 3: lost samples, found at 0.010 s',)\n"

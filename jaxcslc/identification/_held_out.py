@@ -196,12 +196,12 @@ def _judged(
     held_out_mask: np.ndarray,
     rank: int,
 ) -> HeldOut:
-    own, worth = _root_mean_square(training, training_mask)
-    others, others_worth = _root_mean_square(held_out, held_out_mask)
-    share = min(rank / max(float(worth.sum()), 1.0), 0.9)
-    degrees_of_freedom = np.maximum(worth * (1.0 - share), 1.0)
-    chance = scipy.special.fdtri(np.maximum(others_worth, 1.0), degrees_of_freedom, 1.0 - _CHANCE)
-    return HeldOut(own, others, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
+    training_error, training_worth = _root_mean_square(training, training_mask)
+    held_out_rms, held_out_worth = _root_mean_square(held_out, held_out_mask)
+    share = min(rank / max(float(training_worth.sum()), 1.0), 0.9)
+    degrees_of_freedom = np.maximum(training_worth * (1.0 - share), 1.0)
+    chance = scipy.special.fdtri(np.maximum(held_out_worth, 1.0), degrees_of_freedom, 1.0 - _CHANCE)
+    return HeldOut(training_error, held_out_rms, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
 
 
 def _root_mean_square(

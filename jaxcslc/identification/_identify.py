@@ -69,9 +69,11 @@ def identify(
     recordings = {"training": training}
     by_recording: dict[str, Settings] = {}
     with recording_named("training"):
-        chosen = choose_settings(network, training).settings if settings is None else settings
-        by_recording["training"] = chosen.for_network(network)
-    warnings = [f"training recording: {sentence}" for sentence in chosen.check(training)]
+        base_settings = (
+            choose_settings(network, training).settings if settings is None else settings
+        )
+        by_recording["training"] = base_settings.for_network(network)
+    warnings = [f"training recording: {sentence}" for sentence in base_settings.check(training)]
     if validation is not None:
         recordings["validation"] = validation
         by_recording["validation"], sentence = _for_validation(

@@ -193,9 +193,9 @@ def _physical(body: Float[Array, "10"]) -> Float[Array, "10"]:
 
 def _listed(link: LinkParameters) -> list[float]:
     tensor = np.asarray(link.inertia)
-    places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    indices = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     return [
         float(link.mass),
         *np.asarray(link.centre_of_gravity).tolist(),
-        *(float(tensor[a, b]) for a, b in places),
+        *(float(tensor[a, b]) for a, b in indices),
     ]

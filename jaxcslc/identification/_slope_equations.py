@@ -124,8 +124,8 @@ class SlopeEquations:
         return Equations(
             self.base.unknowns,
             tuple(
-                np.delete(own, -2, axis=1) if joint in with_slope else own
-                for joint, own in enumerate(rows)
+                np.delete(joint_rows, -2, axis=1) if joint in with_slope else joint_rows
+                for joint, joint_rows in enumerate(rows)
             ),
             self.base.sample,
         )
@@ -192,7 +192,7 @@ class SlopeEquations:
         speed, slope = np.abs(self.qd[:, joint]), slopes[i]
         static = np.sign(self.qd[:, joint]) * np.exp(-slope * speed)
         inputs = np.stack([static, -slope * speed * static], axis=-1)[:, None, :]
-        own = Equations.of(
+        slope_rows = Equations.of(
             _TWO_COLUMNS,
             inputs,
             np.zeros((len(static), 1)),
@@ -201,6 +201,6 @@ class SlopeEquations:
             cutoff=self.cutoff,
         ).rows[0]
         column = self.base.unknowns.support[joint].index(self.columns[i])
-        rows = np.concatenate([rows[:, :-1], own[:, 1:2], rows[:, -1:]], axis=1)
-        rows[:, column] = own[:, 0]
+        rows = np.concatenate([rows[:, :-1], slope_rows[:, 1:2], rows[:, -1:]], axis=1)
+        rows[:, column] = slope_rows[:, 0]
         return rows

@@ -130,8 +130,8 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
         links.append(_parameters(link, inertia[-1], f"{at}, link"))
     unused_lengths(lengths, joints, f"{where}, [lengths]")
 
-    known_links = [link for link in links if link is not None]
-    if known_links and len(known_links) != len(links):
+    present_links = [link for link in links if link is not None]
+    if present_links and len(present_links) != len(links):
         missing = links.index(None) + 1
         raise RobotError(
             f"{where}, joint {missing}, link: has no mass while other links have;"
@@ -150,7 +150,7 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
             friction=tuple(friction),
             joint_friction=_joint_friction(entries, where),
             coupled=_coupled(document.get("coupled", []), joints, where),
-            links=tuple(known_links) if known_links else None,
+            links=tuple(present_links) if present_links else None,
         ).with_gravity(gravity)
     except RobotError as error:
         raise error if str(error).startswith(where) else RobotError(f"{where}: {error}") from None

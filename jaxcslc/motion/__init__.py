@@ -15,6 +15,7 @@ from ._masks import (
     friction_mask as friction_mask,
     friction_thresholds as friction_thresholds,
     possible_backlash as possible_backlash,
+    static_fractions as static_fractions,
 )
 from ._parallel_filter import (
     FilteredEquations as FilteredEquations,
@@ -28,7 +29,6 @@ from ._preparation import (
     VelocitySource as VelocitySource,
     as_recorded as as_recorded,
     prepare as prepare,
-    static_fractions as static_fractions,
 )
 from ._recording import (
     MINIMUM_SAMPLES as MINIMUM_SAMPLES,

@@ -8,6 +8,10 @@ from jaxtyping import Bool, Float
 Thresholds: TypeAlias = float | int | Sequence[float | int] | Float[np.ndarray, " joints"]
 """Velocities below which static friction matters: one for each joint, or one for all."""
 
+STATIC_FRICTION_PART = 0.1
+"""What is left of a threshold fraction for a joint with a term of static friction: such pairs
+determine the term. Slower ones, at which the joint may be at rest, determine nothing."""
+
 
 def possible_backlash(
     qd: Float[np.ndarray, "*batch joints"],
@@ -50,8 +54,8 @@ def possible_backlash(
     with_velocity = np.sign(torque) * np.sign(qd) >= 0
     with_acceleration = np.sign(torque) * np.sign(qdd) >= 0
     # A zero torque has lost its sign, but that of the motion is still to agree with itself.
-    with_each_other = np.sign(qd) * np.sign(qdd) >= 0
-    return with_velocity & with_acceleration & with_each_other
+    same_direction = np.sign(qd) * np.sign(qdd) >= 0
+    return with_velocity & with_acceleration & same_direction
 
 
 def friction_thresholds(
@@ -89,6 +93,29 @@ def friction_thresholds(
     if not np.all((fractions >= 0.0) & (fractions < 1.0)):
         raise ValueError(f"threshold fraction is {fraction}; expected at least 0 and below 1")
     return fractions * np.max(np.abs(qd), axis=0)
+
+
+def static_fractions(fraction: float, joints: Sequence[bool]) -> float | tuple[float, ...]:
+    """Threshold fractions of joints, smaller where a term of static friction explains slow pairs.
+
+    **Arguments**
+
+    - `fraction`: of joints without such a term.
+    - `joints`: True for each joint with one.
+
+    **Returns**
+
+    One fraction a joint, or `fraction` itself if no joint has such a term.
+
+    >>> from jaxcslc.motion import static_fractions
+    >>> static_fractions(0.1, [True, False])
+    (0.01, 0.1)
+    """
+    if not any(joints):
+        return fraction
+    # Rounded, so that 0.3 % is 0.003.
+    slower = round(STATIC_FRICTION_PART * fraction, 12)
+    return tuple(slower if static else fraction for static in joints)
 
 
 def friction_mask(

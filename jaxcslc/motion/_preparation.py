@@ -6,7 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ._alignment import TorqueAlignment, align_torque
-from ._masks import away_from_reversals, friction_mask, friction_thresholds, possible_backlash
+from ._masks import (
+    away_from_reversals,
+    friction_mask,
+    friction_thresholds,
+    possible_backlash,
+    static_fractions,
+)
 from ._patterns import Patterns, check_some_left
 from ._recording import Recording
 from ._sampling import Sampling
@@ -19,10 +25,6 @@ DEFAULT_THRESHOLD_FRACTION = 0.03
 
 VelocitySource: TypeAlias = Literal["position", "recorded"]
 """Where velocities and accelerations come from; see `Preparation`."""
-
-STATIC_FRICTION_PART = 0.1
-"""What is left of a threshold fraction for a joint with a term of static friction: such pairs
-determine the term. Slower ones, at which the joint may be at rest, determine nothing."""
 
 # Sampling intervals that differ by less change no smoothing by more than other errors do.
 _SAME_SPAN = 1.1
@@ -310,29 +312,6 @@ reach over 36 ms to either side in place of 18 ms',)
             torque = np.stack([np.interp(at, recording.time, x) for x in torque.T], axis=1)
         torque = align_torque(torque, self.torque_alignment)
         return self.smoothing.low_pass(recording.time, torque) if self.smooth_torque else torque
-
-
-def static_fractions(fraction: float, joints: Sequence[bool]) -> float | tuple[float, ...]:
-    """Threshold fractions of joints, smaller where a term of static friction explains slow pairs.
-
-    **Arguments**
-
-    - `fraction`: of joints without such a term.
-    - `joints`: True for each joint with one.
-
-    **Returns**
-
-    One fraction a joint, or `fraction` itself if no joint has such a term.
-
-    >>> from jaxcslc.motion import static_fractions
-    >>> static_fractions(0.1, [True, False])
-    (0.01, 0.1)
-    """
-    if not any(joints):
-        return fraction
-    # Rounded, so that 0.3 % is 0.003.
-    slower = round(STATIC_FRICTION_PART * fraction, 12)
-    return tuple(slower if static else fraction for static in joints)
 
 
 def prepare(recording: Recording, **options: Any) -> Patterns:

@@ -273,8 +273,8 @@ class PayloadEstimator(eqx.Module):
         layout = self.network.layout
         arm_rows, payload_rows = rows[:, layout.unloaded], rows[:, layout.payload]
         residual = torque - arm_rows @ self.k
-        sliding = jnp.abs(qd) > self.velocity_threshold
-        weight = jnp.where(sliding, state.since_update / self.noise, 0.0)
+        moving = jnp.abs(qd) > self.velocity_threshold
+        weight = jnp.where(moving, state.since_update / self.noise, 0.0)
         elapsed = state.since_update * jnp.any(weight > 0)
 
         def updated(equations: NormalEquations, time: float | Array) -> NormalEquations:

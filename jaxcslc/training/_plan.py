@@ -171,11 +171,11 @@ class Plan(eqx.Module):
 
         **Raises** `ValueError` if `frozen` names something else, or everything.
         """
-        known = {s.name for s in network.subnetworks} | set(network.groups)
+        names = {s.name for s in network.subnetworks} | set(network.groups)
         for name in self.frozen:
-            if name not in known:
+            if name not in names:
                 raise ValueError(
-                    f"frozen: expected some of {', '.join(sorted(known))}, got {name!r}"
+                    f"frozen: expected some of {', '.join(sorted(names))}, got {name!r}"
                 )
         owners = [s.name for s in network.subnetworks for _ in s.layers]
         learning = tuple(

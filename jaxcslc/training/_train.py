@@ -166,27 +166,29 @@ def _many_steps(
         return training_steps(network, plan, training_set, stop_set, state, epochs, keep_weights)
     # What differs between trainings is mapped over; the rest is shared.
     mapped_set = None if training_set.trainings is None else training_set
-    each_stop = None if stop_set is None or stop_set.trainings is None else stop_set
+    mapped_stop_set = None if stop_set is None or stop_set.trainings is None else stop_set
     numbers = (plan.schedule.hand_over, plan.schedule.least_reduction, plan.target)
-    each_number = tuple(x if jnp.ndim(x) == 1 else None for x in numbers)
+    mapped_numbers = tuple(x if jnp.ndim(x) == 1 else None for x in numbers)
 
     def one(mapped: Any) -> tuple[State, Record]:
-        state, own_set, own_stop, own_numbers = mapped
-        replaced = tuple(x if y is None else y for x, y in zip(numbers, own_numbers, strict=True))
-        own_plan = eqx.tree_at(
+        state, training_set_of_one, stop_set_of_one, numbers_of_one = mapped
+        replaced = tuple(
+            x if y is None else y for x, y in zip(numbers, numbers_of_one, strict=True)
+        )
+        plan_of_one = eqx.tree_at(
             lambda p: (p.schedule.hand_over, p.schedule.least_reduction, p.target), plan, replaced
         )
         return training_steps(
             network,
-            own_plan,
-            training_set if own_set is None else own_set,
-            stop_set if own_stop is None else own_stop,
+            plan_of_one,
+            training_set if training_set_of_one is None else training_set_of_one,
+            stop_set if stop_set_of_one is None else stop_set_of_one,
             state,
             epochs,
             keep_weights,
         )
 
-    mapped = (state, mapped_set, each_stop, each_number)
+    mapped = (state, mapped_set, mapped_stop_set, mapped_numbers)
     return jax.lax.map(one, mapped, batch_size=block)
 
 

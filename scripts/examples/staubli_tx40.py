@@ -109,16 +109,17 @@ class Candidate(NamedTuple):
 
     friction: tuple[str, ...]
     cutoff: float
-    rest: float
+    rest_speed: float
 
     def __str__(self) -> str:
-        return f"{', '.join(self.friction)}; {self.cutoff:g} Hz; at rest below {self.rest:g} rad/s"
+        filtered = f"{self.cutoff:g} Hz; at rest below {self.rest_speed:g} rad/s"
+        return f"{', '.join(self.friction)}; {filtered}"
 
 
-def prepared(recording: Recording, cutoff: float, rest: float, step: int) -> Patterns:
+def prepared(recording: Recording, cutoff: float, rest_speed: float, step: int) -> Patterns:
     """Filtered motion and raw torque, every `step`th sample; every pair counts."""
     q, qd, qdd = Butterworth(cutoff).smooth(recording.time, recording.position)
-    qd = np.where(np.abs(qd) < rest, 0.0, qd)
+    qd = np.where(np.abs(qd) < rest_speed, 0.0, qd)
     pairs = np.ones(q.shape, dtype=bool)
     patterns = Patterns(recording.time, q, qd, qdd, recording.torque, pairs, pairs)
     return jax.tree.map(lambda x: x[::step], patterns)
@@ -174,10 +175,10 @@ def study(
     }
     scores: dict[Candidate, Float[np.ndarray, " joints"]] = {}
     for candidate in tqdm(candidates, desc="candidates", disable=None):
-        patterns = prepared(training, candidate.cutoff, candidate.rest, step)
+        patterns = prepared(training, candidate.cutoff, candidate.rest_speed, step)
         scores[candidate] = held_out(networks[candidate.friction], patterns)
     best = min(scores, key=lambda candidate: float(np.sum(scores[candidate])))
-    patterns = prepared(training, best.cutoff, best.rest, step)
+    patterns = prepared(training, best.cutoff, best.rest_speed, step)
     return scores, best, *fitted(networks[best.friction], patterns)
 
 
@@ -215,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(text_table(*_scores_table(scores, best)))
 
     # Once, after everything was selected.
-    everything = prepared(recording, best.cutoff, best.rest, 1)
+    everything = prepared(recording, best.cutoff, best.rest_speed, 1)
     ours = errors(network, fit.k, everything, JUDGED)
     rows = {**{name: np.array(row) for name, row in PEER.items()}, "jaxcslc": ours}
     below = np.all(ours < np.min(list(PEER.values()), axis=0))

@@ -42,12 +42,12 @@ def require_least(
 
 
 def require_some_of(
-    parser: argparse.ArgumentParser, kind: str, names: list[str], known: tuple[str, ...]
+    parser: argparse.ArgumentParser, kind: str, names: list[str], allowed: tuple[str, ...]
 ) -> None:
     """Ends the program with one line if a name is not among the known ones."""
     for name in names:
-        if name not in known:
-            parser.error(f"no {kind} is called {name!r}; expected some of {', '.join(known)}")
+        if name not in allowed:
+            parser.error(f"no {kind} is called {name!r}; expected some of {', '.join(allowed)}")
 
 
 def keep_compiled() -> None:

@@ -129,8 +129,8 @@ def test_transforms(rng: np.random.Generator) -> None:
     assert_allclose(jax.jit(network.outputs)(k[0], patterns), eager, rtol=1e-13)
     mapped = jax.vmap(network.outputs, (0, None))(k, patterns)
     assert_allclose(mapped[0], eager, rtol=1e-13)
-    each_alone = jax.vmap(network.outputs, (None, 0))(k[0], patterns)
-    assert_allclose(each_alone, eager, rtol=1e-13)
+    by_pattern = jax.vmap(network.outputs, (None, 0))(k[0], patterns)
+    assert_allclose(by_pattern, eager, rtol=1e-13)
 
 
 def test_integers_are_taken_as_numbers() -> None:

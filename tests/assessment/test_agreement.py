@@ -46,30 +46,30 @@ def test_identities(
 ) -> None:
     first, second = fits
     sensitivity = rng.uniform(0.1, 10, puma.size)
-    found = agreement(puma, *fits, sensitivity=sensitivity, truth=(puma_k, 1.1 * puma_k))
+    result = agreement(puma, *fits, sensitivity=sensitivity, truth=(puma_k, 1.1 * puma_k))
     difference = np.asarray(second.k - first.k)
     error = np.sqrt(np.asarray(first.standard_error) ** 2 + np.asarray(second.standard_error) ** 2)
-    assert_allclose(found.difference, difference)
-    assert_allclose(found.standard_error, error)
-    assert_allclose(found.z, (difference - 0.1 * np.asarray(puma_k)) / error, atol=1e-9)
-    assert_allclose(found.product, np.abs(difference) * sensitivity)
+    assert_allclose(result.difference, difference)
+    assert_allclose(result.standard_error, error)
+    assert_allclose(result.z, (difference - 0.1 * np.asarray(puma_k)) / error, atol=1e-9)
+    assert_allclose(result.product, np.abs(difference) * sensitivity)
     gravity = puma.layout.indices("gravity")
-    assert_allclose(found.largest_product["gravity"], np.max(found.product[gravity]))
-    row = found.rows()[4]
+    assert_allclose(result.largest_product["gravity"], np.max(result.product[gravity]))
+    row = result.rows()[4]
     assert row["name"] == "kM5"
-    assert row["product"] == found.product[4]
+    assert row["product"] == result.product[4]
     assert "true_difference" in row
-    assert found.share_within(2.0, "gravity") == np.mean(np.abs(found.z[gravity]) <= 2)
+    assert result.share_within(2.0, "gravity") == np.mean(np.abs(result.z[gravity]) <= 2)
 
 
 def test_without_truth_no_difference_is_expected(
     puma: jc.CSLC, fits: tuple[jc.Identification, jc.Identification]
 ) -> None:
-    found = agreement(puma, *fits, sensitivity=np.ones(puma.size))
-    assert_allclose(found.z, found.difference / found.standard_error)
-    assert "true_difference" not in found.rows()[0]
+    result = agreement(puma, *fits, sensitivity=np.ones(puma.size))
+    assert_allclose(result.z, result.difference / result.standard_error)
+    assert "true_difference" not in result.rows()[0]
     # Friction, gravity and inertias that are a tenth larger show.
-    assert found.share_within(2.0, "gravity") < 1.0
+    assert result.share_within(2.0, "gravity") < 1.0
 
 
 def test_normal_errors_are_covered_as_often_as_they_should(
@@ -77,7 +77,7 @@ def test_normal_errors_are_covered_as_often_as_they_should(
 ) -> None:
     """Ten independent pairs of one machine: 430 values of z, 68 % within 1 and 95 % within 2."""
     motion, noise = exciting
-    fits = [fit_of(puma, puma_k, motion, own) for own in noise]
+    fits = [fit_of(puma, puma_k, motion, draw) for draw in noise]
     ones = np.ones(puma.size)
     z = np.array(
         [
@@ -97,10 +97,10 @@ def test_undetermined_coefficients_are_left_out(
     blind = eqx.tree_at(
         lambda fit: fit.standard_error, first, first.standard_error.at[:42].set(np.inf)
     )
-    found = agreement(puma, blind, second, sensitivity=np.ones(puma.size))
-    assert np.flatnonzero(np.isfinite(found.z)).tolist() == [42]
-    assert found.share_within(np.inf) == 1.0
-    assert np.isnan(found.share_within(1.0, "mass"))
+    result = agreement(puma, blind, second, sensitivity=np.ones(puma.size))
+    assert np.flatnonzero(np.isfinite(result.z)).tolist() == [42]
+    assert result.share_within(np.inf) == 1.0
+    assert np.isnan(result.share_within(1.0, "mass"))
 
 
 def test_thesis_s_products(
@@ -119,9 +119,9 @@ def test_thesis_s_products(
         eqx.tree_at(lambda fit: fit.k, fit, jax.numpy.asarray(k))
         for fit, k in zip(fits, (a, b), strict=True)
     ]
-    found = agreement(puma, *identified, sensitivity=sensitivity)
-    assert found.largest_product["gravity"] < 0.3
-    assert 0.1 < found.largest_product["mass"] < 0.2
+    result = agreement(puma, *identified, sensitivity=sensitivity)
+    assert result.largest_product["gravity"] < 0.3
+    assert 0.1 < result.largest_product["mass"] < 0.2
 
 
 def test_says_what_matters(

@@ -23,15 +23,15 @@ def singular_values(network: jc.CSLC, patterns: jc.Patterns, columns: np.ndarray
 
 
 def test_against_the_dense_regressor(puma: jc.CSLC, patterns: jc.Patterns) -> None:
-    found = degree_of_excitation(puma, patterns)
+    excitation = degree_of_excitation(puma, patterns)
     groups = np.array([coefficient.group for coefficient in puma.coefficients])
     expected = singular_values(puma, patterns, np.ones(puma.size, bool))
-    assert_allclose(found.condition, expected[0] / expected[-1], rtol=1e-9)
-    assert_allclose(found.smallest, expected[-1], rtol=1e-9)
-    for group, condition in found.group_condition.items():
+    assert_allclose(excitation.condition, expected[0] / expected[-1], rtol=1e-9)
+    assert_allclose(excitation.smallest, expected[-1], rtol=1e-9)
+    for group, condition in excitation.group_condition.items():
         expected = singular_values(puma, patterns, groups == group)
         assert_allclose(condition, expected[0] / expected[-1], rtol=1e-9)
-    assert list(found.group_condition) == ["mass", "gravity", "viscous", "dry"]
+    assert list(excitation.group_condition) == ["mass", "gravity", "viscous", "dry"]
 
 
 def test_is_what_a_fit_of_the_same_patterns_reports(puma: jc.CSLC, patterns: jc.Patterns) -> None:
@@ -59,12 +59,12 @@ def test_neither_units_nor_length_enter(puma: jc.CSLC, patterns: jc.Patterns) ->
 
 
 def test_weakest_is_the_combination_that_shows_least(puma: jc.CSLC, patterns: jc.Patterns) -> None:
-    found = degree_of_excitation(puma, patterns)
+    excitation = degree_of_excitation(puma, patterns)
     rows = np.asarray(puma.regressor(patterns.q, patterns.qd, patterns.qdd))
     rows = rows[np.asarray(patterns.mask)]
-    shown = (rows / np.linalg.norm(rows, axis=0)) @ np.asarray(found.weakest)
-    assert_allclose(np.linalg.norm(shown), found.smallest, rtol=1e-9)
-    assert_allclose(np.linalg.norm(found.weakest), 1.0, rtol=1e-12)
+    shown = (rows / np.linalg.norm(rows, axis=0)) @ np.asarray(excitation.weakest)
+    assert_allclose(np.linalg.norm(shown), excitation.smallest, rtol=1e-9)
+    assert_allclose(np.linalg.norm(excitation.weakest), 1.0, rtol=1e-12)
 
 
 def test_a_joint_that_rests_leaves_it_infinite(puma: jc.CSLC, patterns: jc.Patterns) -> None:
@@ -74,21 +74,21 @@ def test_a_joint_that_rests_leaves_it_infinite(puma: jc.CSLC, patterns: jc.Patte
     still = jc.Patterns(
         patterns.time, patterns.q, qd, patterns.qdd, patterns.torque, *[np.ones(qd.shape, bool)] * 2
     )
-    found = degree_of_excitation(puma, still)
-    assert found.condition == np.inf
-    assert found.group_condition["viscous"] == np.inf
-    assert np.isfinite(found.group_condition["gravity"])
+    excitation = degree_of_excitation(puma, still)
+    assert excitation.condition == np.inf
+    assert excitation.group_condition["viscous"] == np.inf
+    assert np.isfinite(excitation.group_condition["gravity"])
 
 
 def test_rows_and_words(puma: jc.CSLC, patterns: jc.Patterns) -> None:
-    found = degree_of_excitation(puma, patterns)
-    assert [row["coefficients"] for row in found.rows()] == [
+    excitation = degree_of_excitation(puma, patterns)
+    assert [row["coefficients"] for row in excitation.rows()] == [
         "all",
         "mass",
         "gravity",
         "viscous",
         "dry",
     ]
-    assert found.rows()[0]["condition"] == float(found.condition)
-    worst = puma.names[int(np.argmax(np.abs(np.asarray(found.weakest))))]
-    assert f"least determined: {worst}" in str(found)
+    assert excitation.rows()[0]["condition"] == float(excitation.condition)
+    worst = puma.names[int(np.argmax(np.abs(np.asarray(excitation.weakest))))]
+    assert f"least determined: {worst}" in str(excitation)

@@ -33,24 +33,26 @@ def test_one_coefficient_at_a_time(puma: jc.CSLC, rng: np.random.Generator) -> N
 def test_dry_friction_is_one_joint_of_six(puma: jc.CSLC, rng: np.random.Generator) -> None:
     """Appendix B.5, which also says that joints are averaged and not added up."""
     motion = rng.uniform(0.1, 1.0, (3, 7, 6)) * rng.choice([-1.0, 1.0], (3, 7, 6))
-    found = output_sensitivity(puma, patterns_of(*motion))
-    assert_allclose(found[puma.names.index("kd1") :], 1 / 6, rtol=1e-12)
+    sensitivity = output_sensitivity(puma, patterns_of(*motion))
+    assert_allclose(sensitivity[puma.names.index("kd1") :], 1 / 6, rtol=1e-12)
 
 
 def test_rest_moves_gravity_alone(puma: jc.CSLC) -> None:
     """Rows that fill a recording up are at rest too: they may not count."""
-    rest = np.zeros((3, 6))
-    found = dict(
+    zero = np.zeros((3, 6))
+    sensitivity = dict(
         zip(
             puma.names,
-            output_sensitivity(puma, patterns_of(rest, rest, rest)).tolist(),
+            output_sensitivity(puma, patterns_of(zero, zero, zero)).tolist(),
             strict=True,
         )
     )
-    assert {name for name, value in found.items() if value} <= {
+    assert {name for name, value in sensitivity.items() if value} <= {
         name for name in puma.names if name.startswith("kG")
     }
-    assert_allclose(found["kG4"], 1 / 6, rtol=1e-12)  # multiplies cos(q2) in one joint's torque
+    assert_allclose(
+        sensitivity["kG4"], 1 / 6, rtol=1e-12
+    )  # multiplies cos(q2) in one joint's torque
 
 
 def test_masks_are_not_used(puma: jc.CSLC, rng: np.random.Generator) -> None:
@@ -83,8 +85,10 @@ def test_simulated_training_trajectory_has_appendix_b_s(
     motion = jc.Recording(
         recording.time, truth.position, truth.torque, truth.velocity, truth.acceleration
     )
-    found = np.asarray(output_sensitivity(puma, as_recorded(motion, threshold_fraction=0.01)))[:37]
+    simulated = np.asarray(output_sensitivity(puma, as_recorded(motion, threshold_fraction=0.01)))[
+        :37
+    ]
     real = np.exp(np.mean(np.log(appendix_b_sensitivities), axis=0))
-    factor = np.exp(np.abs(np.log(found / real)))
+    factor = np.exp(np.abs(np.log(simulated / real)))
     assert np.max(factor) < 2.0
     assert np.mean(factor < 1.5) > 0.85

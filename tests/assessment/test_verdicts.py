@@ -60,8 +60,8 @@ def test_reasons_name_what_stands_in(arm: jc.CSLC, rng: np.random.Generator) -> 
         jc.LeastSquares(joint_weights="equal", errors="independent").fit(arm, patterns),
         degree_of_excitation(arm, patterns),
     )
-    found = verdicts(arm, fit, excitation)
-    assert "correlated with others" in found[1].reason and "correlated" not in found[0].reason
+    judged = verdicts(arm, fit, excitation)
+    assert "correlated with others" in judged[1].reason and "correlated" not in judged[0].reason
     assert excitation.worst_combination in ("kd1 - 2*kv1", "kv1 - 0.5*kd1") or all(
         name in excitation.worst_combination for name in ("kd1", "kv1")
     )
@@ -72,24 +72,26 @@ def test_inflation_is_what_the_others_cost(puma: jc.CSLC, rng: np.random.Generat
     q, qd, qdd = rng.normal(size=(3, 300, 6))
     everything = np.ones(q.shape, bool)
     patterns = jc.Patterns(np.arange(300.0), q, qd, qdd, q, everything, everything)
-    found = degree_of_excitation(puma, patterns)
+    excitation = degree_of_excitation(puma, patterns)
     rows = np.asarray(puma.regressor(q, qd, qdd)).reshape(-1, 43)
     for i in (0, 5, 30, 42):
         others = np.delete(rows, i, axis=1)
-        rest = rows[:, i] - others @ np.linalg.lstsq(others, rows[:, i], rcond=None)[0]
+        residual = rows[:, i] - others @ np.linalg.lstsq(others, rows[:, i], rcond=None)[0]
         assert_allclose(
-            found.variance_inflation[i], (rows[:, i] @ rows[:, i]) / (rest @ rest), rtol=1e-6
+            excitation.variance_inflation[i],
+            (rows[:, i] @ rows[:, i]) / (residual @ residual),
+            rtol=1e-6,
         )
-    assert_allclose(found.length, np.linalg.norm(rows, axis=0), rtol=1e-8)
-    table = found.to_pandas()
+    assert_allclose(excitation.length, np.linalg.norm(rows, axis=0), rtol=1e-8)
+    table = excitation.to_pandas()
     assert tuple(table.index) == puma.names
 
 
 def test_inflation_of_what_is_untold(arm: jc.CSLC, rng: np.random.Generator) -> None:
     patterns = patterns_of(arm, [1.0, 1.0, 1.0], np.zeros(50), rng.normal(size=50), 0.0)
-    found = degree_of_excitation(arm, patterns)
-    assert np.isinf(np.asarray(found.variance_inflation)).tolist() == [False, True, True]
-    assert found.worst_combination in ("kv1", "kd1")
+    excitation = degree_of_excitation(arm, patterns)
+    assert np.isinf(np.asarray(excitation.variance_inflation)).tolist() == [False, True, True]
+    assert excitation.worst_combination in ("kv1", "kd1")
 
 
 def test_columns_of_the_table(arm: jc.CSLC, rng: np.random.Generator) -> None:

@@ -67,14 +67,14 @@ def test_partial_compensation_leaves_terms_out(
 
 def _oscillator(error: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
     """The error that the gains prescribe, (samples, joints): e" + 2 ζ ω e' + ω² e = 0."""
-    found = np.empty((len(time), len(error)))
+    response = np.empty((len(time), len(error)))
     for joint, (w, z) in enumerate(zip(FREQUENCY, DAMPING, strict=True)):
         system = np.array([[0.0, 1.0], [-w * w, -2 * z * w]])
         values, vectors = np.linalg.eig(system + 1e-9 * np.diag([1.0, -1.0]))
         start = np.linalg.solve(vectors, np.array([error[joint], rate[joint]], complex))
         modes = vectors[0] * start * np.exp(np.outer(time, values))
-        found[:, joint] = np.real(modes.sum(axis=1))
-    return found
+        response[:, joint] = np.real(modes.sum(axis=1))
+    return response
 
 
 def test_errors_follow_the_response_that_the_gains_prescribe(puma: jc.CSLC, puma_k: Array) -> None:
@@ -160,8 +160,8 @@ def test_torque_stays_within_its_limits_and_the_integral_does_not_wind_up(
 
 def test_friction_has_no_jump_at_rest(puma: jc.CSLC, puma_k: Array) -> None:
     width = np.full(6, 0.05)
-    rest = smooth_friction(puma, puma_k, np.zeros(6), width)
-    np.testing.assert_allclose(rest, 0.0, atol=1e-12)
+    torque_at_rest = smooth_friction(puma, puma_k, np.zeros(6), width)
+    np.testing.assert_allclose(torque_at_rest, 0.0, atol=1e-12)
     fast = np.array([0.05, -0.05, 0.3, -0.3, 1.0, -2.0])
     np.testing.assert_allclose(
         smooth_friction(puma, puma_k, fast, width), puma.friction_term(puma_k, fast), atol=1e-12
@@ -178,8 +178,8 @@ def test_smooth_friction_of_coupled_joints() -> None:
     """A joint at rest beside one that moves: each one's speed is blunted by itself."""
     arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), ("pi/2", 0, 0, 0)])
     network = jc.derive(arm.with_friction("viscous").with_coupling((1, 2)), lengths="numeric")
-    place = network.names.index("kcv1_2")
-    k = jnp.zeros(network.size).at[place].set(1.0)
+    index = network.names.index("kcv1_2")
+    k = jnp.zeros(network.size).at[index].set(1.0)
     qd, width = np.array([1.0, 0.0]), np.full(2, 0.1)
     np.testing.assert_allclose(
         smooth_friction(network, k, qd, width), network.friction_term(k, qd), atol=1e-12
@@ -209,15 +209,15 @@ def test_transforms(puma: jc.CSLC, puma_k: Array, rng: np.random.Generator) -> N
     np.testing.assert_allclose(again, together, atol=1e-9)
     # Controllers of different coefficients, side by side.
     vectors = puma_k[None] * jnp.array([1.0, 1.3, 0.7])[:, None]
-    each = jax.vmap(
+    mapped = jax.vmap(
         lambda k: controller.with_coefficients(k).step(
             controller.begin(q), reference, q, INTERVAL, qd
         )[0]
     )(vectors)
-    np.testing.assert_allclose(each[0], together, atol=1e-9)
+    np.testing.assert_allclose(mapped[0], together, atol=1e-9)
     alone = ComputedTorque(puma, vectors[2], FREQUENCY, torque_limit=50.0)
     np.testing.assert_allclose(
-        each[2], alone.step(alone.begin(q), reference, q, INTERVAL, qd)[0], atol=1e-9
+        mapped[2], alone.step(alone.begin(q), reference, q, INTERVAL, qd)[0], atol=1e-9
     )
     assert state.shape == (3, 6)
     slope = jax.grad(

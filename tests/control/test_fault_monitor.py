@@ -1,4 +1,4 @@
-"""Faults are found, named, and the arm is brought to rest; a healthy arm is left alone."""
+"""Faults are detected, named, and the arm is brought to rest; a healthy arm is left alone."""
 
 from typing import Any
 
@@ -51,17 +51,17 @@ def _performed(guard: FaultMonitor, *faults: sim.Fault) -> tuple[sim.ClosedLoop,
     )
     (result,) = sim.close_loop([MACHINE], trajectory, [1], observe=seen)
     assert isinstance(result, sim.ClosedLoop)
-    found = [
+    detected = [
         f"joint {j + 1}: {FAULTS[code]}"
         for j, code in enumerate(result.observed["fault"][-1])
         if code
     ]
-    return result, tuple(found)
+    return result, tuple(detected)
 
 
 def test_a_healthy_arm_is_left_alone(guard: FaultMonitor) -> None:
-    result, found = _performed(guard)
-    assert found == ()
+    result, detected = _performed(guard)
+    assert detected == ()
     end = np.asarray(PATH.reference(np.array([1.0]), START).q)
     assert np.max(np.abs(result.truth.position[-1] - end)) < 0.02
 
@@ -71,8 +71,8 @@ def test_a_healthy_arm_is_left_alone(guard: FaultMonitor) -> None:
 def test_faults_are_named_and_the_arm_comes_to_rest(
     guard: FaultMonitor, kind: str, joint: int
 ) -> None:
-    result, found = _performed(guard, sim.Fault(kind, joint, start=BEGINS))
-    assert found == (f"joint {joint}: {kind}",)
+    result, detected = _performed(guard, sim.Fault(kind, joint, start=BEGINS))
+    assert detected == (f"joint {joint}: {kind}",)
     when = result.observed["detected"][-1][joint - 1]
     assert 0 < when - BEGINS < 0.06
     assert np.all(np.abs(result.observed["torque"]) <= LIMIT)
@@ -84,30 +84,30 @@ def test_faults_are_named_and_the_arm_comes_to_rest(
 
 
 def test_a_few_lost_samples_are_bridged(guard: FaultMonitor) -> None:
-    result, found = _performed(
+    result, detected = _performed(
         guard, sim.Fault("lost samples", None, start=BEGINS, stop=BEGINS + 0.01)
     )
-    assert found == ()
+    assert detected == ()
     assert np.count_nonzero(result.truth.lost[:, 0]) == guard.allowed
 
 
 def test_all_samples_lost(guard: FaultMonitor) -> None:
     """Without any reading the arm follows its model to rest."""
-    result, found = _performed(guard, sim.Fault("lost samples", None, start=BEGINS))
-    assert found == tuple(f"joint {j}: lost samples" for j in range(1, 7))
+    result, detected = _performed(guard, sim.Fault("lost samples", None, start=BEGINS))
+    assert detected == tuple(f"joint {j}: lost samples" for j in range(1, 7))
     late = result.truth.time > BEGINS + guard.stop_time + 0.2
     assert np.max(np.abs(result.truth.velocity[late])) < 0.02
 
 
 def test_a_cable_that_tears_slowly(guard: FaultMonitor) -> None:
     """One joint's samples are lost, then another's, then all."""
-    result, found = _performed(
+    result, detected = _performed(
         guard,
         sim.Fault("lost samples", 2, start=BEGINS),
         sim.Fault("lost samples", 3, start=BEGINS + 0.03),
         sim.Fault("lost samples", None, start=BEGINS + 0.1),
     )
-    assert found == tuple(f"joint {j}: lost samples" for j in range(1, 7))
+    assert detected == tuple(f"joint {j}: lost samples" for j in range(1, 7))
     late = result.truth.time > BEGINS + guard.stop_time + 0.5
     assert np.max(np.abs(result.truth.velocity[late])) < 0.02
 

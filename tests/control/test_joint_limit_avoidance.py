@@ -51,9 +51,9 @@ def test_far_from_the_ends_nothing_changes(
     q, qd = START + rng.uniform(-0.2, 0.2, (4, 6)), rng.uniform(-0.3, 0.3, (4, 6))
     reference = Reference(q + 0.01, qd, 0 * q)
     state = controller.begin(q)
-    step, own = eqx.filter_jit(kept.step), eqx.filter_jit(controller.step)
+    step, plain_step = eqx.filter_jit(kept.step), eqx.filter_jit(controller.step)
     np.testing.assert_array_equal(
-        step(state, reference, q, 0.002, qd)[0], own(state, reference, q, 0.002, qd)[0]
+        step(state, reference, q, 0.002, qd)[0], plain_step(state, reference, q, 0.002, qd)[0]
     )
 
 

@@ -21,14 +21,14 @@ def test_each_interval_is_the_chains_exponential(rng: np.random.Generator) -> No
     state = rng.normal(size=4)
     before, now = 0.3, -0.5
     ramp = step @ [*state, before, (now - before) / interval]
-    held = step @ [*state, before, 0.0]
+    constant = step @ [*state, before, 0.0]
     at = jnp.asarray(state)
     np.testing.assert_allclose(
         chain.step(at, np.array(before), np.array(now), interval), ramp[:4], atol=1e-12
     )
     np.testing.assert_allclose(
         chain.step(at, np.array(before), np.array(now), interval, hold="constant"),
-        held[:4],
+        constant[:4],
         atol=1e-12,
     )
 
@@ -43,15 +43,15 @@ def test_rates_are_derivatives_of_the_filtered_signal() -> None:
     def flow(t: float, y: np.ndarray) -> np.ndarray:
         return pole * (np.array([np.sin(7.0 * t), *y[:-1]]) - y)
 
-    told = solve_ivp(flow, (0, time[-1]), np.zeros(4), rtol=1e-10, atol=1e-12, t_eval=time).y
+    solution = solve_ivp(flow, (0, time[-1]), np.zeros(4), rtol=1e-10, atol=1e-12, t_eval=time).y
     state = chain.begin(np.array(0.0))
     step = jax.jit(chain.step)
     for i in range(1, len(time)):
         state = step(state, jnp.asarray(signal[i - 1]), jnp.asarray(signal[i]), interval)
     now = chain.read(state)
-    exact = flow(time[-1], told[:, -1])
+    exact = flow(time[-1], solution[:, -1])
     second = pole * (exact[-2] - exact[-1])
-    np.testing.assert_allclose(now.value, told[-1, -1], atol=1e-5)
+    np.testing.assert_allclose(now.value, solution[-1, -1], atol=1e-5)
     np.testing.assert_allclose(now.rate, exact[-1], atol=1e-4)
     np.testing.assert_allclose(now.second, second, atol=2e-3)
 
@@ -80,8 +80,8 @@ def test_transforms(rng: np.random.Generator) -> None:
     state = chain.begin(before)
     together = chain.step(state, before, now, 0.01)
     np.testing.assert_allclose(jax.jit(chain.step)(state, before, now, 0.01), together)
-    each = jax.vmap(chain.step, in_axes=(1, 0, 0, None), out_axes=1)(state, before, now, 0.01)
-    np.testing.assert_allclose(each, together)
+    mapped = jax.vmap(chain.step, in_axes=(1, 0, 0, None), out_axes=1)(state, before, now, 0.01)
+    np.testing.assert_allclose(mapped, together)
     corners = jax.vmap(lambda f: LowPassChain(f).step(state, before, now, 0.01))(
         jnp.array([5.0, 10.0])
     )

@@ -76,11 +76,11 @@ def coverage(
 
     fits = eqx.filter_jit(eqx.filter_vmap(fit))(torque)
     quantile = student.ppf(0.975, np.asarray(fits.degrees_of_freedom))[:, None]
-    held = np.abs(np.asarray(fits.k) - k) <= quantile * np.asarray(fits.standard_error)
+    covered = np.abs(np.asarray(fits.k) - k) <= quantile * np.asarray(fits.standard_error)
     ratio = np.sqrt(np.mean(np.asarray(fits.standard_error) ** 2, axis=0)) / np.std(
         np.asarray(fits.k), axis=0
     )
-    return float(held.mean()), float(np.median(ratio))
+    return float(covered.mean()), float(np.median(ratio))
 
 
 # 100 recordings of seven coefficients whose errors are correlated: some 300 trials, of which four
@@ -93,8 +93,8 @@ def test_intervals_hold_the_truth(
     arm: jc.CSLC, motion: Motion, rng: np.random.Generator, noise: Noise
 ) -> None:
     noises = [noise(rng, motion[0].shape) for _ in range(100)]
-    held, ratio = coverage(arm, motion, noises, "correlated")
-    assert abs(held - 0.95) < _FOUR_DEVIATIONS
+    covered, ratio = coverage(arm, motion, noises, "correlated")
+    assert abs(covered - 0.95) < _FOUR_DEVIATIONS
     # In five seconds even the lowest components hold some of the quicker noise.
     assert 0.85 < ratio < 1.3
     # What allowing for it is good for: as if noise were white, both are wrong, either way.
@@ -106,8 +106,8 @@ def test_white_noise_needs_no_allowance(
     arm: jc.CSLC, motion: Motion, rng: np.random.Generator
 ) -> None:
     noises = [rng.normal(size=motion[0].shape) for _ in range(100)]
-    held, ratio = coverage(arm, motion, noises, "correlated")
-    assert abs(held - 0.95) < _FOUR_DEVIATIONS
+    covered, ratio = coverage(arm, motion, noises, "correlated")
+    assert abs(covered - 0.95) < _FOUR_DEVIATIONS
     assert 0.9 < ratio < 1.1
 
 
@@ -154,8 +154,8 @@ def test_effective_counts_of_known_processes(rng: np.random.Generator) -> None:
     assert 0.95 < white[0] / long[0] <= 1.0
     for a in (0.8, -0.8):
         series = lfilter([1.0], [1.0, -a], rng.normal(size=long), axis=0)
-        found = effective_counts(jnp.asarray(series), everything)[0] / long[0]
-        assert_allclose(found, (1 - a**2) / (1 + a**2), rtol=0.15)
+        share = effective_counts(jnp.asarray(series), everything)[0] / long[0]
+        assert_allclose(share, (1 - a**2) / (1 + a**2), rtol=0.15)
     none = effective_counts(jnp.zeros((100, 2)), jnp.zeros((100, 2)))
     assert np.all(np.asarray(none) == 0.0)
 
@@ -222,7 +222,7 @@ def test_same_under_jit(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) 
 
 def test_filtered_alike(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) -> None:
     """With a parallel filter, of a recording some of which does not count."""
-    held: list[np.ndarray] = []
+    covered: list[np.ndarray] = []
     k = jnp.asarray(TRUE[: arm.size])
     counts = (np.arange(SAMPLES) // 100 % 4 > 0)[:, None] & np.array([True, True])
     for _ in range(60):
@@ -232,9 +232,9 @@ def test_filtered_alike(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) 
             arm, patterns
         )
         low, high = fit.confidence_interval().T
-        held.append((low < k) & (k < high))
+        covered.append((low < k) & (k < high))
     # Some 120 independent trials, each of no more than some 40 independent errors a joint.
-    assert 0.87 < np.mean(held) <= 1.0
+    assert 0.87 < np.mean(covered) <= 1.0
 
 
 def test_without_noise_nothing_is_uncertain(

@@ -127,14 +127,14 @@ def test_files_of_something_else(tmp_path: Path) -> None:
 
 class TestHeldOut:
     def test_noise_alone_warns_of_nothing(self, arm: jc.CSLC, rng: np.random.Generator) -> None:
-        own = recorded(arm, rng)
+        training = recorded(arm, rng)
         for _ in range(3):
-            other = recorded(arm, rng)
-            held = held_out_error(arm, ORDINARY.fit(arm, own), own, other)
-            assert held.beyond_chance == () and held.warnings == ()
-            assert 1.0 < held.limit[0] < 1.3
+            validation = recorded(arm, rng)
+            judged = held_out_error(arm, ORDINARY.fit(arm, training), training, validation)
+            assert judged.beyond_chance == () and judged.warnings == ()
+            assert 1.0 < judged.limit[0] < 1.3
         settings = jc.Settings(solver=jc.LeastSquares(errors="independent"))
-        assert cross_validated_error(arm, own, settings).beyond_chance == ()
+        assert cross_validated_error(arm, training, settings).beyond_chance == ()
 
     def test_limit_is_passed_by_chance_one_time_in_a_hundred(
         self, arm: jc.CSLC, rng: np.random.Generator
@@ -145,33 +145,35 @@ class TestHeldOut:
         passed: list[bool] = []
         everything = np.ones((200, 1), bool)
         for _ in range(400):
-            own, other = rng.normal(size=(2, 200, 1))
-            passed.append(bool(_judged(own, everything, other, everything, 0).beyond_chance))
+            training, validation = rng.normal(size=(2, 200, 1))
+            passed.append(
+                bool(_judged(training, everything, validation, everything, 0).beyond_chance)
+            )
         assert np.mean(passed) < 0.03
 
     def test_following_noise_is_seen(self, arm: jc.CSLC, rng: np.random.Generator) -> None:
         """Nine patterns for three coefficients, of noise that swamps them."""
-        own, other = recorded(arm, rng, noise=5.0), recorded(arm, rng, noise=5.0)
-        few = jax.tree.map(lambda x: x[:4], own)
-        held = held_out_error(arm, ORDINARY.fit(arm, few), few, other)
-        assert held.ratio[0] > 1.3
+        training, validation = recorded(arm, rng, noise=5.0), recorded(arm, rng, noise=5.0)
+        few = jax.tree.map(lambda x: x[:4], training)
+        judged = held_out_error(arm, ORDINARY.fit(arm, few), few, validation)
+        assert judged.ratio[0] > 1.3
 
     def test_motion_that_shows_more_is_seen(self, arm: jc.CSLC, rng: np.random.Generator) -> None:
-        own, other = recorded(arm, rng), recorded(arm, rng)
-        torque = np.asarray(other.torque) + 0.3 * np.asarray(other.q) ** 2
+        training, validation = recorded(arm, rng), recorded(arm, rng)
+        torque = np.asarray(validation.torque) + 0.3 * np.asarray(validation.q) ** 2
         more = jc.Patterns(
-            other.time,
-            other.q,
-            other.qd,
-            other.qdd,
+            validation.time,
+            validation.q,
+            validation.qd,
+            validation.qdd,
             torque,
-            other.backlash_mask,
-            other.friction_mask,
+            validation.backlash_mask,
+            validation.friction_mask,
         )
-        held = held_out_error(arm, ORDINARY.fit(arm, own), own, more)
-        assert held.beyond_chance == (1,)
-        assert "joint 1: validation RMS" in held.warnings[0]
-        assert held.to_pandas().loc[1, "ratio"] == held.ratio[0]
+        judged = held_out_error(arm, ORDINARY.fit(arm, training), training, more)
+        assert judged.beyond_chance == (1,)
+        assert "joint 1: validation RMS" in judged.warnings[0]
+        assert judged.to_pandas().loc[1, "ratio"] == judged.ratio[0]
 
     def test_cross_validation_leaves_each_stretch_out(
         self, arm: jc.CSLC, rng: np.random.Generator
@@ -180,18 +182,18 @@ class TestHeldOut:
         patterns = recorded(arm, rng)
         squares = 0.0
         for fold in range(4):
-            own = np.arange(400) * 4 // 400 == fold
-            kept = jax.tree.map(lambda x, own=own: x[~own], patterns)
-            left = jax.tree.map(lambda x, own=own: x[own], patterns)
+            left_out = np.arange(400) * 4 // 400 == fold
+            kept = jax.tree.map(lambda x, left_out=left_out: x[~left_out], patterns)
+            left = jax.tree.map(lambda x, left_out=left_out: x[left_out], patterns)
             k = jc.LeastSquares(joint_weights="residual", errors="independent").fit(arm, kept).k
             squares += np.sum((left.torque - arm.torque(k, left.q, left.qd, left.qdd)) ** 2)
-        found = cross_validated_error(arm, patterns, folds=4)
-        assert_allclose(found.held_out, np.sqrt(squares / 400), rtol=1e-6)
+        judged = cross_validated_error(arm, patterns, folds=4)
+        assert_allclose(judged.held_out, np.sqrt(squares / 400), rtol=1e-6)
 
     def test_a_joint_without_pairs(self) -> None:
-        held = HeldOut(np.array([1.0, 0.0]), np.array([1.0, np.nan]), np.array([1.1, 1.1]))
-        assert held.beyond_chance == ()
-        assert np.isnan(held.ratio[1])
+        judged = HeldOut(np.array([1.0, 0.0]), np.array([1.0, np.nan]), np.array([1.1, 1.1]))
+        assert judged.beyond_chance == ()
+        assert np.isnan(judged.ratio[1])
 
     def test_wrong_input(self, arm: jc.CSLC, puma: jc.CSLC, rng: np.random.Generator) -> None:
         patterns = recorded(arm, rng)

@@ -18,8 +18,8 @@ from .conftest import ORDINARY, Motion, patterns_of
 _ROUNDING = 1e-10
 
 
-def masked(patterns: jc.Patterns, driven: np.ndarray) -> jc.Patterns:
-    return eqx.tree_at(lambda p: p.backlash_mask, patterns, driven)
+def masked(patterns: jc.Patterns, mask: np.ndarray) -> jc.Patterns:
+    return eqx.tree_at(lambda p: p.backlash_mask, patterns, mask)
 
 
 def test_recovers_the_coefficients_of_noise_free_patterns(
@@ -79,15 +79,19 @@ def test_joint_weights_equal_weighted_rows(
     deviations = np.array([3.0, 1.0, 0.3, 0.1, 2.0, 0.05])
     noise = deviations * rng.normal(size=exciting_motion[0].shape)
     patterns = patterns_of(puma, puma_k, exciting_motion, noise)
-    given = jc.LeastSquares(joint_weights=1 / deviations, errors="independent").fit(puma, patterns)
+    by_deviation = jc.LeastSquares(joint_weights=1 / deviations, errors="independent").fit(
+        puma, patterns
+    )
     rows = np.asarray(puma.regressor(*exciting_motion)) / deviations[:, None]
     target = np.asarray(patterns.torque) / deviations
     expected = np.linalg.lstsq(rows.reshape(-1, 43), target.ravel(), rcond=None)[0]
-    assert_allclose(given.k, expected, atol=1e-9)
-    own = jc.LeastSquares(joint_weights="residual", errors="independent").fit(puma, patterns)
-    assert_allclose(own.torque_error, deviations, rtol=0.1)
+    assert_allclose(by_deviation.k, expected, atol=1e-9)
+    by_residual = jc.LeastSquares(joint_weights="residual", errors="independent").fit(
+        puma, patterns
+    )
+    assert_allclose(by_residual.torque_error, deviations, rtol=0.1)
     equal = ORDINARY.fit(puma, patterns)
-    assert jnp.linalg.norm(own.k - puma_k) < jnp.linalg.norm(equal.k - puma_k)
+    assert jnp.linalg.norm(by_residual.k - puma_k) < jnp.linalg.norm(equal.k - puma_k)
 
 
 def test_stream_equals_one_piece(

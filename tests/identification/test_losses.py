@@ -73,9 +73,9 @@ def test_scale_is_the_median_of_what_counts(rng: np.random.Generator) -> None:
     error = rng.normal(size=(501, 3))
     counts = (rng.random((501, 3)) < 0.5).astype(float)
     counts[:, 2] = 0.0
-    found = robust_scale(jnp.asarray(error), jnp.asarray(counts))
+    scale = robust_scale(jnp.asarray(error), jnp.asarray(counts))
     expected = [np.median(np.abs(error[counts[:, j] > 0, j])) / 0.6744897501960817 for j in (0, 1)]
-    assert_allclose(found, [*expected, 0.0], rtol=1e-12)
+    assert_allclose(scale, [*expected, 0.0], rtol=1e-12)
 
 
 def reweighted(
@@ -143,8 +143,8 @@ def test_intervals_of_a_robust_fit_hold_the_truth(
             )
         )
     )(batch)
-    held = np.abs(np.asarray(fits.k) - TRUE) < 1.964 * np.asarray(fits.standard_error)
-    assert abs(held.mean() - 0.95) < 0.05
+    covered = np.abs(np.asarray(fits.k) - TRUE) < 1.964 * np.asarray(fits.standard_error)
+    assert abs(covered.mean() - 0.95) < 0.05
 
 
 def test_noise_free_patterns_are_met_exactly(

@@ -57,28 +57,28 @@ class TestKnownArm:
         """Oracle: dense least squares of ten columns, errors of the other 43 spread into them."""
         arm = ORDINARY.fit(puma, _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 200, 0.5))
         patterns = _drawn(loaded, loaded_k, rng, 150, 0.3)
-        found = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
+        payload = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
         rows, torque = _rows(loaded, patterns)
-        of_arm, own = rows[:, loaded.layout.unloaded], rows[:, loaded.layout.payload]
+        of_arm, of_payload = rows[:, loaded.layout.unloaded], rows[:, loaded.layout.payload]
         target = torque - of_arm @ np.asarray(arm.k)
-        body, squares, *_ = np.linalg.lstsq(own, target, rcond=None)
-        bread = np.linalg.inv(own.T @ own)
-        follow = bread @ own.T @ of_arm
-        covariance = squares[0] / (len(target) - 10) * bread
+        body, squares, *_ = np.linalg.lstsq(of_payload, target, rcond=None)
+        inverse = np.linalg.inv(of_payload.T @ of_payload)
+        follow = inverse @ of_payload.T @ of_arm
+        covariance = squares[0] / (len(target) - 10) * inverse
         covariance += follow @ np.asarray(arm.covariance) @ follow.T
-        assert_allclose(found.parameters, body, atol=_ROUNDING)
-        assert_allclose(found.covariance, covariance, rtol=1e-6, atol=1e-14)
-        assert_allclose(found.standard_error, np.sqrt(np.diag(covariance)), rtol=1e-6)
+        assert_allclose(payload.parameters, body, atol=_ROUNDING)
+        assert_allclose(payload.covariance, covariance, rtol=1e-6, atol=1e-14)
+        assert_allclose(payload.standard_error, np.sqrt(np.diag(covariance)), rtol=1e-6)
 
     def test_is_relearning_the_payload(
         self, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         solver = jc.LeastSquares(cutoff=10.0, errors="independent")
         patterns = _drawn(loaded, loaded_k, rng, 300, 0.3)
-        found = jc.fit_payload(loaded, patterns, previous=loaded_k, solver=solver)
+        payload = jc.fit_payload(loaded, patterns, previous=loaded_k, solver=solver)
         fit = jc.reidentify(loaded, patterns, loaded_k, groups=("payload",), solver=solver)
-        assert_allclose(found.fit.k, fit.k)
-        assert_allclose(found.standard_error, fit.standard_error[loaded.layout.payload])
+        assert_allclose(payload.fit.k, fit.k)
+        assert_allclose(payload.standard_error, fit.standard_error[loaded.layout.payload])
 
 
 class TestTwoRecordings:
@@ -95,24 +95,24 @@ class TestTwoRecordings:
         empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 200, 0.5)
         patterns = _drawn(loaded, loaded_k, rng, 150, 0.5)
         solver = jc.LeastSquares(joint_weights="equal", loss="huber" if robust else "squared")
-        found = jc.fit_payload(puma, patterns, empty, solver=solver)
-        own, torque = _rows(loaded, patterns)
+        payload = jc.fit_payload(puma, patterns, empty, solver=solver)
+        loaded_rows, torque = _rows(loaded, patterns)
         other, more = _rows(puma, empty)
-        rows = np.concatenate([own, np.pad(other, ((0, 0), (0, 10)))])
+        rows = np.concatenate([loaded_rows, np.pad(other, ((0, 0), (0, 10)))])
         target = np.concatenate([torque, more])
         k = np.linalg.lstsq(rows, target, rcond=None)[0]
         if robust:  # the same noise, of normal distribution: nearly the same
             error = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows))) * 0.5
-            assert np.max(np.abs(np.asarray(found.fit.k) - k) / error) < 1.0
+            assert np.max(np.abs(np.asarray(payload.fit.k) - k) / error) < 1.0
         else:
-            assert_allclose(found.fit.k, k, atol=_ROUNDING)
+            assert_allclose(payload.fit.k, k, atol=_ROUNDING)
             usual = jc.fit_payload(puma, patterns, empty, solver=ORDINARY)
             squares = np.sum((target - rows @ k) ** 2) / (len(target) - 53)
             assert_allclose(
                 usual.fit.covariance, squares * np.linalg.inv(rows.T @ rows), rtol=1e-6, atol=1e-12
             )
             # Noise is white here: allowing for correlation changes little.
-            ratio = np.asarray(found.standard_error) / np.asarray(usual.standard_error)
+            ratio = np.asarray(payload.standard_error) / np.asarray(usual.standard_error)
             assert np.all((ratio > 0.5) & (ratio < 2.0))
 
     def test_tells_more_than_the_unloaded_recording_alone(
@@ -132,10 +132,10 @@ class TestTwoRecordings:
         """Filtering both sides alike loses nothing of what has no noise."""
         empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 600, 0.0)
         patterns = _drawn(loaded, loaded_k, rng, 600, 0.0)
-        found = jc.fit_payload(
+        payload = jc.fit_payload(
             puma, patterns, empty, solver=dataclasses.replace(ORDINARY, cutoff=20.0)
         )
-        assert_allclose(found.fit.k, loaded_k, atol=1e-8)
+        assert_allclose(payload.fit.k, loaded_k, atol=1e-8)
 
 
 @pytest.fixture(scope="module")
@@ -162,17 +162,17 @@ def test_of_a_simulated_arm(
     )
     empty, full = (settings.patterns(recording) for recording in performed)
     other: dict[str, Any] = (
-        {"unloaded": empty} if together else {"known": settings.fit(puma, empty)}
+        {"unloaded": empty} if together else {"previous": settings.fit(puma, empty)}
     )
-    found = jc.fit_payload(puma, full, **other, solver=settings.solver)
-    assert abs(float(found.mass) - 1.5) < 0.02 * 1.5
-    assert np.max(np.abs(np.asarray(found.centre_of_gravity) - BODY.centre_of_gravity)) < 2e-3
-    low, high = found.physical_interval(0.999)[:4].T
+    payload = jc.fit_payload(puma, full, **other, solver=settings.solver)
+    assert abs(float(payload.mass) - 1.5) < 0.02 * 1.5
+    assert np.max(np.abs(np.asarray(payload.centre_of_gravity) - BODY.centre_of_gravity)) < 2e-3
+    low, high = payload.physical_interval(0.999)[:4].T
     truth = np.array([1.5, *BODY.centre_of_gravity])
     assert np.all((low < truth) & (truth < high))
-    assert found.unidentifiable == ()
-    assert found.possible is not None
-    assert np.min(np.linalg.eigvalsh(pseudo_inertia(body_of(found.possible)))) > 0
+    assert payload.unidentifiable == ()
+    assert payload.possible is not None
+    assert np.min(np.linalg.eigvalsh(pseudo_inertia(body_of(payload.possible)))) > 0
 
 
 class TestPhysical:
@@ -189,40 +189,40 @@ class TestPhysical:
     def test_is_the_body(
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
-        found = self._found(puma, loaded, loaded_k, rng, 0.0)
-        assert_allclose(found.mass, BODY.mass, rtol=_ROUNDING)
-        assert_allclose(found.centre_of_gravity, BODY.centre_of_gravity, atol=_ROUNDING)
-        assert_allclose(found.inertia, BODY.inertia, atol=_ROUNDING)
-        link = link_of(np.asarray(found.parameters))
-        assert_allclose(found.inertia, link.inertia, atol=_ROUNDING)
+        payload = self._found(puma, loaded, loaded_k, rng, 0.0)
+        assert_allclose(payload.mass, BODY.mass, rtol=_ROUNDING)
+        assert_allclose(payload.centre_of_gravity, BODY.centre_of_gravity, atol=_ROUNDING)
+        assert_allclose(payload.inertia, BODY.inertia, atol=_ROUNDING)
+        link = link_of(np.asarray(payload.parameters))
+        assert_allclose(payload.inertia, link.inertia, atol=_ROUNDING)
 
     def test_errors_to_first_order(
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """Against the scatter of bodies drawn from the estimate's covariance."""
-        found = self._found(puma, loaded, loaded_k, rng, 0.3)
+        payload = self._found(puma, loaded, loaded_k, rng, 0.3)
         bodies = rng.multivariate_normal(
-            np.asarray(found.parameters), np.asarray(found.covariance), size=4000
+            np.asarray(payload.parameters), np.asarray(payload.covariance), size=4000
         )
         centres = bodies[:, 6:9] / bodies[:, 9:]
-        assert_allclose(np.std(bodies[:, 9]), found.physical_error[0], rtol=0.1)
-        assert_allclose(np.std(centres, axis=0), found.physical_error[1:4], rtol=0.1)
+        assert_allclose(np.std(bodies[:, 9]), payload.physical_error[0], rtol=0.1)
+        assert_allclose(np.std(centres, axis=0), payload.physical_error[1:4], rtol=0.1)
         tensors = [np.asarray(link_of(body).inertia) for body in bodies[:1000]]
         diagonal = np.diagonal(np.std(tensors, axis=0))
-        assert_allclose(diagonal, found.physical_error[4:7], rtol=0.15)
-        low, high = found.physical_interval(0.9)[0]
-        assert_allclose(high - low, 2 * 1.645 * found.physical_error[0], rtol=0.01)
+        assert_allclose(diagonal, payload.physical_error[4:7], rtol=0.15)
+        low, high = payload.physical_interval(0.9)[0]
+        assert_allclose(high - low, 2 * 1.645 * payload.physical_error[0], rtol=0.01)
 
     def test_rows_and_document(
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
-        found = self._found(puma, loaded, loaded_k, rng, 0.1)
-        assert [row["name"] for row in found.rows()][:4] == ["m", "rx", "ry", "rz"]
-        document = found.document()
+        payload = self._found(puma, loaded, loaded_k, rng, 0.1)
+        assert [row["name"] for row in payload.rows()][:4] == ["m", "rx", "ry", "rz"]
+        document = payload.document()
         assert document["physical"]["m"]["low"] < 1.5 < document["physical"]["m"]["high"]
         assert list(document["parameters"])[-1] == "pm"
-        assert repr(found).startswith("PayloadFit(1.5")
-        for interval in (found.physical_interval, found.confidence_interval):
+        assert repr(payload).startswith("PayloadFit(1.5")
+        for interval in (payload.physical_interval, payload.confidence_interval):
             with pytest.raises(ValueError, match="level"):
                 interval(1.0)
 
@@ -233,15 +233,15 @@ class TestPhysical:
         k = np.full(network.size, 0.1)
         k[network.layout.payload] = body_of(BODY)
         arm_k = k[network.layout.unloaded]
-        found = jc.fit_payload(
+        payload = jc.fit_payload(
             network, _drawn(network, k, rng, 50, 0.0), previous=arm_k, solver=ORDINARY
         )
-        assert np.flatnonzero(np.asarray(found.determined)).tolist() == [2]
-        assert len(found.unidentifiable) == 9
-        assert "pm: nothing in the patterns depends on it" in found.unidentifiable
-        assert np.all(np.isinf(np.asarray(found.physical_error)))
-        assert found.possible is not None
-        body = body_of(found.possible)
+        assert np.flatnonzero(np.asarray(payload.determined)).tolist() == [2]
+        assert len(payload.unidentifiable) == 9
+        assert "pm: nothing in the patterns depends on it" in payload.unidentifiable
+        assert np.all(np.isinf(np.asarray(payload.physical_error)))
+        assert payload.possible is not None
+        body = body_of(payload.possible)
         assert_allclose(body[2], body_of(BODY)[2], rtol=1e-4)
         assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) > 0
 
@@ -255,47 +255,47 @@ class TestPhysical:
         still = dataclasses.replace(still, q=0 * still.q, qdd=0 * still.qdd)
         torque = network.torque(k[:5], still.q, still.qd, still.qdd)
         empty = dataclasses.replace(still, torque=np.asarray(torque))
-        found = jc.fit_payload(network, _drawn(loaded, k, rng, 50, 0.0), empty, solver=ORDINARY)
-        told = " ".join(found.unidentifiable)
-        assert "pIzz" in told and "phy" in told and not found.determined[2]
-        assert found.determined[6]
+        payload = jc.fit_payload(network, _drawn(loaded, k, rng, 50, 0.0), empty, solver=ORDINARY)
+        sentences = " ".join(payload.unidentifiable)
+        assert "pIzz" in sentences and "phy" in sentences and not payload.determined[2]
+        assert payload.determined[6]
 
 
 class TestPossible:
     def test_a_body_is_its_own(self) -> None:
         body = body_of(BODY)
-        found = nearest_body(body, 1e-6 * np.eye(10))
-        assert found is not None
-        assert_allclose(found, body, rtol=1e-4, atol=1e-7)
+        nearest = nearest_body(body, 1e-6 * np.eye(10))
+        assert nearest is not None
+        assert_allclose(nearest, body, rtol=1e-4, atol=1e-7)
 
     def test_none_is_nearer(self, rng: np.random.Generator, random_links: Any) -> None:
         """Steps from it towards any body that exists lead away from the estimate."""
         body = body_of(BODY) - [4e-2, 0, 0, 0, 0, 0, 0, 0, 0, 0]
         half = rng.normal(size=(10, 10)) * 10.0 ** rng.uniform(-3, -1, 10)
         covariance = half.T @ half
-        found = nearest_body(body, covariance)
-        assert found is not None
-        assert np.min(np.linalg.eigvalsh(pseudo_inertia(found))) > 0
+        nearest = nearest_body(body, covariance)
+        assert nearest is not None
+        assert np.min(np.linalg.eigvalsh(pseudo_inertia(nearest))) > 0
         assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) < 0
         distance = lambda x: (x - body) @ np.linalg.solve(covariance, x - body)
         for link in (*random_links(rng, 50), BODY):
-            nearby = found + 0.01 * (body_of(link) - found)
-            assert distance(nearby) > distance(found) * (1 - 1e-3)
+            nearby = nearest + 0.01 * (body_of(link) - nearest)
+            assert distance(nearby) > distance(nearest) * (1 - 1e-3)
 
     def test_of_nothing_at_all(self) -> None:
         """A hand that is empty: an estimate around zero still has a body beside it."""
         error = np.array([*[1e-3] * 6, *[1e-3] * 3, 0.01])
-        found = nearest_body(-0.5 * error, np.diag(error**2))
-        assert found is not None and 0 < found[9] < 0.02
+        nearest = nearest_body(-0.5 * error, np.diag(error**2))
+        assert nearest is not None and 0 < nearest[9] < 0.02
 
 
 def test_on_another_link(puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator) -> None:
     network = puma.with_payload(3)
     k = np.concatenate([np.asarray(puma_k), body_of(BODY)])
-    found = jc.fit_payload(
+    payload = jc.fit_payload(
         network, _drawn(network, k, rng, 50, 0.0), previous=puma_k, solver=ORDINARY
     )
-    assert_allclose(found.parameters, body_of(BODY), atol=_ROUNDING)
+    assert_allclose(payload.parameters, body_of(BODY), atol=_ROUNDING)
 
 
 def test_failures(

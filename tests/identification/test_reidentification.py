@@ -74,21 +74,24 @@ def test_equals_numpy_on_the_columns_that_are_fitted(
     fit = jc.reidentify(puma, patterns, before, groups=("dry", "gravity", "kv3"), solver=ORDINARY)
 
     free = puma.layout.indices("dry", "gravity", "kv3")
-    rest = np.setdiff1d(np.arange(43), free)
+    fixed = np.setdiff1d(np.arange(43), free)
     rows, target = np.asarray(puma.regressor(*motion))[counts], np.asarray(patterns.torque)[counts]
-    target = target - rows[:, rest] @ np.asarray(before.k)[rest]
+    target = target - rows[:, fixed] @ np.asarray(before.k)[fixed]
     k, squares, rank, _ = np.linalg.lstsq(rows[:, free], target, rcond=None)
     inverse_gram = np.linalg.inv(rows[:, free].T @ rows[:, free])
     variance = squares[0] / (len(target) - rank)
-    follow = -inverse_gram @ rows[:, free].T @ rows[:, rest]
-    known = np.asarray(before.covariance)[np.ix_(rest, rest)]
-    covariance = variance * inverse_gram + follow @ known @ follow.T
+    follow = -inverse_gram @ rows[:, free].T @ rows[:, fixed]
+    fixed_covariance = np.asarray(before.covariance)[np.ix_(fixed, fixed)]
+    covariance = variance * inverse_gram + follow @ fixed_covariance @ follow.T
     assert_allclose(np.asarray(fit.k)[free], k, atol=_ROUNDING)
     assert_allclose(np.asarray(fit.covariance)[np.ix_(free, free)], covariance, rtol=1e-6)
     assert_allclose(
-        np.asarray(fit.covariance)[np.ix_(free, rest)], follow @ known, rtol=1e-6, atol=1e-12
+        np.asarray(fit.covariance)[np.ix_(free, fixed)],
+        follow @ fixed_covariance,
+        rtol=1e-6,
+        atol=1e-12,
     )
-    assert_allclose(fit.standard_error[rest], before.standard_error[rest], rtol=1e-12)
+    assert_allclose(fit.standard_error[fixed], before.standard_error[fixed], rtol=1e-12)
     scaled = rows[:, free] / np.linalg.norm(rows[:, free], axis=0)
     assert_allclose(fit.condition, np.linalg.cond(scaled), rtol=1e-8)
     errors = np.where(counts, np.asarray(puma.torque(fit.k, *motion)) - patterns.torque, 0.0)
@@ -125,16 +128,16 @@ def test_a_part_equals_a_network_of_that_part(
     k = rng.normal(size=loaded.size)
     patterns = _drawn(loaded, k, rng, 400, 0.3)
     fixed = np.where([name in names for name in loaded.names], 0.0, k)
-    rest = np.asarray(loaded.torque(fixed, patterns.q, patterns.qd, patterns.qdd))
-    own = dataclasses.replace(patterns, torque=np.asarray(patterns.torque) - rest)
+    fixed_torque = np.asarray(loaded.torque(fixed, patterns.q, patterns.qd, patterns.qdd))
+    reduced = dataclasses.replace(patterns, torque=np.asarray(patterns.torque) - fixed_torque)
     fit = jc.reidentify(
         loaded, patterns, k, groups=names, solver=dataclasses.replace(ORDINARY, **options)
     )
-    whole = dataclasses.replace(ORDINARY, **options).fit(alone, own)
-    places = [loaded.names.index(name) for name in names]
-    assert_allclose(np.asarray(fit.k)[places], whole.k, rtol=1e-8)
+    whole = dataclasses.replace(ORDINARY, **options).fit(alone, reduced)
+    indices = [loaded.names.index(name) for name in names]
+    assert_allclose(np.asarray(fit.k)[indices], whole.k, rtol=1e-8)
     assert_allclose(
-        np.asarray(fit.standard_error)[places], whole.standard_error, rtol=1e-6, atol=1e-14
+        np.asarray(fit.standard_error)[indices], whole.standard_error, rtol=1e-6, atol=1e-14
     )
 
 
@@ -166,8 +169,8 @@ def test_standard_errors_cover_the_truth(arm: jc.CSLC, rng: np.random.Generator)
     def learn(first: jc.Patterns, then: jc.Patterns) -> tuple[jax.Array, jax.Array]:
         before = ORDINARY.fit(arm, first, throw=False)
         fits = [
-            jc.reidentify(arm, then, known, throw=False, solver=ORDINARY)
-            for known in (before, before.k)
+            jc.reidentify(arm, then, previous, throw=False, solver=ORDINARY)
+            for previous in (before, before.k)
         ]
         both, alone = (jnp.abs(fit.k - k) < 2 * fit.standard_error for fit in fits)
         return both[-4:], alone[-4:]
@@ -214,16 +217,16 @@ def test_jit_and_vmap(arm: jc.CSLC, rng: np.random.Generator) -> None:
     """Over recordings and over what is known of the rest."""
     k = rng.normal(size=arm.size)
     patterns = [_drawn(arm, k, rng, 60, 0.1) for _ in range(3)]
-    known = [ORDINARY.fit(arm, _drawn(arm, k, rng, 60, 0.1)) for _ in range(3)]
+    previous = [ORDINARY.fit(arm, _drawn(arm, k, rng, 60, 0.1)) for _ in range(3)]
     learn = lambda p, f: jc.reidentify(
         arm, p, f, throw=False, solver=jc.LeastSquares(joint_weights="equal", errors="correlated")
     )
-    fits = jax.jit(jax.vmap(learn))(_stacked(patterns), _stacked(known))
+    fits = jax.jit(jax.vmap(learn))(_stacked(patterns), _stacked(previous))
     for i in range(3):
         fit = jc.reidentify(
             arm,
             patterns[i],
-            known[i],
+            previous[i],
             solver=jc.LeastSquares(joint_weights="equal", errors="correlated"),
         )
         assert_allclose(fits.k[i], fit.k, atol=_ROUNDING)

@@ -89,9 +89,9 @@ def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
 
     errors = solver.held_out_errors(network, patterns, fold)
     for number in range(folds):
-        own = fold == number
-        predicted = network.torque(jnp.asarray(k[number]), q[own], qd[own], qdd[own])
-        np.testing.assert_allclose(errors[own], torque[own] - predicted, atol=1e-9)
+        left_out = fold == number
+        predicted = network.torque(jnp.asarray(k[number]), q[left_out], qd[left_out], qdd[left_out])
+        np.testing.assert_allclose(errors[left_out], torque[left_out] - predicted, atol=1e-9)
 
 
 # The choice

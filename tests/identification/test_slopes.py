@@ -39,37 +39,37 @@ def recorded(
 
 def test_recovers_slopes_and_coefficients(network: jc.CSLC, rng: np.random.Generator) -> None:
     k, patterns = recorded(network, 0.0, rng)
-    found = jc.fit_slopes(network.with_static_slopes([1.0, 100.0]), patterns, solver=ORDINARY)
-    assert_allclose(found.slopes, SLOPES, rtol=1e-6)
-    assert_allclose(found.fit.k, k, rtol=1e-6)
-    assert bool(found.settled)
-    assert np.array_equal(np.asarray(found.network.static_slopes), found.slopes)
-    assert "slopes [12 ± " in repr(found)
+    result = jc.fit_slopes(network.with_static_slopes([1.0, 100.0]), patterns, solver=ORDINARY)
+    assert_allclose(result.slopes, SLOPES, rtol=1e-6)
+    assert_allclose(result.fit.k, k, rtol=1e-6)
+    assert bool(result.settled)
+    assert np.array_equal(np.asarray(result.network.static_slopes), result.slopes)
+    assert "slopes [12 ± " in repr(result)
 
 
 def test_is_the_minimum_that_scipy_finds(network: jc.CSLC, rng: np.random.Generator) -> None:
     """All parameters at once, from the truth; and its Jacobian's covariance."""
     k, patterns = recorded(network, 0.1, rng)
-    found = jc.fit_slopes(network, patterns, start=np.array([6.0, 6.0]), solver=ORDINARY)
+    result = jc.fit_slopes(network, patterns, start=np.array([6.0, 6.0]), solver=ORDINARY)
     rigid = np.asarray(network.regressor(patterns.q, patterns.qd, patterns.qdd))
-    places = [network.names.index(name) for name in ("ks1", "ks2")]
+    indices = [network.names.index(name) for name in ("ks1", "ks2")]
     speed, sign = np.abs(patterns.qd), np.sign(patterns.qd)
 
     def residual(x: np.ndarray) -> np.ndarray:
         columns = rigid.copy()
-        columns[:, [0, 1], places] = sign * np.exp(-x[-2:] * speed)
+        columns[:, [0, 1], indices] = sign * np.exp(-x[-2:] * speed)
         return np.ravel(columns @ x[:-2] - patterns.torque)
 
     oracle = scipy_least_squares(residual, np.concatenate([k, SLOPES]), x_scale="jac", xtol=1e-14)
-    assert_allclose(found.fit.k, oracle.x[:-2], rtol=1e-4)
-    assert_allclose(found.slopes, oracle.x[-2:], rtol=1e-4)
+    assert_allclose(result.fit.k, oracle.x[:-2], rtol=1e-4)
+    assert_allclose(result.slopes, oracle.x[-2:], rtol=1e-4)
     degrees_of_freedom = oracle.fun.size - oracle.x.size
     covariance = (
         np.linalg.inv(oracle.jac.T @ oracle.jac) * np.sum(oracle.fun**2) / degrees_of_freedom
     )
     errors = np.sqrt(np.diag(covariance))
-    assert_allclose(found.fit.standard_error, errors[:-2], rtol=1e-3)
-    assert_allclose(found.slope_error, errors[-2:], rtol=1e-3)
+    assert_allclose(result.fit.standard_error, errors[:-2], rtol=1e-3)
+    assert_allclose(result.slope_error, errors[-2:], rtol=1e-3)
 
 
 def test_errors_cover_the_truth(network: jc.CSLC, rng: np.random.Generator) -> None:
@@ -77,8 +77,10 @@ def test_errors_cover_the_truth(network: jc.CSLC, rng: np.random.Generator) -> N
     within = 0
     for _ in range(20):
         _, patterns = recorded(network, 0.1, rng)
-        found = jc.fit_slopes(network, patterns, start=SLOPES, solver=ORDINARY)
-        within += int(np.sum(np.abs(np.asarray(found.slopes) - SLOPES) < 1.96 * found.slope_error))
+        result = jc.fit_slopes(network, patterns, start=SLOPES, solver=ORDINARY)
+        within += int(
+            np.sum(np.abs(np.asarray(result.slopes) - SLOPES) < 1.96 * result.slope_error)
+        )
     assert within > 33
 
 
@@ -116,18 +118,18 @@ def test_weights_by_residual_and_pairs_left_out(network: jc.CSLC, rng: np.random
         patterns.backlash_mask,
         friction_mask,
     )
-    found = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(errors="independent"))
-    assert_allclose(found.slopes[0], SLOPES[0], rtol=0.01)
-    assert_allclose(found.fit.k[network.names.index("ks1")], k[network.names.index("ks1")], 0.01)
+    result = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(errors="independent"))
+    assert_allclose(result.slopes[0], SLOPES[0], rtol=0.01)
+    assert_allclose(result.fit.k[network.names.index("ks1")], k[network.names.index("ks1")], 0.01)
 
 
 def test_static_friction_of_one_joint_only(rng: np.random.Generator) -> None:
     robot = jc.Manipulator.from_modified_dh(ROWS).with_friction("dry", "static", joint=2)
     network = jc.derive(robot, lengths="numeric").with_static_slopes(SLOPES)
     _, patterns = recorded(network, 0.0, rng)
-    found = jc.fit_slopes(network, patterns, start=np.array([3.0, 9.0]), solver=ORDINARY)
-    assert_allclose(found.slopes, [3.0, 4.0], rtol=1e-6)  # joint 1's is not used
-    assert float(found.slope_error[0]) == 0.0
+    result = jc.fit_slopes(network, patterns, start=np.array([3.0, 9.0]), solver=ORDINARY)
+    assert_allclose(result.slopes, [3.0, 4.0], rtol=1e-6)  # joint 1's is not used
+    assert float(result.slope_error[0]) == 0.0
 
 
 def test_nothing_slow_tells_no_slope(network: jc.CSLC, rng: np.random.Generator) -> None:
@@ -140,14 +142,14 @@ def test_nothing_slow_tells_no_slope(network: jc.CSLC, rng: np.random.Generator)
         patterns.time, patterns.q, patterns.qd, patterns.qdd, torque, patterns.backlash_mask,
         patterns.friction_mask,
     )  # fmt: skip
-    found = jc.fit_slopes(network, patterns, solver=ORDINARY)
-    assert np.all(np.isfinite(found.fit.k))
-    assert np.all(np.asarray(found.slope_error) > 0.2 * np.asarray(found.slopes))
-    assert found.dropped and len(found.warnings) == len(found.dropped)
-    for joint, sentence in zip(found.dropped, found.warnings, strict=True):
+    result = jc.fit_slopes(network, patterns, solver=ORDINARY)
+    assert np.all(np.isfinite(result.fit.k))
+    assert np.all(np.asarray(result.slope_error) > 0.2 * np.asarray(result.slopes))
+    assert result.dropped and len(result.warnings) == len(result.dropped)
+    for joint, sentence in zip(result.dropped, result.warnings, strict=True):
         assert sentence.startswith(f"joint {joint}: static friction dropped, its slope is not")
-        assert f"ks{joint}" not in found.network.names
-    assert found.fit.names == found.network.names
+        assert f"ks{joint}" not in result.network.names
+    assert result.fit.names == result.network.names
 
 
 def test_a_parabola_of_speed_is_no_static_friction(rng: np.random.Generator) -> None:
@@ -161,13 +163,13 @@ def test_a_parabola_of_speed_is_no_static_friction(rng: np.random.Generator) -> 
     k = np.where(np.arange(network.size) == ks1, 0.0, 1.0)
     torque = np.asarray(network.torque(k, patterns.q, patterns.qd, patterns.qdd)) + parabola
     torque = torque + 0.02 * rng.normal(size=torque.shape)
-    found = jc.fit_slopes(network, dataclasses.replace(patterns, torque=torque), solver=ORDINARY)
-    assert found.dropped == (1,)
-    assert "at the end of the observed speeds" in found.warnings[0]
-    assert "ks1" not in found.network.names and "ks2" in found.network.names
-    assert bool(found.fit.meaningful)
-    assert np.max(np.abs(np.asarray(found.fit.k))) < 10.0
-    assert_allclose(found.slopes[1], SLOPES[1], rtol=0.1)
+    result = jc.fit_slopes(network, dataclasses.replace(patterns, torque=torque), solver=ORDINARY)
+    assert result.dropped == (1,)
+    assert "at the end of the observed speeds" in result.warnings[0]
+    assert "ks1" not in result.network.names and "ks2" in result.network.names
+    assert bool(result.fit.meaningful)
+    assert np.max(np.abs(np.asarray(result.fit.k))) < 10.0
+    assert_allclose(result.slopes[1], SLOPES[1], rtol=0.1)
 
 
 @pytest.mark.parametrize("options", [{"cutoff": 10.0}, {"loss": "huber"}, {"loss": "bisquare"}])
@@ -184,9 +186,9 @@ def test_takes_every_option_of_the_solver(
         torque[rng.random(torque.shape) < 0.02] += 30.0
     pairs = np.ones(q.shape, bool)
     patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, pairs, pairs)
-    found = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(**options))
-    assert_allclose(found.slopes, SLOPES, rtol=1e-3)
-    assert found.dropped == () and found.fit.errors == "correlated"
+    result = jc.fit_slopes(network, patterns, solver=jc.LeastSquares(**options))
+    assert_allclose(result.slopes, SLOPES, rtol=1e-3)
+    assert result.dropped == () and result.fit.errors == "correlated"
 
 
 def test_kuka_recording_leaves_no_meaningless_static_friction() -> None:
@@ -200,12 +202,12 @@ def test_kuka_recording_leaves_no_meaningless_static_friction() -> None:
     robot = jc.load_robot(data / "kr300.toml").with_friction("viscous", "dry", "static")
     network = jc.derive(robot, lengths="numeric")
     recording = jc.load_recording(data / "A.csv", joints=network.joint_count)
-    found = jc.fit_slopes(network, jc.Settings().patterns(recording))
-    assert bool(found.fit.meaningful)
+    result = jc.fit_slopes(network, jc.Settings().patterns(recording))
+    assert bool(result.fit.meaningful)
     for joint in range(network.joint_count):
-        if joint + 1 not in found.dropped:
-            assert float(found.slope_error[joint]) < float(found.slopes[joint])
-    assert np.max(np.abs(np.asarray(found.fit.k))) < 1e5
+        if joint + 1 not in result.dropped:
+            assert float(result.slope_error[joint]) < float(result.slopes[joint])
+    assert np.max(np.abs(np.asarray(result.fit.k))) < 1e5
 
 
 def test_refused(network: jc.CSLC, rng: np.random.Generator) -> None:

@@ -23,11 +23,11 @@ def quantised(position: np.ndarray) -> np.ndarray:
 def test_the_widest_that_meets_the_criterion(slack: float) -> None:
     time, position = motion()
     readings = quantised(position)
-    chosen = choose_spacing(time, readings, candidates=CANDIDATES, slack=slack)
+    spacings = choose_spacing(time, readings, candidates=CANDIDATES, slack=slack)
     errors = {j: left_out_error(time, readings, AveragedSplines(j)) for j in CANDIDATES}
     least = np.min(list(errors.values()), axis=0)
     allowed = least**2 + 2.0 * slack * noise_level(readings) ** 2
-    for joint, spacing in enumerate(chosen):
+    for joint, spacing in enumerate(spacings):
         meeting = [j for j in CANDIDATES if errors[j][joint] ** 2 <= allowed[joint]]
         assert spacing == max(meeting)
 
@@ -46,10 +46,10 @@ def test_a_coarser_encoder_allows_more() -> None:
     )
     assert np.all(np.diff(spacings, axis=0) >= 0)
     assert np.all(spacings[-1] > spacings[0])
-    each = choose_spacing(
+    by_joint = choose_spacing(
         time, position, candidates=CANDIDATES, resolution=np.array([steps[0], steps[-1]])
     )
-    assert each == (spacings[0, 0], spacings[-1, 1])
+    assert by_joint == (spacings[0, 0], spacings[-1, 1])
 
 
 def test_the_counts_of_readings_need_not_be_told() -> None:

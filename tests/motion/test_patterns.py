@@ -277,7 +277,7 @@ def test_chosen_spacing_follows_the_motion() -> None:
     assert slow > fast
     assert recording.acceleration is not None
     inside = slice(41, -41)
-    for joint, chosen in enumerate((slow, fast)):
+    for joint, selected in enumerate((slow, fast)):
         errors = {
             spacing: np.std(
                 AveragedSplines(spacing).smooth(recording.time, recording.position)[2][
@@ -287,7 +287,7 @@ def test_chosen_spacing_follows_the_motion() -> None:
             )
             for spacing in candidates
         }
-        assert errors[chosen] < 1.5 * min(errors.values())
+        assert errors[selected] < 1.5 * min(errors.values())
     with pytest.raises(ValueError, match="no candidate spacings"):
         choose_spacing(recording.time, recording.position, candidates=())
     with pytest.raises(ValueError, match="spacing is 1; expected 2 samples or more"):

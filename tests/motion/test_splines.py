@@ -152,9 +152,9 @@ def friction_jumps(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float
 def test_reversals_are_found_to_a_fraction_of_a_sample() -> None:
     time = np.arange(75, 1270) * INTERVAL
     q, _, turns = friction_jumps(time)
-    found = find_reversals(time, quantised(q), tolerance=3 * COUNT, window=22)
-    assert [reversal.direction for reversal in found] == [-1, 1, -1, 1, -1, 1]
-    errors = np.array([reversal.time for reversal in found]) - turns[:6]
+    reversals = find_reversals(time, quantised(q), tolerance=3 * COUNT, window=22)
+    assert [reversal.direction for reversal in reversals] == [-1, 1, -1, 1, -1, 1]
+    errors = np.array([reversal.time for reversal in reversals]) - turns[:6]
     assert np.sqrt(np.mean(errors**2)) < 0.1 * INTERVAL
 
 

@@ -73,9 +73,9 @@ def test_single_reversals_do_not_decide(rng: np.random.Generator) -> None:
         turns = np.flatnonzero(np.diff(np.sign(qd[:, joint])))
         for turn in turns[5:20:6]:
             spoilt[turn - 15 : turn + 15, joint] += rng.normal(0.0, 2.0, 30)
-    found = thresholds_from_residuals(qd, spoilt)
-    assert np.all(found.significant)
-    np.testing.assert_allclose(found.thresholds, clean.thresholds, rtol=0.25)
+    robust = thresholds_from_residuals(qd, spoilt)
+    assert np.all(robust.significant)
+    np.testing.assert_allclose(robust.thresholds, clean.thresholds, rtol=0.25)
 
 
 def test_directions_and_units_do_not_matter(rng: np.random.Generator) -> None:

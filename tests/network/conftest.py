@@ -62,11 +62,11 @@ def mujoco_torque() -> Callable[..., Callable[..., np.ndarray]]:
         data = mujoco.MjData(model)
 
         def torque(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-            found: list[np.ndarray] = []
+            torques: list[np.ndarray] = []
             for data.qpos[:], data.qvel[:], data.qacc[:] in zip(q, qd, qdd, strict=True):
                 mujoco.mj_inverse(model, data)
-                found.append(data.qfrc_inverse.copy())
-            return np.array(found)
+                torques.append(data.qfrc_inverse.copy())
+            return np.array(torques)
 
         return torque
 
@@ -133,10 +133,10 @@ def cases(
     random_links: Callable[..., tuple[LinkParameters, ...]],
 ) -> Callable[[str], Case]:
     """Makes, once, the network of that name and coefficients of a random possible robot."""
-    known: dict[str, Case] = {}
+    built: dict[str, Case] = {}
 
     def case(name: str) -> Case:
-        if name not in known:
+        if name not in built:
             make, lengths, evaluator = NETWORKS[name]
             robot = make()
             rng = np.random.default_rng(list(NETWORKS).index(name))
@@ -148,10 +148,10 @@ def cases(
             else:
                 links = robot.links
             friction = {term: rng.uniform(0.2, 2.0, n).tolist() for term in robot.friction}
-            known[name] = Case(
+            built[name] = Case(
                 network, np.asarray(network.coefficients_from(links, **friction)), links
             )
-        return known[name]
+        return built[name]
 
     return case
 

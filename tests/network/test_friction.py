@@ -110,8 +110,8 @@ def test_torque_is_the_formulas(
     start = network.layout.inertial.stop
     alone = np.where(np.arange(k.size) < start, 0.0, k)
     torque = network.torque(alone, *state)
-    each = [expected(network.names[start:], k[start:], *x) for x in zip(*state, strict=True)]
-    assert_allclose(torque, each, rtol=1e-12, atol=1e-13)
+    by_formula = [expected(network.names[start:], k[start:], *x) for x in zip(*state, strict=True)]
+    assert_allclose(torque, by_formula, rtol=1e-12, atol=1e-13)
 
 
 def test_regressor_columns_and_terms_agree_with_torque(
@@ -161,15 +161,15 @@ def test_the_adaptive_network_has_every_term(
 def test_coefficients_from_values(network: jc.CSLC) -> None:
     """Values by word land at their names; joints without a term have none."""
     links = [jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))] * 3
-    given: dict[str, Any] = {"coupled": [[1.0, 2.0, 3.0]], "static": [0.0, 5.0, 6.0]}
+    values: dict[str, Any] = {"coupled": [[1.0, 2.0, 3.0]], "static": [0.0, 5.0, 6.0]}
     if "root" in network.robot.friction:
-        given |= {"viscous": [1.0, 2.0, 3.0], "spring": [0.0, 7.0, 8.0]}
+        values |= {"viscous": [1.0, 2.0, 3.0], "spring": [0.0, 7.0, 8.0]}
         wanted = {"kv1": 1.0, "kv3": 3.0, "ke2": 7.0}
     else:
-        given |= {"asymmetric_viscous": [[0.0, 0.0], [1.0, 2.0], [3.0, 4.0]]}
+        values |= {"asymmetric_viscous": [[0.0, 0.0], [1.0, 2.0], [3.0, 4.0]]}
         wanted = {"kvp2": 1.0, "kvn2": 2.0, "kvn3": 4.0, "kv1": 0.0}
     wanted |= {"kcm2_3": 1.0, "kcv2_3": 2.0, "kcd2_3": 3.0, "ks2": 5.0, "ks3": 6.0}
-    k = network.coefficients_from(links, **given)
+    k = network.coefficients_from(links, **values)
     assert {name: float(k[network.names.index(name)]) for name in wanted} == wanted
     assert "ks1" not in network.names
 
@@ -187,19 +187,19 @@ def test_slopes_in_transformations(
         return network.with_static_slopes(slopes).friction_term(k, state[1])
 
     tried = jnp.array([SLOPES, (1.0, 2.0, 3.0), (50.0, 9.0, 4.0)])
-    each = [friction(slopes) for slopes in tried]
+    by_slopes = [friction(slopes) for slopes in tried]
     assert traced == 1
     constant = network.with_static_slopes(np.array(tried[1]))
-    assert_allclose(each[1], constant.friction_term(k, state[1]), rtol=1e-12)
-    assert_allclose(jax.vmap(friction)(tried), np.stack(each), rtol=1e-12)
+    assert_allclose(by_slopes[1], constant.friction_term(k, state[1]), rtol=1e-12)
+    assert_allclose(jax.vmap(friction)(tried), np.stack(by_slopes), rtol=1e-12)
     slope = jax.jacfwd(friction)(tried[0])
     v, ks = state[1][:, 1], k[network.names.index("ks2")]
     wanted = -ks * np.abs(v) * np.sign(v) * np.exp(-SLOPES[1] * np.abs(v))
     assert_allclose(slope[:, 1, 1], wanted, rtol=1e-11, atol=1e-15)
     # As an argument, a network that holds an array is compiled once too.
     by_network = eqx.filter_jit(lambda net: net.friction_term(k, state[1]))
-    assert_allclose(by_network(network.with_static_slopes(tried[1])), each[1], rtol=1e-12)
-    assert_allclose(jax.jit(constant.friction_term)(k, state[1]), each[1], rtol=1e-12)
+    assert_allclose(by_network(network.with_static_slopes(tried[1])), by_slopes[1], rtol=1e-12)
+    assert_allclose(jax.jit(constant.friction_term)(k, state[1]), by_slopes[1], rtol=1e-12)
 
 
 def test_gradients_are_finite_at_rest(network: jc.CSLC, k: np.ndarray) -> None:
@@ -223,10 +223,10 @@ def test_names_and_counts() -> None:
     robot = jc.Manipulator.from_modified_dh(ROWS, kinds="RRP", friction=WORDS[1])
     network = jc.derive(robot, lengths="numeric")
     names = [f"{letters}{i}" for letters in ("kvp", "kvn", "kdp", "kdn", "ks") for i in (1, 2, 3)]
-    own = network.coefficients[-15:]
-    assert [coefficient.name for coefficient in own] == names
-    assert [c.unit for c in own[:3]] == ["N m s/rad", "N m s/rad", "N s/m"]
-    assert own[0].expression == "viscous friction of joint 1, forwards"
+    friction_coefficients = network.coefficients[-15:]
+    assert [coefficient.name for coefficient in friction_coefficients] == names
+    assert [c.unit for c in friction_coefficients[:3]] == ["N m s/rad", "N m s/rad", "N s/m"]
+    assert friction_coefficients[0].expression == "viscous friction of joint 1, forwards"
     assert network.counts["asymmetric_dry"] == {
         "inputs": 6, "links": 6, "nodes": 3, "coefficients": 6,
     }  # fmt: skip

@@ -34,12 +34,12 @@ def case(request: pytest.FixtureRequest, cases: Callable[[str], Any]) -> Any:
     return cases(request.param)
 
 
-def assert_equal(found: Any, expected: Any, *, of: Any = None, rounding: float = ROUNDING) -> None:
+def assert_equal(actual: Any, expected: Any, *, of: Any = None, rounding: float = ROUNDING) -> None:
     """Equal to rounding, relative to the largest entry of `of`."""
-    found, expected = np.asarray(found), np.asarray(expected)
-    assert found.shape == expected.shape
+    actual, expected = np.asarray(actual), np.asarray(expected)
+    assert actual.shape == expected.shape
     scale = np.max(np.abs(expected if of is None else np.asarray(of)))
-    assert np.max(np.abs(found - expected)) <= rounding * scale
+    assert np.max(np.abs(actual - expected)) <= rounding * scale
 
 
 def test_regressor_times_k_is_torque(case: Any, rng: np.random.Generator) -> None:
@@ -84,13 +84,13 @@ def test_terms_add_up(case: Any, rng: np.random.Generator) -> None:
 def test_special_cases_of_torque(case: Any, rng: np.random.Generator) -> None:
     network, k = case.network, case.k
     q, qd, qdd = case.states(rng)
-    rest = np.zeros_like(q)
+    zero = np.zeros_like(q)
     torque = network.torque(k, q, qd, qdd)
-    offset = network.friction_term(k, rest)
-    assert_equal(network.torque(k, q, rest, rest), network.gravity_term(k, q) + offset, of=torque)
-    unmoved = network.torque(k, q, qd, rest) - network.torque(k, q, rest, rest) + offset
+    offset = network.friction_term(k, zero)
+    assert_equal(network.torque(k, q, zero, zero), network.gravity_term(k, q) + offset, of=torque)
+    unmoved = network.torque(k, q, qd, zero) - network.torque(k, q, zero, zero) + offset
     assert_equal(unmoved, network.velocity_term(k, q, qd) + network.friction_term(k, qd), of=torque)
-    pushed = network.torque(k, q, rest, qdd) - network.torque(k, q, rest, rest)
+    pushed = network.torque(k, q, zero, qdd) - network.torque(k, q, zero, zero)
     mass = network.mass_matrix(k, q)
     assert_equal(pushed, jnp.einsum("...ij,...j->...i", mass, qdd), of=torque)
 
@@ -177,10 +177,10 @@ def test_forward_dynamics_undoes_torque(case: Any, rng: np.random.Generator) -> 
     condition = np.max(np.linalg.cond(np.asarray(network.mass_matrix(k, q))))
     bias = np.max(np.abs(np.asarray(torque)))
     smallest = np.min(np.linalg.eigvalsh(np.asarray(network.mass_matrix(k, q))))
-    found = network.forward_dynamics(k, q, qd, torque)
+    recovered = network.forward_dynamics(k, q, qd, torque)
     # Rounding of the torque, seen through the inverse of M.
     error = ROUNDING * (condition * np.max(np.abs(qdd)) + bias / smallest)
-    assert np.max(np.abs(np.asarray(found) - qdd)) < error
+    assert np.max(np.abs(np.asarray(recovered) - qdd)) < error
 
 
 def test_without_forces_nothing_accelerates() -> None:
@@ -188,8 +188,8 @@ def test_without_forces_nothing_accelerates() -> None:
     network = jaxcslc.derive(robot, lengths="numeric")
     assert robot.links is not None
     k = network.coefficients_from(robot.links)
-    rest = np.zeros((3, 6))
-    assert np.all(np.asarray(network.forward_dynamics(k, rest + 0.3, rest, rest)) == 0)
+    zero = np.zeros((3, 6))
+    assert np.all(np.asarray(network.forward_dynamics(k, zero + 0.3, zero, zero)) == 0)
 
 
 @pytest.mark.parametrize(
@@ -283,7 +283,7 @@ def test_what_is_zero_or_equal_may_be_left_out(
         )
         for inertia in (form, patterns)
     ]
-    torques = [each.torque(each.coefficients_from(links), *states) for each in networks]
+    torques = [network.torque(network.coefficients_from(links), *states) for network in networks]
     assert_equal(*torques)
     assert networks[1].size < networks[0].size
 
@@ -315,11 +315,27 @@ def test_friction_is_each_joints_own(rng: np.random.Generator) -> None:
     assert_equal(network.friction_term(k, qd), expected)
     assert_equal(network.torque(k, 0 * qd, qd, 0 * qd), expected)
     friction = network.coefficients[-6:]
-    assert [each.name for each in friction] == ["kv1", "kv2", "kd1", "kd2", "ko1", "ko2"]
-    assert [each.group for each in friction] == [term for term in terms for _ in range(2)]
-    assert [each.unit for each in friction] == ["N m s/rad", "N s/m", "N m", "N", "N m", "N"]
+    assert [coefficient.name for coefficient in friction] == [
+        "kv1",
+        "kv2",
+        "kd1",
+        "kd2",
+        "ko1",
+        "ko2",
+    ]
+    assert [coefficient.group for coefficient in friction] == [
+        term for term in terms for _ in range(2)
+    ]
+    assert [coefficient.unit for coefficient in friction] == [
+        "N m s/rad",
+        "N s/m",
+        "N m",
+        "N",
+        "N m",
+        "N",
+    ]
     # Friction opposes motion; a sensor's zero may lie on either side.
-    assert [each.positive for each in friction] == [True] * 4 + [False] * 2
+    assert [coefficient.positive for coefficient in friction] == [True] * 4 + [False] * 2
 
 
 @st.composite

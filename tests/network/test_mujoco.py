@@ -38,8 +38,8 @@ MujocoTorque = Callable[..., Callable[..., np.ndarray]]
 RandomLinks = Callable[..., tuple[LinkParameters, ...]]
 
 
-def disagreement(found: Any, expected: np.ndarray) -> float:
-    return float(np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected)))
+def disagreement(actual: Any, expected: np.ndarray) -> float:
+    return float(np.max(np.abs(np.asarray(actual) - expected)) / np.max(np.abs(expected)))
 
 
 def frictionless(robot: Manipulator, links: Any, lengths: Any, evaluator: str) -> Any:

@@ -112,14 +112,14 @@ def test_the_closed_form_of_the_payload_agrees_with_the_recursion(
     alone = jc.derive(carrier(loaded.robot), lengths="numeric", evaluator="tables")
     q, qd, qdd = _motion(rng, 6)
     none = [jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))] * 5
-    own = alone.coefficients_from([*none, BALL])
+    alone_k = alone.coefficients_from([*none, BALL])
     k = (
         jnp.zeros(loaded.size)
         .at[loaded.layout.payload]
         .set(loaded.coefficients_from([*none, none[0]], payload=BALL)[loaded.layout.payload])
     )
     np.testing.assert_allclose(
-        loaded.torque(k, q, qd, qdd), alone.torque(own, q, qd, qdd), atol=1e-11
+        loaded.torque(k, q, qd, qdd), alone.torque(alone_k, q, qd, qdd), atol=1e-11
     )
 
 
@@ -156,8 +156,8 @@ def test_transforms(loaded: jc.CSLC, loaded_k: Array, rng: np.random.Generator) 
     q, qd, qdd = (jnp.asarray(x) for x in _motion(rng, 3))
     torque = loaded.torque(loaded_k, q, qd, qdd)
     np.testing.assert_allclose(jax.jit(loaded.torque)(loaded_k, q, qd, qdd), torque, atol=1e-12)
-    each = jax.vmap(loaded.torque, in_axes=(None, 0, 0, 0))(loaded_k, q, qd, qdd)
-    np.testing.assert_allclose(each, torque, atol=1e-12)
+    mapped = jax.vmap(loaded.torque, in_axes=(None, 0, 0, 0))(loaded_k, q, qd, qdd)
+    np.testing.assert_allclose(mapped, torque, atol=1e-12)
     slope = jax.jacobian(lambda k: loaded.torque(k, q[0], qd[0], qdd[0]))(loaded_k)
     np.testing.assert_allclose(slope, loaded.regressor(q[0], qd[0], qdd[0]), atol=1e-12)
 

@@ -93,14 +93,14 @@ def test_names(network: CSLC) -> None:
 
 
 def test_choice_of_evaluator() -> None:
-    def chosen(robot: jaxcslc.Manipulator, **options: Any) -> str:
+    def evaluator_of(robot: jaxcslc.Manipulator, **options: Any) -> str:
         return type(jaxcslc.derive(robot, **options).rigid_body).__name__
 
     puma, panda = jaxcslc.puma560(), jaxcslc.panda()
-    assert chosen(puma) == "RigidBodyTables"
-    assert chosen(puma, lengths="numeric") == "RigidBodyTables"
-    assert chosen(puma, lengths="numeric", evaluator="recursive") == "RigidBodyRecursion"
-    assert chosen(panda, lengths="numeric") == "RigidBodyRecursion"
+    assert evaluator_of(puma) == "RigidBodyTables"
+    assert evaluator_of(puma, lengths="numeric") == "RigidBodyTables"
+    assert evaluator_of(puma, lengths="numeric", evaluator="recursive") == "RigidBodyRecursion"
+    assert evaluator_of(panda, lengths="numeric") == "RigidBodyRecursion"
 
 
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 0.0), (0.0, 3.0, -9.0)], ids=["none", "tilted"])

@@ -85,7 +85,7 @@ def test_a_network_is_the_sum_of_its_terms(
 ) -> None:
     k = jnp.asarray(rng.uniform(0.5, 1.0, network.size))
     shares = zip(network.terms, network.layout.split(k), strict=True)
-    total = np.sum([term.torque(jnp.asarray(own), *state) for term, own in shares], axis=0)
+    total = np.sum([term.torque(jnp.asarray(term_k), *state) for term, term_k in shares], axis=0)
     assert_allclose(network.torque(k, *state), total, atol=ROUNDING)
 
 
@@ -127,8 +127,8 @@ def test_other_slopes_are_another_function(state: tuple[jax.Array, ...]) -> None
     assert np.max(np.abs(np.asarray(one(k, *state)) - other(k, *state))) > 0.1
     # In one compiled function, and over an axis of slopes.
     several = jnp.array([[1.0] * 2, [5.0] * 2])
-    each = jax.vmap(lambda s: network.with_static_slopes(s).torque(k, *state))(several)
-    assert_allclose(each, [one(k, *state), other(k, *state)], atol=ROUNDING)
+    mapped = jax.vmap(lambda s: network.with_static_slopes(s).torque(k, *state))(several)
+    assert_allclose(mapped, [one(k, *state), other(k, *state)], atol=ROUNDING)
     slope = jax.grad(lambda network: jnp.sum(network.torque(k, *state)), allow_int=True)(network)
     assert np.asarray(slope.static_slopes)[1] != 0
 

@@ -47,10 +47,10 @@ def arguments(
     return tuple(jnp.asarray(values[name]) for name in METHODS[method])
 
 
-def assert_close(found: Any, expected: Any, rounding: float = ROUNDING) -> None:
-    assert found.shape == expected.shape
+def assert_close(actual: Any, expected: Any, rounding: float = ROUNDING) -> None:
+    assert actual.shape == expected.shape
     np.testing.assert_allclose(
-        found, expected, rtol=0, atol=rounding * np.max(np.abs(np.asarray(expected)))
+        actual, expected, rtol=0, atol=rounding * np.max(np.abs(np.asarray(expected)))
     )
 
 
@@ -102,8 +102,8 @@ def test_batches(case: Any, method: str, rng: np.random.Generator) -> None:
     core = {"regressor": (n, p), "mass_matrix": (n, n)}.get(method, (n,))
     for shape in shapes:
         values = arguments(case, method, rng, shape)
-        found = getattr(case.network, method)(*values)
-        assert found.shape == (*shape, *core)
+        batch = getattr(case.network, method)(*values)
+        assert batch.shape == (*shape, *core)
         for index in list(np.ndindex(*shape))[:2]:
             alone = [
                 value if name == "k" else value[index]
@@ -111,7 +111,7 @@ def test_batches(case: Any, method: str, rng: np.random.Generator) -> None:
             ]
             single = getattr(case.network, method)(*alone)
             assert single.shape == core
-            np.testing.assert_allclose(found[index], single, rtol=1e-9, atol=1e-11)
+            np.testing.assert_allclose(batch[index], single, rtol=1e-9, atol=1e-11)
 
 
 def test_no_samples(case: Any, rng: np.random.Generator) -> None:
@@ -136,9 +136,9 @@ def test_vmap_over_coefficients(case: Any, rng: np.random.Generator) -> None:
     k, q, qd, qdd = arguments(case, "torque", rng, (4,))
     several = jnp.stack([k, 2 * k, 0 * k])
     torques = jax.jit(jax.vmap(case.network.torque, (0, None, None, None)))
-    found = torques(several, q, qd, qdd)
+    mapped = torques(several, q, qd, qdd)
     once = case.network.torque(k, q, qd, qdd)
-    assert_close(found, jnp.stack([once, 2 * once, 0 * once]))
+    assert_close(mapped, jnp.stack([once, 2 * once, 0 * once]))
 
 
 @pytest.mark.parametrize("method", ["torque", "mass_matrix", "forward_dynamics"])
@@ -154,42 +154,42 @@ def test_gradients(case: Any, method: str, rng: np.random.Generator) -> None:
 
 def test_gradient_with_respect_to_k_is_the_regressor(case: Any, rng: np.random.Generator) -> None:
     k, q, qd, qdd = arguments(case, "torque", rng, (3,))
-    found = jax.jit(jax.jacfwd(case.network.torque))(k, q, qd, qdd)
-    assert_close(found, case.network.regressor(q, qd, qdd))
+    jacobian = jax.jit(jax.jacfwd(case.network.torque))(k, q, qd, qdd)
+    assert_close(jacobian, case.network.regressor(q, qd, qdd))
 
 
 @pytest.mark.parametrize("method", ["torque", "forward_dynamics"])
 def test_gradients_are_finite_at_singular_positions(case: Any, method: str) -> None:
     n = case.network.joint_count
     slopes = jax.jit(jax.jacrev(getattr(case.network, method), argnums=(0, 1, 2, 3)))
-    rest = jnp.zeros(n)
+    zero = jnp.zeros(n)
     for angle in (0.0, 1e-7, np.pi):
-        for slope in slopes(jnp.asarray(case.k), jnp.full(n, angle), rest, rest):
+        for slope in slopes(jnp.asarray(case.k), jnp.full(n, angle), zero, zero):
             assert np.all(np.isfinite(slope)), angle
 
 
 def test_float32_stays_float32(case: Any, method: str, rng: np.random.Generator) -> None:
     values = arguments(case, method, rng, (4,))
     single = [value.astype(jnp.float32) for value in values]
-    found = getattr(case.network, method)(*single)
-    assert found.dtype == jnp.float32
+    actual = getattr(case.network, method)(*single)
+    assert actual.dtype == jnp.float32
     if method != "forward_dynamics":  # its error is the condition number's
         expected = getattr(case.network, method)(*values)
-        assert_close(found, np.asarray(expected), SINGLE)
+        assert_close(actual, np.asarray(expected), SINGLE)
 
 
 def test_numpy_in_jax_out(case: Any, method: str, rng: np.random.Generator) -> None:
     values = [np.asarray(value) for value in arguments(case, method, rng, (4,))]
-    found = getattr(case.network, method)(*values)
-    assert isinstance(found, jax.Array)
-    assert found.dtype == jnp.float64
+    actual = getattr(case.network, method)(*values)
+    assert isinstance(actual, jax.Array)
+    assert actual.dtype == jnp.float64
 
 
 def test_batch_axes_broadcast(case: Any, rng: np.random.Generator) -> None:
     k, q, qd, qdd = arguments(case, "torque", rng, (4,))
-    found = case.network.torque(k, q[0], qd, qdd[None, 1])
+    actual = case.network.torque(k, q[0], qd, qdd[None, 1])
     expected = case.network.torque(k, jnp.tile(q[0], (4, 1)), qd, jnp.tile(qdd[1], (4, 1)))
-    assert_close(found, expected)
+    assert_close(actual, expected)
 
 
 def test_coefficients_can_be_differentiated(cases: Callable[[str], Any]) -> None:

@@ -87,11 +87,11 @@ def carried(puma: jc.CSLC, arm_k: Array, estimator: PayloadEstimator) -> list[si
 def test_mass_and_centre_within_two_seconds_of_motion(carried: list[sim.ClosedLoop]) -> None:
     """Of a payload that MuJoCo carries, from encoder counts."""
     result = carried[1]
-    told, time = result.observed, result.truth.time
+    observed, time = result.observed, result.truth.time
     at = np.searchsorted(time, 3.4)  # 1.9 s after the arm began to move with it, 0.1 s of it still
-    assert abs(told["mass"][at] - 1.0) < 0.02
-    assert np.max(np.abs(told["centre"][at] - BODY.centre_of_gravity)) < 0.005
-    assert told["carrying"][at]
+    assert abs(observed["mass"][at] - 1.0) < 0.02
+    assert np.max(np.abs(observed["centre"][at] - BODY.centre_of_gravity)) < 0.005
+    assert observed["carrying"][at]
 
 
 def test_what_is_handed_out_can_exist(carried: list[sim.ClosedLoop]) -> None:
@@ -101,21 +101,21 @@ def test_what_is_handed_out_can_exist(carried: list[sim.ClosedLoop]) -> None:
 
 
 def test_picking_up_and_putting_down_are_noticed(carried: list[sim.ClosedLoop]) -> None:
-    told = carried[1].observed
+    observed = carried[1].observed
     resumed = {PICKED: 1.4, PLACED: 3.9}  # an arm at rest tells nothing
-    assert 0 < told["picked_up"][-1] - resumed[PICKED] < 1.0
-    assert 0 < told["put_down"][-1] - resumed[PLACED] < 1.0
+    assert 0 < observed["picked_up"][-1] - resumed[PICKED] < 1.0
+    assert 0 < observed["put_down"][-1] - resumed[PLACED] < 1.0
     before = carried[1].truth.time < resumed[PICKED]
-    assert not told["carrying"][before].any() and not told["carrying"][-1]
-    assert np.all(told["picked_up"][before] == -1.0)
+    assert not observed["carrying"][before].any() and not observed["carrying"][-1]
+    assert np.all(observed["picked_up"][before] == -1.0)
 
 
 def test_compensation_tracks_better(carried: list[sim.ClosedLoop]) -> None:
     time = carried[0].truth.time
     wanted = np.asarray(PATH.reference(time[:, None], np.tile(START, (len(time), 1))).q)
-    known = (time > 2.6) & (time < PLACED)
+    settled = (time > 2.6) & (time < PLACED)
     unlearnt, learnt = (
-        np.sqrt(np.mean((result.truth.position - wanted)[known] ** 2)) for result in carried
+        np.sqrt(np.mean((result.truth.position - wanted)[settled] ** 2)) for result in carried
     )
     assert learnt < 0.6 * unlearnt
 
@@ -123,9 +123,9 @@ def test_compensation_tracks_better(carried: list[sim.ClosedLoop]) -> None:
 def test_nothing_is_found_where_nothing_is(
     puma: jc.CSLC, arm_k: Array, estimator: PayloadEstimator
 ) -> None:
-    told = _carried(puma, arm_k, estimator, (), 1000)[1].observed
-    assert not told["carrying"].any()
-    assert told["mass"][-1] < 0.05 and np.all(told["picked_up"] == -1.0)
+    observed = _carried(puma, arm_k, estimator, (), 1000)[1].observed
+    assert not observed["carrying"].any()
+    assert observed["mass"][-1] < 0.05 and np.all(observed["picked_up"] == -1.0)
 
 
 def _scanned(
@@ -158,7 +158,7 @@ def smooth(puma: jc.CSLC, arm_k: Array) -> tuple[Array, Array, Array]:
 
     time = jnp.asarray(0.002 * np.arange(1500))
     rate = jax.jacfwd(path)
-    q, qd, qdd = (jax.vmap(each)(time) for each in (path, rate, jax.jacfwd(rate)))
+    q, qd, qdd = (jax.vmap(function)(time) for function in (path, rate, jax.jacfwd(rate)))
     # Held torques are half an interval late.
     later = loaded.torque(k, q, qd, qdd)
     return q, 0.5 * (later + jnp.roll(later, -1, axis=0)), k
@@ -180,7 +180,7 @@ def test_it_is_least_squares_on_filtered_signals(
         detection_threshold=1e9,
         filter=chain,
     )
-    told = _scanned(estimator, q, torque)
+    estimates = _scanned(estimator, q, torque)
     motion, effort = chain.begin(q[0]), chain.begin(torque[0])
     rows, values = [np.diag(1 / np.array([0.2] * 6 + [1.0] * 3 + [5.0]))], [np.zeros(10)]
     step = jax.jit(chain.step, static_argnames="hold")
@@ -199,11 +199,11 @@ def test_it_is_least_squares_on_filtered_signals(
             values.append(weight * residual)
     a, b = np.concatenate(rows), np.concatenate(values)
     covariance = np.linalg.inv(a.T @ a)
-    np.testing.assert_allclose(told.covariance[-1], covariance, rtol=1e-6, atol=1e-12)
-    found = np.linalg.lstsq(a, b)[0]
-    possible = nearest_body(found, covariance, least=1e-6)
+    np.testing.assert_allclose(estimates.covariance[-1], covariance, rtol=1e-6, atol=1e-12)
+    solution = np.linalg.lstsq(a, b)[0]
+    possible = nearest_body(solution, covariance, least=1e-6)
     assert possible is not None
-    apart = np.asarray(told.body[-1]) - possible
+    apart = np.asarray(estimates.body[-1]) - possible
     assert apart @ (a.T @ a) @ apart < 0.1
 
 

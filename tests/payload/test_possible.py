@@ -33,23 +33,23 @@ def test_it_is_the_nearest(seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     estimate, covariance = _estimate(rng, rng.uniform(0.7, 2.0), scale)
     information = np.linalg.inv(covariance)
-    found = np.asarray(possible_body(jnp.asarray(estimate), jnp.asarray(information)))
+    nearest = np.asarray(possible_body(jnp.asarray(estimate), jnp.asarray(information)))
     other = nearest_body(estimate, covariance, least=1e-6)
     assert other is not None
 
     def distance(body: np.ndarray) -> float:
         return float((body - estimate) @ information @ (body - estimate))
 
-    assert distance(found) < distance(other) + 0.02
-    apart = found - other
+    assert distance(nearest) < distance(other) + 0.02
+    apart = nearest - other
     assert apart @ information @ apart < 0.05
-    assert np.min(np.linalg.eigvalsh(pseudo_inertia(found))) > 0
+    assert np.min(np.linalg.eigvalsh(pseudo_inertia(nearest))) > 0
 
 
 def test_what_can_exist_is_left_as_it_is(rng: np.random.Generator) -> None:
     body = _body(rng, 1.5)
-    found = possible_body(jnp.asarray(body), jnp.asarray(1e8 * np.eye(10)), steps=30)
-    np.testing.assert_allclose(found, body, atol=1e-4)
+    nearest = possible_body(jnp.asarray(body), jnp.asarray(1e8 * np.eye(10)), steps=30)
+    np.testing.assert_allclose(nearest, body, atol=1e-4)
 
 
 @pytest.mark.parametrize("mass", [-0.5, 0.0, 1e-3])
@@ -60,15 +60,15 @@ def test_however_few_steps_and_whatever_the_estimate(mass: float, steps: int) ->
         estimate, covariance = _estimate(rng, abs(mass), scale)
         estimate[9] = mass
         information = jnp.asarray(np.linalg.inv(covariance))
-        found = possible_body(jnp.asarray(estimate), information, steps=steps)
+        nearest = possible_body(jnp.asarray(estimate), information, steps=steps)
         # The least eigenvalue is below rounding of the largest where there is hardly a body.
-        values = np.linalg.eigvalsh(pseudo_inertia(np.asarray(found)))
-        assert np.min(values) > -1e-14 * np.max(values) and found[9] > 0
+        values = np.linalg.eigvalsh(pseudo_inertia(np.asarray(nearest)))
+        assert np.min(values) > -1e-14 * np.max(values) and nearest[9] > 0
 
 
 def test_transforms(rng: np.random.Generator) -> None:
     pairs = [_estimate(rng, 1.0, 0.5) for _ in range(3)]
     estimates = jnp.asarray(np.stack([estimate for estimate, _ in pairs]))
     information = jnp.asarray(np.stack([np.linalg.inv(covariance) for _, covariance in pairs]))
-    each = jax.jit(jax.vmap(possible_body))(estimates, information)
-    np.testing.assert_allclose(each[2], possible_body(estimates[2], information[2]), atol=1e-8)
+    mapped = jax.jit(jax.vmap(possible_body))(estimates, information)
+    np.testing.assert_allclose(mapped[2], possible_body(estimates[2], information[2]), atol=1e-8)

@@ -137,7 +137,7 @@ def stacked(problem: Problem, rng: np.random.Generator) -> tuple[Examples, list[
 def test_recordings_and_stop_sets(problem: Problem, rng: np.random.Generator) -> None:
     """A recording for each, stop sets for each or for all, from one start or several."""
     recordings, single_sets = stacked(problem, rng)
-    stop_sets, each_stop = stacked(problem, rng)
+    stop_sets, single_stop_sets = stacked(problem, rng)
     network, plan = problem.network, plan_of(stop_patience=4)
     options: Any = {"epochs": EPOCHS, "chunk": 20}
     for starts in (problem.starts[0], problem.starts):
@@ -146,12 +146,12 @@ def test_recordings_and_stop_sets(problem: Problem, rng: np.random.Generator) ->
         for at in (0, 3):
             start_of = np.broadcast_to(starts, (5, 10))[at]
             single = train(
-                network, single_sets[at], start_of, plan, stop_set=each_stop[at], **options
+                network, single_sets[at], start_of, plan, stop_set=single_stop_sets[at], **options
             )
             assert_same(many, at, single)
-    many = train(network, recordings, problem.starts, plan, stop_set=each_stop[0], **options)
+    many = train(network, recordings, problem.starts, plan, stop_set=single_stop_sets[0], **options)
     start_of = problem.starts[2]
-    single = train(network, single_sets[2], start_of, plan, stop_set=each_stop[0], **options)
+    single = train(network, single_sets[2], start_of, plan, stop_set=single_stop_sets[0], **options)
     assert_same(many, 2, single)
 
 

@@ -161,9 +161,9 @@ class Problem:
             contexts = [
                 [c[p] for c in subnetwork_contexts] for subnetwork_contexts in self.contexts
             ]
-            own_counts = None if counts is None else counts[p]
+            pattern_counts = None if counts is None else counts[p]
             per_pattern.append(
-                rule(self.parts, self.f, xs, contexts, self.t[p], self.k, own_counts)
+                rule(self.parts, self.f, xs, contexts, self.t[p], self.k, pattern_counts)
             )
         return thesis.average_over_links(
             self.parts,

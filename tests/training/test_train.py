@@ -128,10 +128,10 @@ def literally(
 
     weights = start
     now = np.broadcast_to(np.asarray(rates.start), (len(network.groups),)).astype(float)
-    costs, each_rates, each_weights = list[float](), list[np.ndarray](), list[np.ndarray]()
+    costs, rates_by_epoch, weights_by_epoch = list[float](), list[np.ndarray](), list[np.ndarray]()
     for epoch in range(epochs):
         costs.append(cost(weights))
-        each_weights.append(weights)
+        weights_by_epoch.append(weights)
         stable = True
         if isinstance(rates, AdaptedRates):
             trials = np.asarray(rates.trials(jnp.asarray(now)))
@@ -143,9 +143,9 @@ def literally(
                 now = result
             elif reached[0] > costs[-1]:  # neither those nor the present ones are stable
                 now, stable = 0.9 * np.minimum(now, result), False
-        each_rates.append(now)
+        rates_by_epoch.append(now)
         weights = after(weights, now, epoch) if stable else weights
-    return costs, each_rates, each_weights
+    return costs, rates_by_epoch, weights_by_epoch
 
 
 @pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
@@ -156,11 +156,11 @@ def test_history_is_the_literal_loop_s(
     network, training_set, start = two_parts
     rates = AdaptedRates(np.array([0.05, 0.2]))
     history = train(network, training_set, start, Plan(rule, rates, cost=cost), epochs=25).history
-    costs, each_rates, each_weights = literally(two_parts, rule, rates, cost.__name__, 25)
+    costs, rates_by_epoch, weights_by_epoch = literally(two_parts, rule, rates, cost.__name__, 25)
     assert_allclose(history.cost, costs, rtol=1e-8)
     assert_array_equal(history.measure, history.cost)
-    assert_allclose(history.rates, each_rates, rtol=1e-9)
-    assert_allclose(np.asarray(history.weights), each_weights, rtol=1e-7, atol=1e-9)
+    assert_allclose(history.rates, rates_by_epoch, rtol=1e-9)
+    assert_allclose(np.asarray(history.weights), weights_by_epoch, rtol=1e-7, atol=1e-9)
     assert np.isnan(history.stop_cost).all()
     if isinstance(rule, Backpropagation):  # each for itself
         assert len(np.unique(np.round(history.rates[:, 0] / history.rates[:, 1], 9))) > 1
@@ -182,10 +182,10 @@ def test_sequential_is_the_literal_loop_s(line: Problem, rates: AbstractRates) -
     plan = Plan(rule, rates, order="sequential")
     result = train(line.network, line.training_set, line.start, plan, epochs=6, key=key)
     sequences = shuffled(key, 20, 6)
-    costs, each_rates, each_weights = literally(line, rule, rates, "half_rms", 6, sequences)
+    costs, rates_by_epoch, weights_by_epoch = literally(line, rule, rates, "half_rms", 6, sequences)
     assert_allclose(result.history.cost, costs, rtol=1e-10)
-    assert_allclose(result.history.rates, each_rates, rtol=1e-10)
-    assert_allclose(np.asarray(result.history.weights), each_weights, rtol=1e-9)
+    assert_allclose(result.history.rates, rates_by_epoch, rtol=1e-10)
+    assert_allclose(np.asarray(result.history.weights), weights_by_epoch, rtol=1e-9)
 
 
 def test_the_order_is_the_key_s_alone(line: Problem) -> None:

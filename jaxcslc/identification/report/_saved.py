@@ -149,9 +149,9 @@ def _with_friction(robot: Manipulator, document: dict[str, Any], path: Path) -> 
     try:
         if terms is not None and tuple(terms) != robot.friction:
             robot = robot.with_friction(*terms)
-        for joint, own in enumerate(joint_friction, 1):
-            if tuple(own) != robot.friction:
-                robot = robot.with_friction(*own, joint=joint)
+        for joint, terms_of_joint in enumerate(joint_friction, 1):
+            if tuple(terms_of_joint) != robot.friction:
+                robot = robot.with_friction(*terms_of_joint, joint=joint)
         if pairs and not robot.coupled:
             robot = robot.with_coupling(*pairs)
     except (RobotError, TypeError) as error:

@@ -40,9 +40,9 @@ class Equations(eqx.Module):
             samples = [np.flatnonzero(column) for column in mask.T]
             rows = [
                 np.concatenate(
-                    [regressor[own, joint][:, list(support)], torque[own, joint, None]], axis=1
+                    [regressor[kept, joint][:, list(support)], torque[kept, joint, None]], axis=1
                 )
-                for joint, (support, own) in enumerate(zip(unknowns.support, samples, strict=True))
+                for joint, (support, kept) in enumerate(zip(unknowns.support, samples, strict=True))
             ]
             return cls(unknowns, tuple(rows), tuple(samples))
         filtered = parallel_filter(
@@ -51,15 +51,15 @@ class Equations(eqx.Module):
         joints = [filtered.joint == joint for joint in range(len(unknowns.support))]
         rows = [
             np.concatenate(
-                [filtered.regressor[own][:, list(support)], filtered.torque[own, None]], axis=1
+                [filtered.regressor[kept][:, list(support)], filtered.torque[kept, None]], axis=1
             )
-            for support, own in zip(unknowns.support, joints, strict=True)
+            for support, kept in zip(unknowns.support, joints, strict=True)
         ]
-        return cls(unknowns, tuple(rows), tuple(filtered.sample[own] for own in joints))
+        return cls(unknowns, tuple(rows), tuple(filtered.sample[kept] for kept in joints))
 
     def without(self, indices: Collection[int]) -> "Equations":
         """The same with nothing that depends on these coefficients."""
-        kept = ([*(i not in indices for i in own), True] for own in self.unknowns.support)
+        kept = ([*(i not in indices for i in support), True] for support in self.unknowns.support)
         rows = (rows * np.array(factor) for rows, factor in zip(self.rows, kept, strict=True))
         return Equations(self.unknowns, tuple(rows), self.sample)
 
@@ -102,8 +102,8 @@ class Equations(eqx.Module):
         kept = [mask[sample] for sample in self.sample]
         return Equations(
             self.unknowns,
-            tuple(rows[own] for rows, own in zip(self.rows, kept, strict=True)),
-            tuple(sample[own] for sample, own in zip(self.sample, kept, strict=True)),
+            tuple(rows[counts] for rows, counts in zip(self.rows, kept, strict=True)),
+            tuple(sample[counts] for sample, counts in zip(self.sample, kept, strict=True)),
         )
 
 

@@ -77,7 +77,7 @@ class JointFactors(eqx.Module):
         counts: Float[np.ndarray, "*batch joints"],
     ) -> "JointFactors":
         """Of equations on the host, for each joint (..., rows, s + 1)."""
-        return cls(tuple(triangle_of(own) for own in rows), counts)
+        return cls(tuple(triangle_of(joint_rows) for joint_rows in rows), counts)
 
     def joined(self, other: "JointFactors") -> "JointFactors":
         """The factors of both sets of patterns together."""

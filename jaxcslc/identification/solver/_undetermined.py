@@ -39,9 +39,9 @@ def describe(
 
 def _sentence(group: list[int], echelon: np.ndarray, names: Sequence[str]) -> str:
     listed = ", ".join(names[i] for i in group)
-    own = echelon[:, group]
-    own = own[np.linalg.norm(own, axis=1) > _NEGLIGIBLE]
-    determined = scipy.linalg.null_space(own).T
+    rows = echelon[:, group]
+    rows = rows[np.linalg.norm(rows, axis=1) > _NEGLIGIBLE]
+    determined = scipy.linalg.null_space(rows).T
     if not determined.size:
         return f"{listed}: nothing in the patterns depends on {'it' if len(group) == 1 else 'them'}"
     combinations = [

@@ -52,7 +52,7 @@ def coefficient_sets(network: jc.CSLC, seeds: int, samples: int) -> dict[str, np
         )
         for name, k in zip(SETS, of_machine, strict=True):
             vectors[name].append(np.asarray(k))
-    return {name: np.stack(each_seed) for name, each_seed in vectors.items()}
+    return {name: np.stack(by_seed) for name, by_seed in vectors.items()}
 
 
 def stored_coefficient_sets(

@@ -118,10 +118,10 @@ def mask_text(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         total = {name: sum(count[name] for count in counts) for name in counts[0]}
         good = total["pairs"] - total["disturbed"]
         caught = total["caught"] / max(total["disturbed"], 1)
-        given_up = (total["left_out"] - total["caught"]) / max(good, 1)
+        lost = (total["left_out"] - total["caught"]) / max(good, 1)
         texts.append(
             f"backlash mask, {case}: gears apart in {total['disturbed'] / total['pairs']:.1%} of"
-            f" the pairs, of which it leaves out {caught:.1%}, and {given_up:.1%} of the others"
+            f" the pairs, of which it leaves out {caught:.1%}, and {lost:.1%} of the others"
         )
     return texts
 

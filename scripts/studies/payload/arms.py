@@ -74,7 +74,7 @@ class Arms:
             )
             for machine, refined in zip(machines, refinements, strict=True)
         ]
-        loops = LoopBatch.of([self.known_payload(each, None) for each in controllers])
+        loops = LoopBatch.of([self.known_payload(controller, None) for controller in controllers])
         unloaded = sim.Trajectory("rehearsal", START, loops, samples=5500, path=rehearsal())
         rehearsed = successes(
             sim.close_loop(machines, unloaded, [number + 1 for number in numbers])
@@ -119,8 +119,8 @@ class Arms:
         if method == LEARNT:
             loops = [PayloadCompensation(arm.controller, arm.estimator) for arm in arms]
         else:
-            known = task if method == KNOWN else None
-            loops = [self.known_payload(arm.controller, known) for arm in arms]
+            task_of_loop = task if method == KNOWN else None
+            loops = [self.known_payload(arm.controller, task_of_loop) for arm in arms]
         return successes(
             sim.close_loop(
                 [arm.machine for arm in arms],

@@ -112,8 +112,8 @@ def hysteresis_picture(
     (line,) = axes.plot(rotor, link, color=COLOURS[1], lw=1.6)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(rotor), np.diff(link)))])
     step = length[-1] / 200
-    for place in length[-1] * (np.arange(arrows) + 0.5) / arrows:
-        ends = [place, place + step]
+    for position in length[-1] * (np.arange(arrows) + 0.5) / arrows:
+        ends = [position, position + step]
         x, y = np.interp(ends, length, rotor), np.interp(ends, length, link)
         axes.annotate(
             "",

@@ -130,12 +130,12 @@ def motion_picture(
         ("velocity", velocity, f"{unit}/s", 0.0),
         ("acceleration", acceleration, f"{unit}/s²", 0.0),
     )
-    for axes, colour, (name, values, own_unit, centre) in zip(
+    for axes, colour, (name, values, axis_unit, centre) in zip(
         rows, COLOURS, profiles, strict=False
     ):
         axes.axhline(centre, color=MEASURED, lw=1.0, zorder=0.5)
         axes.plot(time, values, color=colour, lw=1.5)
-        axes.set_ylabel(f"{name}\n[{own_unit}]")
+        axes.set_ylabel(f"{name}\n[{axis_unit}]")
         axes.grid(alpha=0.25)
         axes.margins(x=0.0)
     rows[-1].set_xlabel("time [s]")

@@ -38,8 +38,8 @@ def curve(mass: float) -> PayloadCurve:
 
 
 def line(axes: Axes, label: str) -> np.ndarray:
-    (found,) = (each for each in axes.lines if each.get_label() == label)
-    return np.array(found.get_data(), float)
+    (artist,) = (candidate for candidate in axes.lines if candidate.get_label() == label)
+    return np.array(artist.get_data(), float)
 
 
 def words(figure: Figure) -> list[str]:

@@ -21,8 +21,8 @@ from scripts.studies.puma560.motion_pictures import (
 
 def line(axes: Axes, label: str) -> np.ndarray:
     """What the one line of that label shows, (2, points)."""
-    (found,) = (each for each in axes.lines if each.get_label() == label)
-    return np.array(found.get_data(), float)
+    (artist,) = (candidate for candidate in axes.lines if candidate.get_label() == label)
+    return np.array(artist.get_data(), float)
 
 
 def words(figure: Figure) -> str:
@@ -86,11 +86,11 @@ def test_hysteresis_arrows_follow_time() -> None:
 
 def test_motor_curve() -> None:
     demanded = np.linspace(0, 100, 50)
-    given = np.minimum(demanded, 60)
-    figure = motor_curve_picture(demanded, given, limit=60.0)
+    delivered = np.minimum(demanded, 60)
+    figure = motor_curve_picture(demanded, delivered, limit=60.0)
     (axes,) = figure.axes
     assert labels(figure) == [("demanded torque [N m]", "torque delivered [N m]")]
-    assert_allclose(line(axes, "motor"), [demanded, given])
+    assert_allclose(line(axes, "motor"), [demanded, delivered])
     assert_allclose(line(axes, "linear motor"), [demanded, demanded])
     assert "limit of linearity\n60 N m" in words(figure)
 
@@ -118,7 +118,7 @@ def test_spline_subsets() -> None:
     figure = spline_subsets_picture(time, quantised, fine, curves)
     (axes,) = figure.axes
     assert labels(figure) == [("time [ms]", "position [counts]")]
-    drawn = [np.array(each.get_data(), float) for each in axes.lines]
+    drawn = [np.array(artist.get_data(), float) for artist in axes.lines]
     for i, curve in enumerate(curves):
         assert any(d.shape == (2, 50) and np.array_equal(d[1], curve) for d in drawn)
         assert any(np.array_equal(d, [time[i::3], quantised[i::3]]) for d in drawn)
@@ -162,7 +162,7 @@ def test_velocity_reversal() -> None:
     upper, lower = figure.axes
     assert labels(figure) == [("", "torque [N m]"), ("time [s]", "error [N m]")]
     assert_allclose(line(upper, "measured"), [time, measured])
-    dots = next(each for each in upper.lines if each.get_label() == "predicted")
+    dots = next(artist for artist in upper.lines if artist.get_label() == "predicted")
     assert (dots.get_linestyle(), dots.get_marker()) == ("None", ".")
     assert_allclose(line(upper, "predicted"), [time, predicted])
     assert_allclose(np.array(lower.lines[1].get_data()), [time, measured - predicted])

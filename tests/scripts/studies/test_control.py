@@ -66,8 +66,8 @@ def test_the_study_writes_tables_and_pictures_and_goes_on(
     assert len(seeds) == 2 * len(summary)
     for row in seeds:  # a largest error is not below its root mean square; torques add up
         assert 0 < float(row["hand rms [mm]"]) <= float(row["hand largest [mm]"])
-        each = [float(row[f"joint {i} torque rms [N m]"]) for i in range(1, 7)]
-        assert np.isclose(np.linalg.norm(each), float(row["torque rms [N m]"]))
+        by_joint = [float(row[f"joint {i} torque rms [N m]"]) for i in range(1, 7)]
+        assert np.isclose(np.linalg.norm(by_joint), float(row["torque rms [N m]"]))
     over = {
         (row["CSLC over"], row["motion"]): float(row["median"])
         for row in table(tmp_path / "ratios.csv")
@@ -125,8 +125,8 @@ def test_identified_coefficients_are_of_each_machine_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = jc.Settings(solver=jc.LeastSquares(cutoff=8.0))
-    chosen = types.SimpleNamespace(settings=settings)  # choosing them takes a while
-    monkeypatch.setattr(jc, "choose_settings", lambda network, recording: chosen)
+    selection = types.SimpleNamespace(settings=settings)  # choosing them takes a while
+    monkeypatch.setattr(jc, "choose_settings", lambda network, recording: selection)
     network = jc.derive(jc.puma560())
     vectors = coefficients.stored_coefficient_sets(network, 1, 1500, tmp_path / "kept.npz")
     assert tuple(vectors) == coefficients.SETS

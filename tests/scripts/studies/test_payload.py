@@ -36,16 +36,16 @@ def test_the_payload_is_known_while_it_is_there(puma: jc.CSLC, puma_k: jax.Array
     """Against the controller of an arm that has it for ever, and of one that never has."""
     network, controller = puma.with_payload(), ComputedTorque(puma, puma_k, 20.0)
     body = jc.LinkParameters(2.0, np.array([0.02, -0.03, 0.1]), 0.005 * np.eye(3))
-    known = KnownPayloadLoop.of(controller, network, body, 0.002, 0.004)
+    loop_of_task = KnownPayloadLoop.of(controller, network, body, 0.002, 0.004)
     q, near = jnp.asarray(np.linspace(-1.0, 1.0, 6)), Reference.rest(np.linspace(-0.9, 1.0, 6))
     nothing = jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
     loaded = network.coefficients_from([nothing] * 6, payload=body)
     ten = loaded[network.layout.payload]
     whole = controller.with_network(network, jnp.concatenate([puma_k, ten]))
-    state, others = known.begin(q), [OutputFeedback(one) for one in (controller, whole)]
+    state, others = loop_of_task.begin(q), [OutputFeedback(one) for one in (controller, whole)]
     states = [loop.begin(q) for loop in others]
     for carries in (0, 1, 0):
-        torque, state = known.step(state, near, q, 0.002)
+        torque, state = loop_of_task.step(state, near, q, 0.002)
         steps = [loop.step(old, near, q, 0.002) for loop, old in zip(others, states, strict=True)]
         states = [new for _, new in steps]
         assert_allclose(torque, steps[carries][0], rtol=1e-9)
@@ -100,10 +100,10 @@ def test_a_small_run(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # To choose among settings is the part of `choose_settings`, and takes its time.
-    chosen = jc.Settings(
+    settings = jc.Settings(
         jc.Preparation(jc.AveragedSplines(13), torque_alignment="mean"), jc.LeastSquares(cutoff=8.0)
     )
-    monkeypatch.setattr(jc, "choose_settings", lambda *_, **__: SimpleNamespace(settings=chosen))
+    monkeypatch.setattr(jc, "choose_settings", lambda *_, **__: SimpleNamespace(settings=settings))
     options = ["--seeds", "1", "--masses", "2", "--cases", "encoders", "-o", str(tmp_path)]
     assert study.main([*options, "--no-film"]) == 0
     assert "1 arms: median" in capsys.readouterr().out
@@ -114,9 +114,9 @@ def test_a_small_run(
     for moment in ("1 s", "2 s", "end", "off-line"):
         assert abs(float(row[f"mass error [%], {moment}"])) < 2.0
         assert float(row[f"centre error [mm], {moment}"]) < 5.0
-    place = {method: float(row[f"place [mm], {method}"]) for method in METHODS}
-    assert place["not learnt"] > 5.0 * place["learnt"]
-    assert place["learnt"] < 1.5 * place["known"] + 0.1
+    placing_error = {method: float(row[f"place [mm], {method}"]) for method in METHODS}
+    assert placing_error["not learnt"] > 5.0 * placing_error["learnt"]
+    assert placing_error["learnt"] < 1.5 * placing_error["known"] + 0.1
     for name in ("payload", "hand"):
         assert (tmp_path / f"encoders_{name}.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -144,8 +144,8 @@ def test_bad_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_loops_differ_in_nothing_but_arrays(puma: jc.CSLC) -> None:
     """So that a program that was compiled for one payload does for the others."""
     controller, network = ComputedTorque(puma, jnp.zeros(puma.size), 20.0), puma.with_payload()
-    known = [KnownPayloadLoop.of(controller, network, None, stop) for stop in (1.0, 2.0)]
+    loops = [KnownPayloadLoop.of(controller, network, None, stop) for stop in (1.0, 2.0)]
     static = [
-        jax.tree_util.tree_leaves(eqx.filter(loop, eqx.is_array, inverse=True)) for loop in known
+        jax.tree_util.tree_leaves(eqx.filter(loop, eqx.is_array, inverse=True)) for loop in loops
     ]
     assert static[0] == static[1]
