@@ -17,9 +17,19 @@ import pytest
 
 if TYPE_CHECKING:
     import jax
+    from typer.testing import Result
 
     from jaxcslc import CSLC
     from jaxcslc.manipulator import LinkParameters
+
+
+def run(*arguments: str | Path) -> "Result":
+    """Runs the command `jaxcslc` with these arguments."""
+    from typer.testing import CliRunner
+
+    from jaxcslc.cli import app
+
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 import jaxcslc as jc
 import sim
 from jaxcslc.manipulator import fixed_together
+
+from .conftest import run
 
 
 @pytest.fixture(scope="module")
@@ -23,35 +25,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     for path, trajectory in zip(paths, (sim.training(), sim.comparison()), strict=True):
         jc.save_recording(sim.simulate(machine, trajectory, seed=3).recording, path)
     return paths
-
-
-def run(*arguments: str | Path) -> Result:
-    from jaxcslc.cli import app
-
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def test_derive_prints_the_thesis_counts(tmp_path: Path) -> None:
-    result = run("derive", "puma560", "-o", tmp_path / "tables")
-    assert result.exit_code == 0, result.output
-    assert "mass: 59 inputs, 114 links, 26 coefficients" in result.output
-    assert "velocity: 86 inputs, 408 links, 19 coefficients" in result.output
-    assert "gravity: 9 inputs, 13 links, 5 coefficients" in result.output
-    assert "network order 28; per joint 22, 28, 22, 13, 11, 4" in result.output
-    tables = json.loads((tmp_path / "tables" / "tables.json").read_text())
-    assert len(tables["mass"]["links"]) == 114
-    assert tables["velocity"]["inputs"][0] == "1"
-    names = (tmp_path / "tables" / "coefficients.csv").read_text().splitlines()
-    assert len(names) == 44
-    assert names[0] == "name,group,unit,positive,expression"
-
-
-def test_derive_reads_a_robot_file(tmp_path: Path) -> None:
-    robot = tmp_path / "arm.toml"
-    robot.write_text('[[joint]]\n[[joint]]\nalpha = "pi/2"\na = 0.3\n')
-    result = run("derive", robot, "--lengths", "numeric")
-    assert result.exit_code == 0, result.output
-    assert "kB1" in result.output
 
 
 @pytest.fixture(scope="module")
@@ -410,30 +383,6 @@ def test_files_that_are_not_there(recordings: tuple[Path, Path], tmp_path: Path)
     result = run("identify", "puma560", recordings[0], "-o", tmp_path / "file")
     assert result.exit_code == 2 and "expected a folder" in result.stderr
     assert (tmp_path / "file").read_text() == "not a folder"
-
-
-URDF = (
-    '<robot name="arm"><link name="floor"/><link name="bar"><inertial><mass value="2"/>'
-    '<origin xyz="0.5 0 0"/><inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/>'
-    '</inertial></link><link name="tip"/><joint name="hinge" type="continuous">'
-    '<parent link="floor"/><child link="bar"/><axis xyz="0 1 0"/></joint>'
-    '<joint name="wrist" type="continuous"><parent link="bar"/><child link="tip"/>'
-    '<origin xyz="1 0 0"/><axis xyz="0 1 0"/></joint></robot>'
-)
-
-
-def test_a_urdf_with_what_its_file_has_no_words_for(tmp_path: Path) -> None:
-    path = tmp_path / "arm.urdf"
-    path.write_text(URDF)
-    result = run("derive", path, "--friction", "viscous, static", "--coupled", "1,2")
-    assert result.exit_code == 0, result.output
-    for name in ("kv2", "ks1", "kcm1_2"):
-        assert name in result.output
-    assert "kd1" not in result.output
-    part = run("derive", path, "--tip", "bar")
-    assert "arm: 1 joints" in part.output
-    wrong = run("derive", path, "--coupled", "one,two")
-    assert wrong.exit_code == 2
 
 
 def test_a_joint_that_stands_still_is_named(

@@ -35,16 +35,6 @@ CHECKED = [
 ]
 
 
-# Tests that are still too long.
-LONG = {
-    "tests/identification/test_selection.py",
-    "tests/manipulator/test_robot_files.py",
-    "tests/test_cli.py",
-    "tests/training/test_rules.py",
-    "tests/training/test_train.py",
-}
-
-
 def files_of(folder: str) -> list[Path]:
     return sorted((ROOT / folder).rglob("*.py"))
 
@@ -75,7 +65,7 @@ def test_folders_have_few_files(package: str) -> None:
 def test_files_are_short(package: str) -> None:
     lengths = {path: path.read_text("utf-8").count("\n") for path in files_of(package)}
     long = {str(path.relative_to(ROOT)) for path, lines in lengths.items() if lines > MOST_LINES}
-    assert long - LONG == set()
+    assert long == set()
 
 
 @pytest.mark.parametrize("folder", CHECKED)

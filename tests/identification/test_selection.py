@@ -1,6 +1,6 @@
 import dataclasses
 import json
-from typing import Any, Literal
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -245,22 +245,6 @@ def test_refuses_a_joint_that_stands_still(pendulum: jc.CSLC):
         jc.choose_settings(pendulum, still)
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("torque_alignment", "next", "torque alignment is 'next'"),
-        ("joint_weights", "heavy", "joint_weights is 'heavy'"),
-        ("torque_lag", float("nan"), "torque lag is nan"),
-        ("threshold_fraction", 1.0, "threshold fraction is 1.0"),
-        ("cutoff", 0.0, "cutoff: expected more than 0 Hz"),
-    ],
-)
-def test_settings_refuse_numbers_that_make_no_sense(field: str, value: Any, message: str):
-    # Types are checked first where tests check them.
-    with pytest.raises((ValueError, TypeError), match=f"{message}|type"):
-        jc.Settings().with_options(**{field: value})
-
-
 # A smoothing of a user's
 
 
@@ -300,22 +284,6 @@ def test_a_users_smoothing_works_like_a_built_in(pendulum: jc.CSLC, rng: np.rand
     assert again == settings and again.chosen_on == settings.chosen_on
 
 
-def test_a_smoothing_must_state_its_reach():
-    class Silent(AbstractSmoothing):
-        def smooth(self, time: np.ndarray, position: np.ndarray):
-            return CentralDifferences().smooth(time, position)
-
-        def low_pass(self, time: np.ndarray, signal: np.ndarray):
-            return signal
-
-        @property
-        def description(self) -> str:
-            return "silent"
-
-    with pytest.raises(TypeError, match=r"abstract method .?reach"):
-        Silent()  # pyright: ignore[reportAbstractUsage]
-
-
 def test_a_smoothing_without_a_name_in_files_says_so():
     class Nameless(MovingAverage):
         pass
@@ -325,38 +293,6 @@ def test_a_smoothing_without_a_name_in_files_says_so():
         settings_document(settings)
     with pytest.raises(ValueError, match="the smoothing 'butterworth' is Butterworth; expected a"):
         register_smoothing("butterworth")(Nameless)
-
-
-# Settings in files
-
-
-def test_flat_documents_of_earlier_versions_are_read():
-    flat = {
-        "smoothing": {"method": "averaged_splines", "spacing": [9, 17], "sections": True},
-        "torque_alignment": "mean",
-        "torque_lag": 0.003,
-        "threshold_fraction": 0.1,
-        "backlash": True,
-        "cutoff": 8.0,
-        "joint_weights": "equal",
-        "trim": None,
-        "thresholds": [0.1, 0.2],
-        "loss": "huber",
-        "errors": "independent",
-    }
-    settings = settings_from(flat)
-    preparation, solver = settings.preparation, settings.solver
-    assert preparation.smoothing == jc.AveragedSplines((9, 17))
-    assert (preparation.torque_lag, preparation.thresholds) == (0.003, (0.1, 0.2))
-    assert (solver.cutoff, solver.joint_weights, solver.loss) == (8.0, "equal", "huber")
-    for entries, message in (
-        ({"cut": 8.0}, "unknown entry 'cut'"),
-        ({"preparation": {"cut": 8.0}}, "unknown entry 'cut'"),
-        ({"solver": 3}, "settings, solver: expected entries"),
-        ({"smoothing": {"method": "magic"}}, "expected a method out of"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            settings_from(entries)
 
 
 # Recorded velocities

@@ -31,6 +31,45 @@ for line in sys.stdin:
     print(json.dumps(outcome))
 """
 
+# A robot file with every key but those of whole robots' defaults.
+ARM = """
+name = "arm"
+about = "a turntable with a slide"
+gravity = [0, 0, -9.81]
+friction = ["viscous", "offset"]
+
+[lengths]
+a1 = 0.25
+
+[links]
+inertia = "principal"
+motor_inertia = true
+
+[[joint]]
+d = 0.4
+theta = 0.1
+viscous = 1.5
+[joint.link]
+zero = ["rx", "ry"]
+equal = [["Ixx", "Iyy"]]
+mass = 2.0
+centre_of_gravity = [0, 0, 0.1]
+inertia_tensor = [0.2, 0.2, 0.1]
+motor_inertia = 0.3
+
+[[joint]]
+kind = "P"
+alpha = "-pi/2"
+a = "a1"
+viscous = 2.5
+[joint.link]
+inertia = "full"
+motor = false
+mass = 1.0
+centre_of_gravity = [0.1, 0, 0]
+inertia_tensor = [[0.1, 0.01, 0], [0.01, 0.2, 0], [0, 0, 0.3]]
+"""
+
 
 @pytest.fixture(scope="session")
 def outcomes() -> Callable[[Sequence[Call]], list[Outcome]]:

@@ -1,73 +1,45 @@
 """Backpropagation and PERAL: each equation against the literal transcription, to rounding."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc import CSLC
 from jaxcslc.adaptive import (
     HYPERBOLIC_TANGENT,
     LINEAR_COMBINER,
     LOGISTIC,
     Activation,
-    AdaptiveNetwork,
     ContextLayer,
     Layer,
     Links,
-    Signals,
     Subnetwork,
     decreasing,
     fully_connected,
-    inverse_dynamics,
 )
 from jaxcslc.training import PERAL, Backpropagation, PerceptronRule, examples
 from jaxcslc.training._examples import Examples
 from jaxcslc.training._rules import AbstractRule, links_per_weight
 
 from . import _transcription as thesis
+from ._problems import (
+    FUNCTIONS,
+    Problem,
+    change,
+    five_subnetworks,
+    one_context_layer,
+    one_sparse_layer,
+    problem,
+    summed,
+    two_adaptive_and_a_context,
+)
 
 
-FUNCTIONS: dict[Activation, thesis.Function] = {
-    LINEAR_COMBINER: thesis.IDENTITY,
-    LOGISTIC: thesis.LOGISTIC,
-    HYPERBOLIC_TANGENT: thesis.TANH,
-    decreasing(HYPERBOLIC_TANGENT): thesis.FALLING_TANH,
-    decreasing(LOGISTIC): thesis.FALLING_LOGISTIC,
-}
 by_name: Any = {"ids": lambda activation: activation.name}
-
-
-@eqx.filter_jit
-def summed(
-    rule: AbstractRule,
-    network: AdaptiveNetwork,
-    k: jax.Array,
-    training_set: Examples,
-    learning: tuple[bool, ...],
-) -> jax.Array:
-    return rule.change(
-        network, k, training_set.signals, training_set.targets, training_set.counts, learning
-    )
-
-
-def change(
-    rule: AbstractRule,
-    network: AdaptiveNetwork,
-    k: Any,
-    training_set: Examples,
-    learning: Sequence[bool] | None = None,
-) -> np.ndarray:
-    """The batch form: divided by the number of patterns, (groups, p)."""
-    takes_part = (True,) * len(network.groups) if learning is None else tuple(learning)
-    result = summed(rule, network, jnp.asarray(k), training_set, takes_part)
-    return np.asarray(result / training_set.patterns)
 
 
 def matrix(change: np.ndarray, inputs: int, nodes: int) -> np.ndarray:
@@ -121,179 +93,6 @@ def test_two_adaptive_layers(f_A: Activation, f_B: Activation, rng: np.random.Ge
     assert_allclose(matrix(result[1, 16:], 5, 2), dB, **close)
     # Every layer moves its own weights only: a rate for each.
     assert not np.any(result[0, 16:]) and not np.any(result[1, :16])
-
-
-# Any network, beside what the transcription makes of it.
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A network twice over, with patterns."""
-
-    network: AdaptiveNetwork
-    parts: list[thesis.Subnetwork]
-    f: thesis.Function
-    xs: list[np.ndarray]  # (patterns, inputs) for every subnetwork
-    contexts: list[list[np.ndarray]]
-    t: np.ndarray
-    k: np.ndarray
-    patterns: Any = None  # as a user has them
-
-    def training_set(self, counts: np.ndarray | None = None) -> Examples:
-        signals = Signals(
-            tuple(jnp.asarray(x.T) for x in self.xs),
-            tuple(tuple(jnp.asarray(c.T) for c in per_pattern) for per_pattern in self.contexts),
-        )
-        ones = np.ones(self.t.shape) if counts is None else counts
-        return Examples(signals, jnp.asarray(self.t.T), jnp.asarray(ones.T), None)
-
-    def literally(
-        self,
-        rule: Callable[..., thesis.Moves],
-        learning: Sequence[bool] | None = None,
-        counts: np.ndarray | None = None,
-    ) -> np.ndarray:
-        per_pattern: list[thesis.Moves] = []
-        for p in range(len(self.t)):
-            if counts is not None and not counts[p].any():
-                continue
-            xs = [x[p] for x in self.xs]
-            contexts = [
-                [c[p] for c in subnetwork_contexts] for subnetwork_contexts in self.contexts
-            ]
-            pattern_counts = None if counts is None else counts[p]
-            per_pattern.append(
-                rule(self.parts, self.f, xs, contexts, self.t[p], self.k, pattern_counts)
-            )
-        return thesis.average_over_links(
-            self.parts,
-            thesis.mean_over_patterns(per_pattern),
-            len(self.k),
-            by_chain_rule=rule is thesis.backpropagation,
-            learning=learning,
-        )
-
-
-def sparse(
-    rng: np.random.Generator, inputs: int, nodes: int, weights: Sequence[int], doubles: int = 2
-) -> Links:
-    """Two thirds of the links, every node with one, few weights, pairs that are linked twice."""
-    pairs = [(s, n) for n in range(nodes) for s in range(inputs)]
-    kept = [pair for pair in pairs if rng.uniform() < 0.67 or pair[0] == pair[1] % inputs]
-    kept += [kept[i] for i in rng.integers(len(kept), size=doubles)]
-    source, node = zip(*kept, strict=True)
-    multiple = rng.choice([-2.0, -1.0, -0.5, 0.5, 1.0], len(kept))
-    return Links(inputs, nodes, source, node, rng.choice(weights, len(kept)), multiple)
-
-
-def transcribed(part: Subnetwork) -> thesis.Subnetwork:
-    return thesis.Subnetwork(
-        [
-            (
-                layer.links.nodes,
-                [
-                    thesis.Link(int(s), int(n), int(k), float(m))
-                    for s, n, k, m in zip(
-                        layer.links.source,
-                        layer.links.node,
-                        layer.links.weight,
-                        layer.links.multiple,
-                        strict=True,
-                    )
-                ],
-                FUNCTIONS[layer.activation],
-            )
-            for layer in part.layers
-        ],
-        [
-            (
-                layer.nodes,
-                [
-                    thesis.ContextLink(*link)
-                    for link in zip(layer.source, layer.node, layer.context, strict=True)
-                ],
-            )
-            for layer in part.contexts
-        ],
-        bias=part.layers[0].bias,
-    )
-
-
-def problem(
-    rng: np.random.Generator, parts: Sequence[Subnetwork], f: Activation, size: int
-) -> Problem:
-    """Random patterns, weights and contexts; a fifth of inputs and contexts zero."""
-
-    def numbers(columns: int) -> np.ndarray:
-        return rng.normal(size=(7, columns)) * (rng.uniform(size=(7, columns)) < 0.8)
-
-    def signals(patterns: Signals) -> Signals:
-        return patterns
-
-    names = tuple(f"w{index}" for index in range(size))
-    network = AdaptiveNetwork(tuple(parts), signals, f, names)
-    return Problem(
-        network,
-        [transcribed(part) for part in parts],
-        FUNCTIONS[f],
-        [numbers(part.layers[0].inputs) for part in parts],
-        [[numbers(layer.contexts) for layer in part.contexts] for part in parts],
-        rng.uniform(max(f.low, -1.0), 1.0, size=(7, parts[0].outputs)),
-        rng.normal(size=size),
-    )
-
-
-def sparse_context(
-    rng: np.random.Generator, inputs: int, nodes: int, contexts: int
-) -> ContextLayer:
-    """Some sources to one node, some to several, some to the same one twice."""
-    per_pattern = [
-        (s, int(n), int(rng.integers(contexts)))
-        for s in range(inputs)
-        for n in rng.integers(nodes, size=1 + s % 3)
-    ]
-    source, node, context = zip(*per_pattern, strict=True)
-    return ContextLayer(inputs, nodes, contexts, source, node, context)
-
-
-def one_sparse_layer(rng: np.random.Generator, f: Activation) -> Problem:
-    layer = Layer(sparse(rng, 6, 3, range(4)), bias=True)
-    return problem(rng, [Subnetwork("a", (layer,))], f, 4)
-
-
-def one_context_layer(rng: np.random.Generator, f_A: Activation, f: Activation) -> Problem:
-    layer = Layer(sparse(rng, 4, 5, range(6)), f_A)
-    return problem(rng, [Subnetwork("a", (layer,), (sparse_context(rng, 5, 3, 2),))], f, 6)
-
-
-def five_subnetworks(rng: np.random.Generator, f: Activation) -> Problem:
-    """As in a CSLC: one and two context layers that share weights, and plain layers beside."""
-    parts = [
-        Subnetwork("mass", (Layer(sparse(rng, 4, 5, range(6))),), (sparse_context(rng, 5, 3, 3),)),
-        Subnetwork(
-            "velocity",
-            (Layer(sparse(rng, 3, 6, range(4))),),
-            (sparse_context(rng, 6, 4, 3), sparse_context(rng, 4, 3, 3)),
-        ),
-        Subnetwork("gravity", (Layer(sparse(rng, 4, 3, range(6, 9))),)),
-        Subnetwork("viscous", (Layer(Links(3, 3, range(3), range(3), range(9, 12))),)),
-        Subnetwork("dry", (Layer(Links(3, 3, range(3), range(3), range(12, 15))),)),
-    ]
-    return problem(rng, parts, f, 15)
-
-
-def two_adaptive_and_a_context(rng: np.random.Generator, f: Activation) -> Problem:
-    """Also the deeper network shares weights between its layers, and with another subnetwork."""
-    deep = Subnetwork(
-        "deep",
-        (
-            Layer(sparse(rng, 4, 5, range(4)), HYPERBOLIC_TANGENT),
-            Layer(sparse(rng, 5, 4, range(2, 8)), LOGISTIC),
-        ),
-        (sparse_context(rng, 4, 3, 2),),
-    )
-    flat = Subnetwork("flat", (Layer(sparse(rng, 4, 3, range(6, 10))),))
-    return problem(rng, [deep, flat], f, 10)
 
 
 PROBLEMS: dict[str, Callable[[np.random.Generator], Problem]] = {
@@ -413,104 +212,6 @@ def test_peral_of_fig_6_2_1(f_A: Activation, rng: np.random.Generator) -> None:
         expected += thesis.eqn_6_2_6(x, W_A, dS_A) / 7
     result = change(PERAL(), case.network, case.k, case.training_set())
     assert_allclose(matrix(result[0], i, h), expected, **close)
-
-
-# The PUMA 560, from Appendix B's tables.
-
-
-def appendix_network(appendix_b: dict[str, Any], names: Sequence[str]) -> list[thesis.Subnetwork]:
-    """Figs. 5.1-1 to 5.1-6 with the links that Appendix B prints."""
-    index_of = {name: index for index, name in enumerate(names)}
-    columns = {
-        table: {int(at): [i - 1 for i in joints] for at, joints in appendix_b[table].items()}
-        for table in ("mass_columns", "velocity_columns")
-    }
-
-    def links(table: str, node: str) -> list[thesis.Link]:
-        return [
-            thesis.Link(link["input"] - 1, link[node] - 1, index_of[name], multiple)
-            for link in appendix_b[table]
-            for name, multiple in link["weight"].items()
-        ]
-
-    mass_context: list[thesis.ContextLink] = []
-    for at, (i, j) in columns["mass_columns"].items():
-        mass_context.append(thesis.ContextLink(at - 1, i, j))
-        if i != j:
-            mass_context.append(thesis.ContextLink(at - 1, j, i))
-    inner: list[thesis.ContextLink] = []
-    for at, (i, j, k) in columns["velocity_columns"].items():
-        inner.append(thesis.ContextLink(at - 1, 6 * i + j, k))
-        if j != k:
-            inner.append(thesis.ContextLink(at - 1, 6 * i + k, j))
-    outer = [thesis.ContextLink(6 * i + j, i, j) for i in range(6) for j in range(6)]
-
-    def diagonal(prefix: str) -> list[thesis.Link]:
-        return [thesis.Link(i, i, index_of[f"{prefix}{i + 1}"]) for i in range(6)]
-
-    identity = thesis.IDENTITY
-    return [
-        thesis.Subnetwork([(21, links("mass_links", "column"), identity)], [(6, mass_context)]),
-        thesis.Subnetwork(
-            [(105, links("velocity_links", "column"), identity)], [(36, inner), (6, outer)]
-        ),
-        thesis.Subnetwork([(6, links("gravity_links", "joint"), identity)]),
-        thesis.Subnetwork([(6, diagonal("kv"), identity)]),
-        thesis.Subnetwork([(6, diagonal("kd"), identity)]),
-    ]
-
-
-def appendix_inputs(appendix_b: dict[str, Any], table: str, q: np.ndarray) -> np.ndarray:
-    """Products of sines and cosines, (patterns, inputs)."""
-    angles = {"2": q[:, 1], "23": q[:, 1] + q[:, 2], "4": q[:, 3], "5": q[:, 4]}
-    columns: list[np.ndarray] = []
-    for at in sorted(appendix_b[table], key=int):
-        value = np.ones(len(q))
-        for factor, power in appendix_b[table][at].items():
-            function = np.cos if factor[0] == "c" else np.sin
-            value = value * function(angles[factor[1:]]) ** power
-        columns.append(value)
-    return np.column_stack(columns)
-
-
-@pytest.fixture
-def puma_problem(puma: CSLC, appendix_b: dict[str, Any], rng: np.random.Generator) -> Problem:
-    q, qd, qdd = rng.uniform(-2, 2, (3, 4, 6))
-    qd[1, 2] = 0.0  # a joint at rest
-    return Problem(
-        inverse_dynamics(puma),
-        appendix_network(appendix_b, puma.names),
-        thesis.IDENTITY,
-        [appendix_inputs(appendix_b, f"{t}_inputs", q) for t in ("mass", "velocity", "gravity")]
-        + [qd, np.sign(qd)],
-        [[qdd], [qd, qd], [], [], []],
-        rng.normal(scale=10, size=(4, 6)),
-        rng.normal(size=puma.size),
-        (q, qd, qdd),
-    )
-
-
-@pytest.mark.parametrize("rule", [Backpropagation(), PERAL()], ids=lambda rule: rule.name)
-@pytest.mark.parametrize("velocity", [True, False])
-def test_the_whole_cslc(puma_problem: Problem, rule: AbstractRule, velocity: bool) -> None:
-    """All five subnetworks, the network as the library derives it, the literal one as printed."""
-    case = puma_problem
-    learning = (True, velocity, True, True, True)
-    literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
-    training_set = examples(case.network, case.patterns, case.t)
-    result = change(rule, case.network, case.k, training_set, learning)
-    expected = case.literally(literal, learning)
-    assert_allclose(result, expected, rtol=1e-10, atol=1e-11)
-    assert velocity == bool(np.any(result[1]))
-
-
-def test_the_whole_cslc_with_masks(puma_problem: Problem, rng: np.random.Generator) -> None:
-    case = puma_problem
-    counts = (rng.uniform(size=case.t.shape) < 0.7).astype(float)
-    training_set = examples(case.network, case.patterns, case.t, counts > 0)
-    result = change(PERAL(), case.network, case.k, training_set)
-    expected = case.literally(thesis.peral, counts=counts)
-    assert_allclose(result, expected, rtol=1e-10, atol=1e-11)
 
 
 # Batch and sequential.
