@@ -29,18 +29,18 @@ _INTRODUCTION = """\
 # PUMA A and PUMA B
 
 The presets `puma_a` and `puma_b` are the two machines on which the thesis identified its
-coefficients, as nearly as machines can be them. Friction is Appendix B's as printed. Of the 31 mass
-and gravity coefficients, which were identified one by one, no machine has the printed values. The
-presets have the links of the possible machine whose coefficients are nearest, each difference
-weighted by the output sensitivity that Appendix B prints beside it, in N m: the least change of
-torque. Possible means, link by link (spread along a joint's axis may first be lent between
-neighbours, see `possible_links`),
+coefficients, approximated by physically possible machines. Friction is Appendix B's as printed. The
+31 mass and gravity coefficients were identified one by one, and no machine has the printed values.
+The presets have the links of the possible machine whose coefficients are nearest, each difference
+weighted by its printed output sensitivity, in N m: the least change of torque. The
+candidates have, link by link (spread along a joint's axis may first be moved between neighbouring
+links, see `possible_links`),
 
-- positive mass, and mass spread by no less than nothing in every direction, ∫ x xᵀ dm ≥ 0;
+- positive mass, and a spread of mass that is not negative in any direction, ∫ x xᵀ dm ≥ 0;
 - principal axes along the frame's and the zeros of Fig. 2.6-4, so that the thesis's network with
   the preset's coefficients is exact;
-- a machine like Armstrong's: masses and motor inertias from a half to twice his, spreads of mass no
-  less than half his, centres of gravity within 0.1 m of his in each direction.
+- parameters close to Armstrong's: masses and motor inertias from a half to twice his, spreads of
+  mass no less than half his, centres of gravity within 0.1 m of his in each direction.
 
 Since no motor inertia is below half of Armstrong's, the mass matrix is positive definite
 everywhere.
@@ -49,14 +49,14 @@ This page is written by `scripts/tools/thesis_machines_page.py`.
 """
 
 _WHY = """\
-## What could not be
+## Contradictions of the printed coefficients
 
-**Several coefficients are one quantity times a known length.** A machine has one value of it.
+**Several coefficients are one quantity times a fixed length.** A machine has one value of it.
 """
 
 _OUTSIDE = """\
-By Appendix B, the mass beyond the elbow is negative and several times Armstrong's at once, and link
-2 has its centre of gravity a metre outside itself.
+By Appendix B, the mass beyond the elbow is both negative and several times Armstrong's, and the
+centre of gravity of link 2 is a metre outside the link.
 """
 
 _INEQUALITIES = """\
@@ -142,7 +142,7 @@ def page(performed: sim.Truth) -> str:
             text=2,
         )
     )
-    parts.append("## What it costs\n")
+    parts.append("## Effect on the torque\n")
     parts.append(_cost(network, performed, thesis, preset, weight, armstrong))
     for name in _MACHINES:
         parts.append(f"## Coefficients of PUMA {name}\n")
@@ -206,17 +206,17 @@ def _cost(
     smallest = [_smallest_eigenvalue(network, machine) for machine in _MACHINES.values()]
     return (
         "RMS torque [N m] over the motion of the training trajectory (7.4.1) as Armstrong's machine"
-        " performs\nit, friction left out. The distance [N m] is the weighted norm that was made"
-        " smallest.\n\n"
+        " performs\nit, friction left out. The distance [N m] is the minimised weighted"
+        " norm.\n\n"
         + _table(
             ["PUMA", "", "distance", *(f"joint {i}" for i in range(1, 7)), "all"], rows, text=2
         )
         + f"\nThe smallest eigenvalue of M(q) over {_CONFIGURATIONS} configurations drawn from the"
         f" joints' ranges is\n{_number(smallest[0], 3)} kg m² for `puma_a` and"
         f" {_number(smallest[1], 3)} kg m² for `puma_b`.\n\n"
-        "How like Armstrong's a machine must be is a choice, and costs little: among machines whose"
-        " masses,\nmotor inertias and spreads may be a hundredth of his and whose centres may lie"
-        f" {_FAR} m away, the\nnearest is at a distance of"
+        "The limits of the deviation from Armstrong's machine are a choice with little effect:"
+        " among\nmachines whose masses, motor inertias and spreads may be a hundredth of his"
+        f" and whose centres may\nlie {_FAR} m away, the nearest is at a distance of"
         f" {_number(far[0], 3)} from PUMA A and {_number(far[1], 3)} from PUMA B.\n"
     )
 

@@ -23,7 +23,7 @@ class ComputerState(NamedTuple):
 
     **Attributes**
 
-    - `origin`: where the path begins, (*batch, joints) [rad or m].
+    - `origin`: joint positions at which the path begins, (*batch, joints) [rad or m].
     - `shown`, `received`: the latest readings that the encoders showed, and that arrived.
     - `controller`: state of the controller.
     """
@@ -40,7 +40,7 @@ class Computer:
 
     A controller that is `array_generic` gets NumPy arrays as they are. Any other one is compiled
     once for a number of machines, and runs on the CPU whatever JAX's default device is; controllers
-    that differ in nothing but their arrays share a program. On JAX's tracers, as under MJX, the
+    that differ only in their arrays share a program. On JAX's tracers, as under MJX, the
     controller is part of what is traced.
 
     **Attributes**
@@ -90,7 +90,7 @@ class Computer:
         reading: Float[Array, "*batch joints"],
         faults: Faults,
     ) -> tuple[Float[Array, "*batch joints"], ComputerState]:
-        """The torque command of a sample, held until the next [N m or N].
+        """The torque command of a sample, constant until the next [N m or N].
 
         **Arguments**
 
@@ -149,7 +149,7 @@ class Computer:
 
     @functools.cached_property
     def _compiled(self) -> tuple[tuple[Array, ...], "_Program"]:
-        """The controller's arrays, and a program for the rest of it."""
+        """The controller's arrays, and the compiled program of its constant part."""
         leaves, structure = jax.tree_util.tree_flatten(self.controller)
         is_array = tuple(eqx.is_array(leaf) for leaf in leaves)
         arrays = tuple(leaf for leaf in leaves if eqx.is_array(leaf))
@@ -173,7 +173,7 @@ def _program(
     per_machine: bool,
     interval: float,
 ) -> _Program:
-    """The program of all controllers that differ in nothing but their arrays."""
+    """The program of all controllers that differ only in their arrays."""
 
     def rebuilt(arrays: tuple[Array, ...]) -> Any:
         remaining = iter(arrays)

@@ -15,8 +15,8 @@ from ..machine import MachineError, possible_links
 # creeps at about `torque / inertia * 1e-4 * time_step`: for a PUMA's wrist near breakaway 3e-7
 # rad/s, a fortieth of an encoder count in the 6.6 s of a recording.
 _IMPEDANCE = 0.9999
-# MuJoCo refuses bodies without mass or moments. These are too small for a float64 to notice
-# beside any link worth the name.
+# MuJoCo refuses bodies without mass or moments. These are below a float64's rounding
+# beside any real link.
 _SMALLEST_MASS = 1e-12
 _SMALLEST_MOMENT = 1e-13
 
@@ -35,11 +35,11 @@ def mjcf(
     """A manipulator in MuJoCo's XML: bodies placed by the modified D-H rows (Eqn. 2.6-1).
 
     Body i is the frame of link i; its joint turns about or slides along its own z axis, and a
-    motor of gear 1 drives it. There are no stops, no contacts and nothing to look at: this is the
-    dynamics alone.
+    motor of gear 1 drives it. The model has no stops, contacts or visual geometry, only the
+    dynamics.
 
-    Where a stiffness is finite, the motor drives a rotor instead, which stands beside the arm and
-    has the motor's inertia; its joint comes after those of the links. A fixed tendon of the
+    Where a stiffness is finite, the motor drives a rotor instead, a body of the world with the
+    motor's inertia; its joint comes after those of the links. A fixed tendon of the
     difference between rotor and link, whose spring is slack over a range of lengths, is the
     transmission. (The rotor turns without moving along with the link before it: 2.5.2 neglects
     the gyroscopic couple.)
@@ -49,10 +49,10 @@ def mjcf(
     - `robot`: any serial chain of revolute and prismatic joints whose lengths have values.
     - `links`: its link parameters, one a joint; `robot.links` if omitted. Tensors that no rigid
         body can have are replaced by ones that can, with the same dynamics: see `possible_links`.
-    - `viscous`: viscous friction of each joint [N m s/rad or N s/m], after the links' those of the
-        rotors that there are; none if omitted.
-    - `breakaway`: torque up to which each of the same sticks, and which opposes its motion while
-        it slides [N m or N]; none if omitted.
+    - `viscous`: viscous friction of each joint [N m s/rad or N s/m], then of each
+        rotor; none if omitted.
+    - `breakaway`: breakaway torque of the same joints and rotors, which also opposes the motion
+        of a sliding one [N m or N]; none if omitted.
     - `stiffness`: of each joint's transmission [N m/rad or N/m]; infinite if omitted.
     - `backlash`: the width of each dead band [rad or m]; 0 if omitted.
     - `transmission_damping`: of each tendon [N m s/rad or N s/m]; 0 if omitted.
@@ -65,7 +65,7 @@ def mjcf(
     **Raises**
 
     - `MachineError`: link parameters are missing or cannot be made into rigid bodies, or friction
-        is not given for every joint.
+        does not have one value a joint and rotor.
     - `jaxcslc.RobotError`: a length has no value.
 
     >>> import mujoco
@@ -78,15 +78,15 @@ def mjcf(
     n = robot.joint_count
     links = robot.links if links is None else tuple(links)
     if links is None or len(links) != n:
-        found = "none" if links is None else str(len(links))
-        raise MachineError(f"robot {robot.name!r}: expected {n} link parameters, got {found}")
+        count = "none" if links is None else str(len(links))
+        raise MachineError(f"robot {robot.name!r}: expected {n} link parameters, got {count}")
     stiffness = [math.inf] * n if stiffness is None else stiffness
     soft = [i for i in range(n) if stiffness[i] < math.inf]
     for name, values in (("viscous", viscous), ("breakaway", breakaway)):
         if values is not None and len(values) != n + len(soft):
-            each = "joint" if not soft else "joint and rotor"
+            unit = "joint" if not soft else "joint and rotor"
             raise MachineError(
-                f"{name} has {len(values)} values; expected {n + len(soft)}, one a {each}"
+                f"{name} has {len(values)} values; expected {n + len(soft)}, one a {unit}"
             )
     robot.length_values()  # names the length that has no value
 
@@ -161,8 +161,8 @@ def mjcf(
             ]
         lines += ["  </tendon>"]
     lines += ["  <actuator>"]
-    driven = [f"rotor_{i + 1}" if i in soft else f"joint_{i + 1}" for i in range(n)]
-    lines += [f'    <motor name="drive_{i + 1}" joint="{driven[i]}"/>' for i in range(n)]
+    actuated = [f"rotor_{i + 1}" if i in soft else f"joint_{i + 1}" for i in range(n)]
+    lines += [f'    <motor name="drive_{i + 1}" joint="{actuated[i]}"/>' for i in range(n)]
     lines += ["  </actuator>", "</mujoco>"]
     return "\n".join(lines) + "\n"
 
@@ -181,8 +181,8 @@ def _principal_moments(
     moments = np.maximum(moments, _SMALLEST_MOMENT)
     # A lamina's largest moment is the sum of the others, and rounding may put it beyond.
     largest = int(np.argmax(moments))
-    rest = float(np.sum(np.delete(moments, largest)))
-    moments[largest] = min(float(moments[largest]), rest)
+    others = float(np.sum(np.delete(moments, largest)))
+    moments[largest] = min(float(moments[largest]), others)
     return moments, quaternion
 
 

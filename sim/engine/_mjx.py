@@ -148,7 +148,7 @@ def _side_by_side(
     models: Sequence[Sequence[mujoco.MjModel]],
 ) -> tuple[mjx.Model, dict[str, jax.Array]]:
     """An MJX model, and the constants in which the models differ, by name: stacked, with an axis
-    for the rows given and one for the models of a row."""
+    for `models` and one for the models of a row."""
     first, every = models[0][0], [model for row in models for model in row]
     model = mjx.put_model(first)
     differing: dict[str, jax.Array] = {}
@@ -156,7 +156,7 @@ def _side_by_side(
         shared = getattr(model, field.name)
         if not isinstance(shared, jax.Array) or not hasattr(first, field.name):
             continue
-        values = [np.asarray(getattr(each, field.name)) for each in every]
+        values = [np.asarray(getattr(item, field.name)) for item in every]
         if any(not np.array_equal(values[0], value) for value in values[1:]):
             rows = np.stack([value.reshape(shared.shape) for value in values])
             rows = rows.reshape(len(models), len(models[0]), *shared.shape)

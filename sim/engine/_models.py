@@ -10,9 +10,9 @@ from ._mjcf import mjcf
 
 
 # A fourth-order Runge-Kutta method is stable up to 2.8 rad of an undamped oscillation a step. At
-# 1.5 it takes a twentieth of the amplitude away with each: of one too quick to be seen anyway.
+# 1.5 each step removes a twentieth of the amplitude, of an oscillation too fast to matter.
 _LARGEST_PHASE = 1.5
-# Where a joint's gravity is looked for: enough to find a PUMA's within 2 % of its most.
+# Configurations in which gravity torque is evaluated: a PUMA's maximum is within 2 %.
 _POSTURES = 256
 
 
@@ -37,7 +37,7 @@ def model_of(machine: Machine, step: float) -> mujoco.MjModel:
             time_step=step,
         )
     )
-    # A state that is not finite has to show, and not to be put back to the start.
+    # Without a reset by MuJoCo, a state that is not finite stays visible.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     _check_gravity(machine, model)
     return model

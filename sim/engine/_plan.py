@@ -16,12 +16,12 @@ Parts = TypeVar("Parts")
 
 @dataclass(frozen=True, eq=False)
 class RandomDraws:
-    """What the seed of a recording decides.
+    """The random draws of a recording, from its seed.
 
     **Attributes**
 
     - `phase`: of the encoders, (*batch, joints) [counts].
-    - `start`: where the joints rest at first, (*batch, joints) [rad or m].
+    - `start`: initial joint positions, at rest, (*batch, joints) [rad or m].
     - `jitter`: how late each sample is read, (*batch, samples) [s].
     """
 
@@ -91,7 +91,7 @@ class Plan:
 
 
 def structure(machine: Machine) -> tuple[object, ...]:
-    """What machines must have in common to be simulated side by side."""
+    """Properties that machines must share to be simulated side by side."""
     sticks = tuple((friction_of(machine).static > 0).tolist())
     return machine.joint_count, machine.flexible, sticks, machine.time_step
 

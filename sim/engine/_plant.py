@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 class Plant:
     """The mechanics of machines in motion: drives, rotors, gears, links and friction.
 
-    Any number of machines move side by side, on as many threads as asked for. What a machine does
-    depends on no other, and not on the number of threads, to the last bit.
+    Any number of machines move side by side, on any number of threads. The motion of a
+    machine depends neither on the others nor on the number of threads, to the last bit.
 
     The equations of motion are integrated by a fourth-order Runge-Kutta method. A semi-implicit
-    Euler method of the same cost lets positions run ahead of torques by half a step, which an
-    identification would see: at a step of an eighth of a millisecond, as an error of 0.01 N m at
+    Euler method of the same cost shifts positions against torques by half a step, which
+    biases an identification: at a step of an eighth of a millisecond, as an error of 0.01 N m at
     joint 6 in the training trajectory.
 
     A joint sticks or slips as MuJoCo's friction constraint decides. The part of Eqn. 2.5-4 that
-    varies with the speed (`Friction.help`) is held over a step, at its value for the speed
+    varies with the speed (`Friction.help`) is constant over a step, at its value for the speed
     expected at the step's middle.
 
     Every array below has shape `(machines, joints)`, or `(joints,)` for a plant of one machine
-    that was not given as a sequence. A plant is the one mutable thing in the simulator.
+    that was not passed as a sequence. A plant is the only mutable object of the simulator.
 
     >>> import numpy as np
     >>> import sim
@@ -56,8 +56,8 @@ class Plant:
 
         **Arguments**
 
-        - `machines`: one, or several of as many joints, of which the same have a transmission
-            that gives way, and with the same time step.
+        - `machines`: one, or several of as many joints, with the same flexible transmissions and
+            the same time step.
         - `position`: of their joints [rad or m].
         - `interval`: by how much `advance` goes on [s]; divided into equal steps, each at most
             the machines' `time_step`.
@@ -66,8 +66,8 @@ class Plant:
 
         **Raises**
 
-        - `MachineError`: machines that do not go together, a torque limit below gravity's need, a
-            time step too long for a transmission, a torque delay as long as the interval.
+        - `MachineError`: machines of different structure, a torque limit below gravity's need,
+            a time step too long for a transmission, a torque delay as long as the interval.
         """
         self._alone = isinstance(machines, Machine)
         group = [machines] if isinstance(machines, Machine) else list(machines)
@@ -161,10 +161,10 @@ class Plant:
         return self._hardware.read(self._q, self._qd, late)
 
     def carry(self, body: LinkParameters | None) -> None:
-        """Fixes a body to the last link from now on, in place of any before, or lets go of it.
+        """Fixes a body to the last link from now on, instead of any previous one, or releases it.
 
-        Positions and velocities stay as they are; the next `drive` tells the accelerations. The
-        models of a body are compiled when it is carried first, and kept.
+        Positions and velocities do not change; the next `drive` computes the accelerations. The
+        models of a body are compiled when it is first carried, and cached.
 
         **Arguments**
 

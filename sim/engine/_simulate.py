@@ -17,22 +17,22 @@ from ._truth import SimulatedRecording, Truth
 
 
 class SimulationError(RuntimeError):
-    """A motion that the machine cannot make; the message names the joint and the time."""
+    """A motion that the machine cannot perform; the message names the joint and the time."""
 
 
 def simulate(machine: Machine, trajectory: Trajectory, *, seed: int = 0) -> SimulatedRecording:
     """Lets a machine perform a trajectory and records it.
 
-    At each sample the controller is given the encoders' readings, and what it demands is held
-    until the next (7.4, Fig. 7.4-1). Row n of the recording has reading n and the demand made upon
-    it, so that the motion that leads to row n is the work of the demand in row n − 1.
+    At each sample the controller gets the encoders' readings, and its demand is constant until the
+    next (7.4, Fig. 7.4-1). Row n of the recording has reading n and the demand computed from it,
+    so that the demand in row n − 1 causes the motion up to row n.
 
     **Arguments**
 
     - `machine`: the machine.
-    - `trajectory`: what it is asked to do.
-    - `seed`: of the encoders' phases, of where within `machine.start_spread` the joints rest at
-        first, and of the timing's jitter. The same seed gives the same recording, bit for bit,
+    - `trajectory`: start, controller and desired motion.
+    - `seed`: of the encoders' phases, of the initial positions within `machine.start_spread`,
+        and of the timing's jitter. The same seed gives the same recording, bit for bit,
         alone or among others (see `record`).
 
     **Returns**
@@ -72,14 +72,14 @@ def perform(
     **Arguments**
 
     - `machines`, `seeds`: one of each a recording.
-    - `trajectory`: what they are asked to do.
+    - `trajectory`: start, controller and desired motion of all of them.
     - `threads`: how many to use.
-    - `advanced`: called now and then with the number of samples simulated since the last time.
+    - `advanced`: called repeatedly with the number of samples simulated since the last call.
     - `observe`: called at each sample with the controller's state after it.
 
     **Returns**
 
-    For each machine its recording and truth, or what went wrong with it.
+    For each machine its recording and truth, or its error.
     """
     draws = [
         RandomDraws.of(machine, trajectory, seed)
@@ -95,7 +95,7 @@ def perform(
     plant = Plant(
         machines, start, interval=trajectory.sample_interval, threads=threads, hardware=hardware
     )
-    for body in carried.bodies:  # what is impossible is refused before anything moves
+    for body in carried.bodies:  # raises for impossible bodies before the simulation starts
         plant.carry(body)
 
     reading, demand = np.empty((2, samples, *start.shape))

@@ -8,16 +8,16 @@ from jaxcslc.motion import Recording
 
 
 class Truth(eqx.Module):
-    """What no real machine tells: its state at each sample of a recording, just after it.
+    """True state of the machine at each sample of a recording, just after it.
 
-    At each sample the links' equation holds with what is written here (Eqn. 2.5-2 without the
-    motors), and that of the rotors:
+    At each sample these values satisfy the links' equation (Eqn. 2.5-2 without the motors) and
+    that of the rotors:
 
     `M'(position) acceleration + V(position, velocity) + G(position) + link_friction = transmitted`
 
     `motor_inertia * rotor_acceleration + friction - link_friction + transmitted = torque`
 
-    Without a transmission that gives way, rotors move as links do, and the sum of the two is
+    Without a flexible transmission, rotors move as links do, and the sum of the two is
 
     `M(position) acceleration + V(position, velocity) + G(position) + friction = torque`.
 
@@ -41,12 +41,12 @@ class Truth(eqx.Module):
     body it jumps at each sample, as the torque does [rad/s² or m/s²]."""
 
     torque: Float[np.ndarray, "samples joints"]
-    """What the drives give just after this sample [N m or N]."""
+    """Torque of the drives just after this sample [N m or N]."""
 
     friction: Float[np.ndarray, "samples joints"]
-    """What friction takes of it [N m or N]: Eqn. 2.5-4 where the joint slides; whatever keeps it
-    still where it sticks; within one step of the integrator before it stops or turns, whatever
-    stops it."""
+    """Friction torque [N m or N]: Eqn. 2.5-4 where the joint slides; the torque that balances the
+    others where it sticks; within one step of the integrator before it stops or reverses, the
+    torque that stops it."""
 
     rotor_position: Float[np.ndarray, "samples joints"]
     """Before the encoders, at the joint [rad or m]."""
@@ -61,7 +61,7 @@ class Truth(eqx.Module):
     """The part of `friction` that acts on the link [N m or N]."""
 
     transmitted: Float[np.ndarray, "samples joints"]
-    """What goes through the gears from rotor to link [N m or N]."""
+    """Torque through the gears from rotor to link [N m or N]."""
 
     apart: Bool[np.ndarray, "samples joints"]
     """Whether the gears are apart: whether the joint is experiencing backlash (2.5.3)."""
@@ -70,13 +70,13 @@ class Truth(eqx.Module):
     """Mass of the loads that the last link carries (`Trajectory.loads`) [kg]."""
 
     lost: Bool[np.ndarray, "samples joints"]
-    """Whether the controller was given NaN in place of a reading (`Trajectory.faults`)."""
+    """Whether the controller got NaN instead of a reading (`Trajectory.faults`)."""
 
 
 class SimulatedRecording(NamedTuple):
-    """A recording as the machine's computer would have made it, and the truth beside it."""
+    """A recording as the machine's computer would make it, and the true state."""
 
     recording: Recording
-    """Encoder readings, and the torques demanded upon them."""
+    """Encoder readings, and the torques demanded in response."""
 
     truth: Truth

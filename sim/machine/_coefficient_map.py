@@ -8,7 +8,7 @@ from jaxcslc.derivation import constant_values, derive_algebra
 from jaxcslc.manipulator import LinkParameters, Manipulator
 
 
-# What a link with principal axes has, in the order of the last axis of `parameters`.
+# Parameters of a link with principal axes, in the order of the last axis of `parameters`.
 PARAMETERS = ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "motor")
 _MOST_FACTORS = 3  # as in m*rx*ry
 
@@ -18,14 +18,14 @@ class CoefficientMap:
     """From link parameters to the inertial coefficients of the dynamics, with its derivative.
 
     What `CSLC.coefficients_from` computes, for links whose principal axes are the frame's
-    (Eqn. 2.3-20), in NumPy: an optimiser asks for it hundreds of times.
+    (Eqn. 2.3-20), in NumPy: an optimiser evaluates it hundreds of times.
     """
 
     names: tuple[str, ...]
     """Of the coefficients: `kM1` to `kG5` for the PUMA 560."""
 
     matrix: Float[np.ndarray, "coefficients terms"]
-    """What each coefficient holds of each product of parameters; lengths and gravity are in it."""
+    """Factor of each product of parameters in each coefficient; it includes lengths and gravity."""
 
     factors: Int[np.ndarray, "terms 3"]
     """Which parameters each product multiplies; one past the last parameter stands for 1."""
@@ -52,23 +52,25 @@ class CoefficientMap:
 
     def values(self, parameters: Float[np.ndarray, "links 8"]) -> Float[np.ndarray, " k"]:
         """Coefficients of links whose parameters are rows of `PARAMETERS`."""
-        return self.matrix @ np.prod(self._taken(parameters), axis=1)
+        return self.matrix @ np.prod(self._factor_values(parameters), axis=1)
 
     def jacobian(self, parameters: Float[np.ndarray, "links 8"]) -> Float[np.ndarray, "k links 8"]:
         """Derivative of each coefficient in each parameter."""
-        taken = self._taken(parameters)
+        values = self._factor_values(parameters)
         of_terms = np.zeros((len(self.factors), parameters.size + 1))
         for slot in range(_MOST_FACTORS):  # the product rule
-            others = np.prod(np.delete(taken, slot, axis=1), axis=1)
-            np.add.at(of_terms, (np.arange(len(taken)), self.factors[:, slot]), others)
+            others = np.prod(np.delete(values, slot, axis=1), axis=1)
+            np.add.at(of_terms, (np.arange(len(values)), self.factors[:, slot]), others)
         return (self.matrix @ of_terms[:, :-1]).reshape(-1, *parameters.shape)
 
-    def _taken(self, parameters: Float[np.ndarray, "links 8"]) -> Float[np.ndarray, "terms 3"]:
+    def _factor_values(
+        self, parameters: Float[np.ndarray, "links 8"]
+    ) -> Float[np.ndarray, "terms 3"]:
         return np.append(parameters, 1.0)[self.factors]
 
 
 def parameters_of(links: Sequence[LinkParameters]) -> Float[np.ndarray, "links 8"]:
-    """Links as rows of `PARAMETERS`; what is off their tensors' diagonals is left out."""
+    """Links as rows of `PARAMETERS`, without the products of inertia."""
     return np.array(
         [
             [

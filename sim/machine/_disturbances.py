@@ -11,8 +11,8 @@ from ._puma560 import puma560
 def _table() -> dict[str, dict[str, Any]]:
     puma = puma560()
     # Locked-rotor frequencies of 20 to 30 Hz at the main joints. The wrist's links are light
-    # (link 6 has 4e-5 kg m²): a spring that gave them such frequencies would be wound up by a
-    # whole turn by the wrist's friction. Damping is 3 % of critical.
+    # (link 6 has 4e-5 kg m²): with a spring of such frequencies the wrist's friction would twist
+    # the transmission by a whole turn. Damping is 3 % of critical.
     stiffness = (4e4, 5e4, 2e4, 1.5e3, 1e3, 5e2)
     damping = (20.0, 20.0, 5.0, 0.1, 0.05, 0.01)
     share = (0.3,) * 6
@@ -30,7 +30,7 @@ def _table() -> dict[str, dict[str, Any]]:
             "link_share": share,
             "time_step": 2e-4,
         },
-        # Gears that hardly give way where they meet: four times as stiff, twice as quick.
+        # Nearly rigid gears beside the dead band: four times the stiffness, twice the frequency.
         "backlash": {
             "backlash": dead_band,
             "stiffness": tuple(4 * value for value in stiffness),
@@ -42,15 +42,15 @@ def _table() -> dict[str, dict[str, Any]]:
 
 
 DISTURBANCES: Mapping[str, Mapping[str, Any]] = MappingProxyType(_table())
-"""What each disturbance of Section 7.2 is like on a PUMA 560: fields of `Machine` by the name of
-the disturbance. The thesis gives the encoders' resolutions alone. The rest are choices, of a size
-that can be told in the results."""
+"""The disturbances of Section 7.2 on a PUMA 560: values of fields of `Machine` by the name of the
+disturbance. The thesis gives the encoders' resolutions alone. The other values are choices, large
+enough to change the results measurably."""
 
 
 def undisturbed(machine: Machine) -> Machine:
-    """A PUMA 560 with links and friction of its own, and nothing that Section 7.2 lists.
+    """A machine without the disturbances that Section 7.2 lists.
 
-    Viscous and dry friction stay, as do its limits; what rests on the seed is where it starts.
+    Links, viscous and dry friction and limits stay. The seed decides the start position alone.
 
     >>> import sim
     >>> sim.undisturbed(sim.puma560()).encoder_resolution
@@ -78,9 +78,9 @@ def disturbed(machine: Machine, *names: str) -> Machine:
 
     **Arguments**
 
-    - `machine`: links and friction. Static friction is a quarter more than its own dry friction;
-        where it has one already, that and its velocity are kept.
-    - `names`: keys of `DISTURBANCES`; all of them if none is given. Backlash beside compliance is
+    - `machine`: links and friction. Static friction becomes 1.25 times the machine's dry friction;
+        if the machine has static friction already, that and its velocity are kept.
+    - `names`: keys of `DISTURBANCES`; all of them if omitted. Backlash beside compliance is
         a dead band in compliant gears.
 
     **Raises**
@@ -100,21 +100,22 @@ def disturbed(machine: Machine, *names: str) -> Machine:
     for name in names:
         if name not in DISTURBANCES:
             raise MachineError(
-                f"no disturbance is called {name!r}; expected some of {', '.join(DISTURBANCES)}"
+                f"unknown disturbance {name!r}; expected some of {', '.join(DISTURBANCES)}"
             )
-    chosen = names or tuple(DISTURBANCES)
+    selected = names or tuple(DISTURBANCES)
     changes: dict[str, Any] = {}
     for name in DISTURBANCES:
-        if name in chosen:
+        if name in selected:
             changes |= DISTURBANCES[name]
-    if "backlash" in chosen and "compliance" in chosen:
+    if "backlash" in selected and "compliance" in selected:
         changes |= DISTURBANCES["compliance"]
-    if "static friction" in chosen and machine.static != machine.dry:
+    if "static friction" in selected and machine.static != machine.dry:
         changes |= {"static": machine.static, "static_velocity": machine.static_velocity}
-    elif "static friction" in chosen:
+    elif "static friction" in selected:
         puma = puma560()
         pairs = zip(puma.static, puma.dry, strict=True)
         changes["static"] = tuple(
-            own * static / dry for own, (static, dry) in zip(machine.dry, pairs, strict=True)
+            dry * static / puma_dry
+            for dry, (static, puma_dry) in zip(machine.dry, pairs, strict=True)
         )
     return dataclasses.replace(undisturbed(machine), **changes)

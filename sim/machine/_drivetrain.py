@@ -9,7 +9,7 @@ from ._machine import Machine
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """What the motors make of a demand: linear at first, then less, then no more (7.2.3).
+    """Torque of the motors as a function of the demand: linear, then saturating (7.2.3).
 
     Up to its limit of linearity a motor gives what is demanded. Beyond, it gives progressively
     less, as in Fig. 7.2-1, and approaches its greatest torque; the curve is
@@ -35,16 +35,18 @@ class Drives:
         return cls(np.array(machine.linear_torque), np.array(machine.maximum_torque))
 
     def torque(self, demand: Float[Any, "*batch joints"]) -> Float[Any, "*batch joints"]:
-        """The torque given when `demand` is demanded [N m or N]; NumPy or JAX arrays."""
+        """Torque for a demand [N m or N]; NumPy or JAX arrays."""
         xp = demand.__array_namespace__()
         size = xp.abs(demand)
-        # Where the curve has no end, any finite room will do.
+        # Where the motor does not saturate, the curve is unused: any finite headroom serves.
         bends = (self.linear < self.most) & xp.isfinite(self.most)
         linear = xp.where(bends, self.linear, xp.zeros_like(size))
-        room = xp.where(bends, self.most - linear, xp.ones_like(size))
-        curve = linear - room * xp.expm1(-xp.maximum(size - linear, xp.zeros_like(size)) / room)
-        given = xp.where(bends & (size > linear), curve, size)
-        return xp.sign(demand) * xp.minimum(given, self.most + xp.zeros_like(given))
+        headroom = xp.where(bends, self.most - linear, xp.ones_like(size))
+        curve = linear - headroom * xp.expm1(
+            -xp.maximum(size - linear, xp.zeros_like(size)) / headroom
+        )
+        torque_size = xp.where(bends & (size > linear), curve, size)
+        return xp.sign(demand) * xp.minimum(torque_size, self.most + xp.zeros_like(torque_size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +54,8 @@ class Transmission:
     """How rotors and links are coupled (2.5.3), and which degrees of freedom a plant has for them.
 
     A plant's degrees of freedom are the links, one a joint, and after them the rotors of the
-    joints whose transmission gives way. Every array here may have leading batch axes: machines
-    whose same joints give way can be simulated together.
+    joints whose transmission is flexible. Every array here may have leading batch axes: machines
+    with the same flexible joints can be simulated together.
 
     >>> import dataclasses
     >>> import sim

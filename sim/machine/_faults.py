@@ -10,20 +10,19 @@ from ._loads import check_times, during
 
 
 FAULTS = ("lost samples", "stuck encoder", "reversed torque")
-"""What can go wrong: see `Fault`."""
+"""Kinds of faults: see `Fault`."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong with a joint for a while.
+    """A fault of a joint during an interval of time.
 
-    - `"lost samples"`: the controller is given NaN in place of the encoder's reading. The
-      recording, which holds numbers only, repeats the reading before; `Truth.lost` tells.
+    - `"lost samples"`: the controller receives NaN instead of the encoder's reading. The
+      recording, which holds numbers only, repeats the previous reading; `Truth.lost` marks it.
     - `"stuck encoder"`: the reading stays what it is at the first sample of the fault.
     - `"reversed torque"`: the drive gives the opposite of what is demanded.
 
-    It is there from the first sample at or after `start` on, and gone at the first at or after
-    `stop`.
+    It acts from the first sample at or after `start` until the last one before `stop`.
 
     **Raises**
 
@@ -59,13 +58,13 @@ class Faults(NamedTuple):
     """Faults sample by sample, or at one of them."""
 
     lost: Bool[Any, "*samples joints"]
-    """Whether no reading comes."""
+    """Whether the reading is lost."""
 
     stuck: Bool[Any, "*samples joints"]
     """Whether the encoder keeps the reading of the sample before."""
 
     sense: Float[Any, "*samples joints"]
-    """By what the drives multiply a demand: 1 or, reversed, −1."""
+    """Factor by which the drives multiply a demand: 1 or, reversed, −1."""
 
     @classmethod
     def of(
@@ -75,24 +74,24 @@ class Faults(NamedTuple):
 
         **Raises**
 
-        - `MachineError`: a fault of a joint that there is not.
+        - `MachineError`: a joint number beyond the machine's.
         """
-        there = {kind: np.zeros((time.size, joints), dtype=bool) for kind in FAULTS}
+        active = {kind: np.zeros((time.size, joints), dtype=bool) for kind in FAULTS}
         for fault in faults:
             if fault.joint is not None and fault.joint > joints:
                 raise MachineError(f"fault of joint {fault.joint}; the machine has {joints}")
             which = slice(None) if fault.joint is None else slice(fault.joint - 1, fault.joint)
-            there[fault.kind][:, which] |= during(time, fault.start, fault.stop)[:, None]
-        stuck = there["stuck encoder"]
-        kept = stuck & np.concatenate([np.zeros((1, joints), dtype=bool), stuck[:-1]])
-        return cls(there["lost samples"], kept, np.where(there["reversed torque"], -1.0, 1.0))
+            active[fault.kind][:, which] |= during(time, fault.start, fault.stop)[:, None]
+        stuck = active["stuck encoder"]
+        frozen = stuck & np.concatenate([np.zeros((1, joints), dtype=bool), stuck[:-1]])
+        return cls(active["lost samples"], frozen, np.where(active["reversed torque"], -1.0, 1.0))
 
     def at(self, sample: int) -> "Faults":
         """Those at one sample."""
         return Faults(self.lost[sample], self.stuck[sample], self.sense[sample])
 
     def read(self, reading: Any, shown: Any, received: Any) -> tuple[Any, Any, Any]:
-        """What comes of an encoder's reading at one sample.
+        """Applies the faults of one sample to an encoder's reading.
 
         **Arguments**
 
@@ -101,7 +100,7 @@ class Faults(NamedTuple):
 
         **Returns**
 
-        What the controller is given; what the encoder shows; what was received last.
+        The reading for the controller, the one that the encoder shows, and the last one received.
         """
         xp = reading.__array_namespace__()
         shown = xp.where(self.stuck, shown, reading)

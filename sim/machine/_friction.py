@@ -12,15 +12,15 @@ from ._machine import Machine
 class Friction:
     """The three-part friction of Eqn. 2.5-4, for each degree of freedom.
 
-    F(qd) = (k^v |qd| + k^d + (k^s − k^d) exp(−|qd| / γ)) (sgn(qd) + a) opposes what moves; what is
-    at rest is held by whatever keeps it still, from −k^s (1 − a) to k^s (1 + a). The thesis's law
+    F(qd) = (k^v |qd| + k^d + (k^s − k^d) exp(−|qd| / γ)) (sgn(qd) + a) opposes the motion. At
+    rest, friction balances any torque from −k^s (1 − a) to k^s (1 + a). The thesis's law
     has no asymmetry a.
 
-    MuJoCo's friction loss is a constant that its constraint solver makes stick and slip, and its
-    damping is symmetric. Written F(qd) = k^v qd + sgn(qd) k^s − w(qd), the law is these two and a
-    torque w that is continuous: MuJoCo is given k^v and k^s, and w is applied as a help to the
-    motion (see `help`). Changing the friction loss with the speed would do the same, but
-    constants of a model cannot differ between the members of a batch at no cost.
+    MuJoCo's friction loss is a constant: its constraint solver computes stick and slip. Its damping
+    is symmetric. Written F(qd) = k^v qd + sgn(qd) k^s − w(qd), the law is these two and a
+    continuous torque w: MuJoCo gets k^v and k^s, and w is applied as an external torque in the
+    direction of motion (see `help`). Changing the friction loss with the speed would do the same,
+    but constants of a model cannot differ between the members of a batch at no cost.
 
     Every array may have leading batch axes.
 
@@ -57,8 +57,8 @@ class Friction:
         )
 
     def torque(self, qd: Float[Any, "*batch dofs"]) -> Float[Any, "*batch dofs"]:
-        """F(qd), what friction takes of what slides [N m or N]; against `qd` [rad/s or m/s], and
-        zero where that is zero."""
+        """F(qd), friction torque of a moving joint [N m or N], opposite to `qd` [rad/s or m/s];
+        zero where `qd` is zero."""
         xp = qd.__array_namespace__()
         moving = xp.where(qd == 0, 0.0, 1.0)
         return moving * (self.viscous * qd + xp.sign(qd) * self.static - self.help(qd))

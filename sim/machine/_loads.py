@@ -19,12 +19,12 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """A body that the last link carries for a while, as rigidly as if it were part of it.
+    """A body that is fixed to the last link during an interval of time.
 
-    It is there from the first sample at or after `start` on, and gone at the first at or after
-    `stop`. Where and how fast the joints move does not change at these moments; their
-    acceleration does. Several loads at a time are carried together. What takes the body up is left
-    out: it is moving as the hand does when the hand gets it.
+    It is fixed from the first sample at or after `start` until the last one before `stop`.
+    Positions and velocities of the joints do not change at these moments; accelerations do.
+    Several loads at a time are carried together. Grasping is not simulated: the body has the
+    hand's velocity when it is picked up.
 
     **Raises**
 
@@ -63,28 +63,28 @@ class Load:
 
 
 class Carried(NamedTuple):
-    """What is carried at each sample."""
+    """The body carried at each sample."""
 
     bodies: tuple[LinkParameters | None, ...]
-    """Those that are, each once; None for nothing."""
+    """The different bodies that are carried; None for nothing."""
 
     which: Int[np.ndarray, " samples"]
-    """Which of them, at each sample."""
+    """Index into `bodies` at each sample."""
 
     @property
     def mass(self) -> Float[np.ndarray, " samples"]:
         """At each sample [kg]."""
-        each = [0.0 if body is None else float(body.mass) for body in self.bodies]
-        return np.array(each)[self.which]
+        masses = [0.0 if body is None else float(body.mass) for body in self.bodies]
+        return np.array(masses)[self.which]
 
     @classmethod
     def of(cls, loads: Sequence[Load], time: Float[np.ndarray, " samples"]) -> "Carried":
-        """What is carried of `loads` at `time` [s]."""
-        there = np.stack(
+        """The combined bodies of the `loads` carried at `time` [s]."""
+        active = np.stack(
             [during(time, load.start, load.stop) for load in loads] or [np.zeros_like(time, bool)],
             axis=1,
         )
-        sets, which = np.unique(there, axis=0, return_inverse=True)
+        sets, which = np.unique(active, axis=0, return_inverse=True)
         bodies = tuple(
             fixed_together([load.body for load, on in zip(loads, row, strict=True) if on])
             if row.any()
@@ -104,8 +104,8 @@ def carrying(machine: Machine, body: LinkParameters | None) -> Machine:
 
     **Returns**
 
-    A machine that moves as `machine` does while it carries the body (see `Load`). Its links are
-    tilted already where those of `machine` are.
+    A machine that moves as `machine` does while it carries the body (see `Load`). If `machine` has
+    tilted links, those of the result are tilted already.
 
     >>> import numpy as np
     >>> import jaxcslc, sim

@@ -9,16 +9,16 @@ from ._bodies import MachineError, possible_links, tilted_links
 
 @dataclass(frozen=True)
 class Machine:
-    """A manipulator as it stands on the floor: the rigid links and what disturbs them.
+    """A simulated manipulator: rigid links, drives, friction and disturbances.
 
-    `robot` says what the identification is about: geometry, gravity, true link parameters and
+    `robot` has what the identification determines: geometry, gravity, true link parameters and
     motor inertias. Every other field is a disturbance or a limit, with one value a joint; each
-    can be switched on or off alone, with `dataclasses.replace(machine, ...)` and the value given
-    here as *off*. An empty tuple is *off* for every joint.
+    can be switched on or off alone, with `dataclasses.replace(machine, ...)` and the value below
+    marked *off*. An empty tuple is *off* for every joint.
 
     A joint with finite `stiffness` has two degrees of freedom: its motor's rotor, on which the
-    encoder sits, and its link. Friction is shared between them. Everything about a rotor is
-    expressed at the joint, that is, as seen through the gears.
+    encoder is mounted, and its link. Friction is divided between them. Quantities of a rotor are
+    expressed at the joint, after the gear reduction.
 
     **Raises**
 
@@ -56,8 +56,8 @@ class Machine:
     Off: `math.inf`."""
 
     position_range: tuple[tuple[float, float], ...]
-    """Lowest and highest position of each joint [rad or m]. There are no stops: these are what a
-    controller is told to keep away from, and what a simulation is refused for leaving.
+    """Lowest and highest position of each joint [rad or m]. There are no stops: a
+    controller should keep within these limits, and a simulation that leaves them is an error.
     Off: `(-math.inf, math.inf)`."""
 
     stiffness: tuple[float, ...] = ()
@@ -70,11 +70,11 @@ class Machine:
 
     transmission_damping: tuple[float, ...] = ()
     """Of each transmission, between rotor and link [N m s/rad or N s/m]. MuJoCo's tendon damps
-    inside the dead band too, as the oil between two teeth does. Off: 0."""
+    inside the dead band too, as oil between the teeth would. Off: 0."""
 
     link_share: tuple[float, ...] = ()
-    """Which part of a joint's friction acts on its link, the rest on its rotor (^lF and ^mF of
-    2.5.3); from 0 to 1. Without a transmission it makes no difference. Off: 0."""
+    """Part of a joint's friction that acts on its link; the remainder acts on its rotor (^lF and
+    ^mF of 2.5.3); from 0 to 1. Without a transmission it makes no difference. Off: 0."""
 
     asymmetry: tuple[float, ...] = ()
     """a: friction is 1 + a times the above when the joint moves forwards, 1 - a times when it
@@ -98,7 +98,7 @@ class Machine:
     sample interval. Off: 0."""
 
     start_spread: float = 5e-4
-    """How far, either way, a joint may rest from where a trajectory says it starts [rad or m];
+    """Largest distance of a joint's initial position from the trajectory's start [rad or m];
     drawn uniformly from the seed. Off: 0."""
 
     time_step: float = 5e-4
@@ -106,7 +106,7 @@ class Machine:
 
     Over the comparison trajectory, halving the default changes no encoder reading by more than one
     count, and none by more than 0.001 counts where readings are not quantised. The training
-    trajectory runs open loop for 6.6 s and adds up what each stick and slip is off by: there a
+    trajectory runs open loop for 6.6 s and accumulates the errors of each stick and slip: there a
     halving moves joints 1 to 3 by 1 to 4 counts, the wrist by 10 to 15."""
 
     def __post_init__(self) -> None:
@@ -140,7 +140,8 @@ class Machine:
                 raise MachineError(
                     f"motor_inertia of joint {i} is {link.motor_inertia}; expected zero or more"
                 )
-        possible_links(self.robot, self.robot.links)  # refuses what is no rigid body
+        # Raises for parameters that no rigid body can have.
+        possible_links(self.robot, self.robot.links)
 
     @property
     def joint_count(self) -> int:
@@ -148,9 +149,9 @@ class Machine:
 
     @property
     def links(self) -> tuple[LinkParameters, ...]:
-        """What the links really are: those of `robot`, their principal axes turned by `tilt`.
+        """True link parameters: those of `robot`, their principal axes turned by `tilt`.
 
-        The products of inertia that come of it are what the principal-axis substitution neglects;
+        The principal-axis substitution neglects the resulting products of inertia;
         a network without it (`inertia="full"`) has true coefficients from these parameters, and
         one with it from their moments alone.
         """

@@ -10,10 +10,10 @@ from ._bodies import MachineError, possible_links
 from ._coefficient_map import PARAMETERS, CoefficientMap, links_of, parameters_of
 
 
-# A parameter that the coefficients do not determine stays where the robot's own links have it:
-# this many units of weighted difference (N m, for torque sensitivities) pull it there when it is
-# half its range away, or its own size where the range has no end. For the thesis's PUMA 560s that
-# lengthens the distance by less than 1 part in 1,000.
+# Regularisation: a parameter that the coefficients do not determine keeps its nominal value. The
+# residual of a parameter is this many units of weighted difference (N m, for torque sensitivities)
+# at half its range from the nominal value, or at its size where the range is unbounded. For the
+# thesis's PUMA 560s the distance increases by less than 1 part in 1,000.
 _PREFERENCE = 1e-3
 _TOLERANCE = 1e-14
 _SMALLEST_SCALE = 1e-3  # of a mass or moment that is about zero
@@ -27,34 +27,35 @@ def nearest_links(
     least: float = 0.5,
     shift: float = 0.1,
 ) -> tuple[LinkParameters, ...]:
-    """Links of the possible machine whose coefficients come nearest to those given.
+    """Links of the physically possible machine whose coefficients are nearest to `coefficients`.
 
-    Coefficients that were identified one by one need not belong to any machine: some are known
-    multiples of others, and bodies obey inequalities. This finds the links that minimise
+    Coefficients that were identified one by one need not belong to any machine: some are fixed
+    multiples of others, and bodies obey inequalities. The result minimises
     |weight · (their coefficients − `coefficients`)|₂ among those that are
 
-    - bodies: positive mass, and mass that is spread by no less than nothing in each direction,
+    - bodies: positive mass, and a spread of mass that is not negative in any direction,
       ∫ x xᵀ dm = tr(I)/2 − I ≥ 0. With principal axes along the frame's that is three bounds a
       link, and exact (Traversaro, Brossette, Escande and Nori 2016; Wensing, Kim and Slotine 2018);
     - of the robot's kind: principal axes, zeros and equal moments as `robot.inertia` has them, so
       that the robot's network holds for them exactly;
-    - like the robot's own links: masses and motor inertias from `least` to 1/`least` times theirs,
-      spreads of mass no less than `least` times theirs, centres of gravity within `shift` of
-      theirs in each direction. M(q) is then positive definite everywhere, its smallest eigenvalue
-      no less than the smallest motor inertia.
+    - close to the robot's nominal links: masses and motor inertias from `least` to
+      1/`least` times theirs, spreads of mass no less than `least` times theirs, centres of gravity
+      within `shift` of theirs in each direction. M(q) is then positive definite
+      everywhere, its smallest eigenvalue no less than the smallest motor inertia.
 
-    Spread along a joint's axis belongs to either neighbour (see `possible_links`); what the robot's
-    own links lack of it is lent to them first. What the coefficients leave open stays as the
-    robot's own links have it. The problem is not convex (products such as m rx ry are tied to the
-    first moments); for the PUMA 560 every start led to the same links within the default limits,
-    but with a `shift` of a metre the search may end a few percent short of the nearest.
+    Spread along a joint's axis belongs to either neighbour (see `possible_links`); what the
+    nominal links lack of it is moved to them first. Parameters that the coefficients do not
+    determine keep their nominal values. The problem is not convex (products such as
+    m rx ry depend on the first moments); for the PUMA 560 every start led to the same links within
+    the default limits, but with a `shift` of a metre the search may end a few percent short of the
+    nearest.
 
     **Arguments**
 
     - `robot`: the chain, whose links have principal axes and values.
     - `coefficients`: of mass and gravity, in the order of `jaxcslc.derive(robot)`; no friction.
-    - `weight`: what a unit of each is worth, such as its output sensitivity [N m a unit] (7.6).
-    - `least`, `shift`: how unlike the robot's own links the result may be; `shift` in m.
+    - `weight`: weight of each difference, such as the output sensitivity [N m a unit] (7.6).
+    - `least`, `shift`: largest deviation from the nominal links, as above; `shift` in m.
 
     **Returns**
 
@@ -78,64 +79,64 @@ def nearest_links(
     >>> float(link.mass), float(link.centre_of_gravity[0]), float(link.motor_inertia)
     (0.5, 0.1, 0.05)
     """
-    own = _own_links(robot)
+    nominal = _nominal_links(robot)
     if not 0 < least <= 1:
         raise MachineError(f"least is {least}; expected more than 0 and at most 1")
     if not 0 <= shift < np.inf:
         raise MachineError(f"shift is {shift} m; expected zero or more")
     mapping = CoefficientMap.of(robot)
-    k = _one_each(mapping, "coefficients", coefficients)
-    w = _one_each(mapping, "weight", weight)
+    k = _checked_values(mapping, "coefficients", coefficients)
+    w = _checked_values(mapping, "weight", weight)
     if not (w >= 0).all():
         i = int(np.argmin(w))
         raise MachineError(f"weight of {mapping.names[i]} is {w[i]}; expected zero or more")
 
-    choice = _Choice.of(robot, parameters_of(own), least, shift)
+    space = _SearchSpace.of(robot, parameters_of(nominal), least, shift)
 
-    def residual(z: Float[np.ndarray, " choices"]) -> Float[np.ndarray, " residuals"]:
-        change = w * (mapping.values(choice.parameters(z)) - k)
-        return np.concatenate([change, _PREFERENCE * (z - choice.own)])
+    def residual(z: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " residuals"]:
+        change = w * (mapping.values(space.parameters(z)) - k)
+        return np.concatenate([change, _PREFERENCE * (z - space.nominal)])
 
-    def jacobian(z: Float[np.ndarray, " choices"]) -> Float[np.ndarray, "residuals choices"]:
-        slope = mapping.jacobian(choice.parameters(z)).reshape(len(k), -1) @ choice.basis
+    def jacobian(z: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "residuals variables"]:
+        slope = mapping.jacobian(space.parameters(z)).reshape(len(k), -1) @ space.basis
         return np.concatenate([w[:, None] * slope, _PREFERENCE * np.eye(len(z))])
 
-    found = least_squares(
+    solution = least_squares(
         residual,
-        choice.own,
+        space.nominal,
         jacobian,
-        bounds=(choice.low, choice.high),
+        bounds=(space.low, space.high),
         ftol=_TOLERANCE,
         xtol=_TOLERANCE,
         gtol=_TOLERANCE,
         max_nfev=3000,
     )
-    return links_of(choice.parameters(np.clip(found.x, choice.low, choice.high)))
+    return links_of(space.parameters(np.clip(solution.x, space.low, space.high)))
 
 
 @dataclass(frozen=True, eq=False)
-class _Choice:
-    """The numbers that may be chosen, each in units of its size: `start + basis @ z`, flattened."""
+class _SearchSpace:
+    """The variables z of the search, scaled: parameters are `start + basis @ z`, flattened."""
 
     start: Float[np.ndarray, " parameters"]
-    basis: Float[np.ndarray, "parameters choices"]
-    own: Float[np.ndarray, " choices"]
-    """The robot's own links."""
-    low: Float[np.ndarray, " choices"]
-    high: Float[np.ndarray, " choices"]
+    basis: Float[np.ndarray, "parameters variables"]
+    nominal: Float[np.ndarray, " variables"]
+    """The robot's nominal links."""
+    low: Float[np.ndarray, " variables"]
+    high: Float[np.ndarray, " variables"]
 
     @classmethod
     def of(
-        cls, robot: Manipulator, own: Float[np.ndarray, "links 8"], least: float, shift: float
-    ) -> "_Choice":
-        start = np.zeros(own.shape)
+        cls, robot: Manipulator, nominal: Float[np.ndarray, "links 8"], least: float, shift: float
+    ) -> "_SearchSpace":
+        start = np.zeros(nominal.shape)
         columns: list[Float[np.ndarray, " parameters"]] = []
         bounds: list[tuple[float, float, float]] = []
 
-        def choose(
+        def add_variable(
             entries: Float[np.ndarray, "links 8"], low: float, at: float, high: float
         ) -> None:
-            """One number: where it is added, its value in the robot's own links, its bounds."""
+            """Adds a variable: the parameters that it changes, its nominal value, its bounds."""
             if low < high:
                 between = (high - low) / 2 if np.isfinite(high) else max(abs(at), _SMALLEST_SCALE)
                 columns.append(between * entries.ravel())
@@ -143,35 +144,35 @@ class _Choice:
             else:
                 start[...] += at * entries
 
-        for i, (inertia, values) in enumerate(zip(robot.inertia, own, strict=True)):
-            for j in (0, 7):  # a mass that is zero, or a motor that is not there, stays so
-                entries = np.zeros(own.shape)
+        for i, (inertia, values) in enumerate(zip(robot.inertia, nominal, strict=True)):
+            for j in (0, 7):  # a mass or a motor inertia of zero stays zero
+                entries = np.zeros(nominal.shape)
                 entries[i, j] = 1.0
-                choose(entries, least * values[j], values[j], values[j] / least)
+                add_variable(entries, least * values[j], values[j], values[j] / least)
             for j in (1, 2, 3):
-                entries = np.zeros(own.shape)
+                entries = np.zeros(nominal.shape)
                 entries[i, j] = 1.0
                 free = shift if PARAMETERS[j] not in inertia.zero and values[0] > 0 else 0.0
-                choose(entries, values[j] - free, values[j], values[j] + free)
+                add_variable(entries, values[j] - free, values[j], values[j] + free)
             spread = values[4:7].sum() / 2 - values[4:7]
             for axes in _spreads(inertia):
-                entries = np.zeros(own.shape)
+                entries = np.zeros(nominal.shape)
                 entries[i, 4:7] = len(axes)  # spread along x is part of Iyy and Izz
                 entries[i, [4 + axis for axis in axes]] -= 1.0
                 at = max(float(np.mean(spread[list(axes)])), 0.0)
                 vanishes = any(
                     PARAMETERS[j] in inertia.zero for j in (4, 5, 6) if entries[i, j] > 0
                 )
-                choose(entries, least * at, at, at if vanishes else np.inf)
+                add_variable(entries, least * at, at, at if vanishes else np.inf)
         low, at, high = (np.array(column) for column in zip(*bounds, strict=True))
         return cls(start.ravel(), np.array(columns).T, at, low, high)
 
-    def parameters(self, z: Float[np.ndarray, " choices"]) -> Float[np.ndarray, "links 8"]:
+    def parameters(self, z: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "links 8"]:
         return (self.start + self.basis @ z).reshape(-1, len(PARAMETERS))
 
 
 def _spreads(inertia: LinkInertia) -> list[tuple[int, ...]]:
-    """Axes whose spreads of mass are one number, since the moments about them are equal."""
+    """Axes whose spreads of mass are one variable, since the moments about them are equal."""
     same = [{axis} for axis in range(3)]
     for pair in inertia.equal:
         first, second = (PARAMETERS.index(moment) - 4 for moment in pair)
@@ -181,9 +182,9 @@ def _spreads(inertia: LinkInertia) -> list[tuple[int, ...]]:
     return sorted({tuple(sorted(axes)) for axes in same})
 
 
-def _own_links(robot: Manipulator) -> tuple[LinkParameters, ...]:
+def _nominal_links(robot: Manipulator) -> tuple[LinkParameters, ...]:
     if robot.links is None:
-        raise MachineError(f"robot {robot.name!r} has no link parameters; expected some to keep to")
+        raise MachineError(f"robot {robot.name!r} has no link parameters; expected nominal values")
     for i, (inertia, link) in enumerate(zip(robot.inertia, robot.links, strict=True), start=1):
         tensor = np.asarray(link.inertia, dtype=np.float64)
         if inertia.form != "principal" or np.count_nonzero(tensor - np.diag(np.diag(tensor))):
@@ -194,7 +195,7 @@ def _own_links(robot: Manipulator) -> tuple[LinkParameters, ...]:
     return possible_links(robot, robot.links)
 
 
-def _one_each(
+def _checked_values(
     mapping: CoefficientMap, name: str, values: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " coefficients"]:
     values = np.asarray(values, dtype=np.float64)

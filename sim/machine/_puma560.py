@@ -9,7 +9,7 @@ from ._machine import Machine
 
 
 _RANGE_DEGREES = (
-    # Widths as commonly published; not in the thesis. Where they lie follows from the frames of
+    # Widths as commonly published; not in the thesis. The centres follow from the frames of
     # Fig. 2.6-3: joints 2 and 3 are centred on the arm stretched straight up, (-90°, 90°).
     (-160.0, 160.0),
     (-223.0, 43.0),
@@ -18,9 +18,9 @@ _RANGE_DEGREES = (
     (-100.0, 100.0),
     (-266.0, 266.0),
 )
-# Static friction of the real machines is not given. These are a choice: a quarter more than dry
-# friction at rest, gone to within 1 % at the speeds from which Fig. B.6-1 calls it insignificant
-# (exp(-5) = 0.007).
+# The thesis does not give static friction. These are choices: 1.25 times dry friction at rest, and
+# an excess that falls to below 1 % (exp(-5) = 0.007) at the speeds from which Fig. B.6-1 calls it
+# insignificant.
 _STATIC_TO_DRY = 1.25
 _INSIGNIFICANT_FROM = (0.16, 0.083, 0.12, 0.78, 0.82, 1.6)  # Fig. B.6-1 [rad/s]
 
@@ -32,7 +32,7 @@ def puma560() -> Machine:
     - Encoder resolutions: Section 7.1.
     - Torque limits: Armstrong, Khatib and Burdick (1986).
     - Static friction, a choice: `static` is 1.25 times `dry`, and `static_velocity` a fifth of the
-        thresholds that the thesis found for PUMA A (Fig. B.6-1).
+        thresholds of PUMA A (Fig. B.6-1).
     - Position ranges: as commonly published.
 
     >>> import sim
@@ -63,12 +63,12 @@ def puma560() -> Machine:
 
 
 def specimen(machine: Machine, seed: int, *, links: float = 0.1, friction: float = 0.3) -> Machine:
-    """Another machine of the same design: what the next one off the line may be like.
+    """Another machine of the same design, with random link and friction parameters.
 
-    Masses, centres of gravity, inertias and motor inertias differ from the given machine's by up
+    Masses, centres of gravity, inertias and motor inertias differ from the design's by up
     to `links` times their value, friction by up to `friction` times (the thesis finds mass and
-    gravity coefficients alike in its two PUMA 560s and friction very different). One factor for a
-    link's whole tensor keeps it that of a possible body.
+    gravity coefficients alike in its two PUMA 560s and friction very different). A link's whole
+    tensor has one factor, so that it stays physically possible.
 
     **Arguments**
 
@@ -102,13 +102,15 @@ def specimen(machine: Machine, seed: int, *, links: float = 0.1, friction: float
         )
 
     assert machine.robot.links is not None  # a machine has them
-    rub = [factor(friction) for _ in machine.dry]
+    dry_factors = [factor(friction) for _ in machine.dry]
     return dataclasses.replace(
         machine,
         robot=dataclasses.replace(
             machine.robot, links=tuple(other(link) for link in machine.robot.links)
         ),
         viscous=tuple(value * factor(friction) for value in machine.viscous),
-        dry=tuple(value * by for value, by in zip(machine.dry, rub, strict=True)),
-        static=tuple(value * by for value, by in zip(machine.static, rub, strict=True)),
+        dry=tuple(value * scale for value, scale in zip(machine.dry, dry_factors, strict=True)),
+        static=tuple(
+            value * scale for value, scale in zip(machine.static, dry_factors, strict=True)
+        ),
     )

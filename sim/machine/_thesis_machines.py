@@ -21,7 +21,7 @@ _SPEEDS_TO_INSIGNIFICANCE = 5  # exp(-5) = 0.007
 
 @dataclass(frozen=True, eq=False)
 class ThesisCoefficients:
-    """What the thesis identified on one of its PUMA 560s (Appendix B), as printed.
+    """Coefficients that the thesis identified on one of its PUMA 560s (Appendix B), as printed.
 
     Mass and gravity coefficients are in the order of `jaxcslc.derive(jaxcslc.puma560())`.
     """
@@ -82,12 +82,12 @@ def thesis_coefficients(machine: str) -> ThesisCoefficients:
 
 
 def puma_a() -> Machine:
-    """The thesis's PUMA A as a machine, as nearly as one can exist.
+    """The physically possible machine nearest to the thesis's PUMA A.
 
-    Its links are those of the possible PUMA 560 whose coefficients are nearest to the ones that
-    Appendix B prints for PUMA A, weighted by the output sensitivities printed beside them: see
-    `nearest_links`. The printed ones belong to no machine: `docs/puma_a_b.md` says which were
-    changed, why, by how much, and what that costs in torque.
+    Its links are those of the possible PUMA 560 whose coefficients are nearest to the printed ones
+    of Appendix B, weighted by the printed output sensitivities: see `nearest_links`. No machine
+    has the printed coefficients: `docs/puma_a_b.md` lists the changes, their reasons and their
+    effect on the torque.
 
     - Viscous and dry friction: Figs. B.4-1 and B.5-1 as printed.
     - Static friction: a choice, as in `puma560`. `static` is 1.25 times `dry`, and
@@ -102,7 +102,7 @@ def puma_a() -> Machine:
 
 
 def puma_b() -> Machine:
-    """The thesis's PUMA B as a machine, as nearly as one can exist: see `puma_a`.
+    """The physically possible machine nearest to the thesis's PUMA B: see `puma_a`.
 
     >>> from sim import puma_b
     >>> puma_b().viscous

@@ -12,10 +12,10 @@ from ..trajectory import Trajectory
 
 
 class ClosedLoop(NamedTuple):
-    """A recording, the truth beside it, and what was seen of the controller meanwhile."""
+    """A recording, the true state, and observations of the controller."""
 
     recording: Recording
-    """Encoder readings, and the torques demanded upon them."""
+    """Encoder readings, and the torques demanded in response."""
 
     truth: Truth
 
@@ -32,15 +32,15 @@ def close_loop(
     threads: int | None = None,
     progress: bool = False,
 ) -> list[ClosedLoop | SimulationError]:
-    """Lets machines follow a trajectory side by side, and watches what their controllers remember.
+    """Simulates machines on one trajectory side by side, and records their controllers' states.
 
-    As `record`, but with one trajectory, with nothing kept in a store, and with C MuJoCo. Each
-    machine does what it would do alone, to rounding: one program computes all their torques.
+    As `record`, but with one trajectory, without a store, and with C MuJoCo. Each machine moves as
+    it would alone, to rounding: one program computes all torques.
 
     **Arguments**
 
-    - `machines`: alike in their number of joints, in where they have friction or a transmission
-        that gives way, and in their time step.
+    - `machines`: with the same number of joints, the same joints with friction, the same flexible
+        transmissions and the same time step.
     - `trajectory`: the motion and its controller.
     - `seeds`: one a machine.
     - `observe`: gets the controller's state after each sample; returns arrays with a first axis of
@@ -50,12 +50,12 @@ def close_loop(
 
     **Returns**
 
-    For each machine what happened, or the error that ended it.
+    For each machine its `ClosedLoop`, or the error that ended the simulation.
 
     **Raises**
 
     - `MachineError`: a machine or trajectory that cannot exist; before anything runs.
-    - `ValueError`: fewer than one thread; something observed that is not one of each machine.
+    - `ValueError`: fewer than one thread; an observation without a first axis of machines.
 
     >>> import dataclasses, sim
     >>> trajectory = dataclasses.replace(sim.comparison(), samples=20)
@@ -71,7 +71,7 @@ def close_loop(
     def look(state: Any) -> None:
         if observe is not None:
             for name, values in observe(state).items():
-                array = np.array(values)  # of its own: it may be a view of what changes
+                array = np.array(values)  # a copy: it may be a view of an array that changes
                 if array.shape[:1] != (count,):
                     raise ValueError(
                         f"observe: {name!r} has shape {array.shape}; expected a first axis of"

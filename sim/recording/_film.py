@@ -33,23 +33,23 @@ def film(
 ) -> None:
     """Makes a film of a motion, or of several side by side.
 
-    Rods are drawn from joint to joint, what is carried as a box: it waits where it is picked up,
-    and stays where it is put down. Needs PyAV and Pillow, and OpenGL without a screen: set
-    `MUJOCO_GL=egl` (or `osmesa`) in the environment before MuJoCo is loaded.
+    Rods are drawn from joint to joint. A load is drawn as a box, before and after it is carried
+    at the position where it is picked up or put down. Needs PyAV and Pillow, and OpenGL without a
+    screen: set `MUJOCO_GL=egl` (or `osmesa`) in the environment before MuJoCo is loaded.
 
     **Arguments**
 
     - `path`: of the film, an `.mp4` file.
-    - `machine`: what is to be seen.
+    - `machine`: the machine to draw.
     - `truths`: the motion of the machine, or several of as many samples.
-    - `loads`: what is carried, as in the trajectory.
+    - `loads`: the loads of the trajectory.
     - `titles`: one a motion.
-    - `caption`: given the number of a motion and of a sample, both counted from 0, what to write
-        below it.
-    - `speed`: 2 for twice as fast as it was.
+    - `caption`: returns the text below a motion, from the numbers of motion and sample, both
+        counted from 0.
+    - `speed`: of the film; 2 for twice as fast as the motion.
     - `rate`: pictures a second.
     - `size`: of a motion's picture: width and height, even numbers [pixels].
-    - `view`: from where: azimuth and elevation [degrees].
+    - `view`: azimuth and elevation of the camera [degrees].
     - `floor`: its height in frame 0 [m]; see `Scene.of`.
 
     **Raises**
@@ -139,15 +139,15 @@ class Pictures:
         )
 
     def close(self) -> None:
-        """Lets go of OpenGL."""
+        """Closes the OpenGL context."""
         self._renderer.close()
 
     def _one(self, number: int, sample: int) -> np.ndarray:
         from PIL import Image, ImageDraw
 
         motion = self._motions[number]
-        self._scene.place(
-            motion.position[sample], [held[sample] for held in self._carriers[number]]
+        self._scene.update(
+            motion.position[sample], [carrier[sample] for carrier in self._carriers[number]]
         )
         self._renderer.update_scene(self._scene.data, self._camera)
         self._scene.draw(self._renderer.scene)

@@ -10,10 +10,9 @@ import numpy as np
 
 
 def fingerprint(*values: Any) -> str:
-    """Names values by what they are made of: equal ones have the same name, in every process.
+    """A hash of the content of values: equal values have the same hash in every process.
 
-    For the files of a batch, which must be found again by the machine, trajectory and seed that
-    they hold.
+    It names the file of a recording by its machine, trajectory and seed.
 
     **Arguments**
 
@@ -25,7 +24,7 @@ def fingerprint(*values: Any) -> str:
 
     **Raises**
 
-    - `TypeError`: something of which it cannot be told what it is made of.
+    - `TypeError`: a value of another type.
 
     >>> import sim
     >>> from sim.recording import fingerprint
@@ -50,12 +49,12 @@ def _parts(value: Any) -> list[bytes]:
     if isinstance(value, Enum):
         return [kind, value.name.encode()]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        own = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
-        return [kind, *_parts(own)]
+        fields = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
+        return [kind, *_parts(fields)]
     if isinstance(value, Mapping):
         return [b"mapping", *_parts(sorted(value.items()))]
     if isinstance(value, Sequence):
-        return [b"sequence", str(len(value)).encode(), *(p for each in value for p in _parts(each))]
+        return [b"sequence", str(len(value)).encode(), *(p for item in value for p in _parts(item))]
     if hasattr(value, "__array__"):
         array = np.asarray(value)
         if array.dtype == object:

@@ -14,16 +14,16 @@ from ..machine import Machine, MachineError
 from ..trajectory import FLANGE, Oscillation, Trajectory
 
 
-# What a brake holds [N m]: beyond anything that hangs from an arm.
+# Friction torque of a brake [N m]: more than any weight on the arm exerts.
 _BRAKE = 1e4
-# The first swing is for the controller to settle in, and is not measured.
+# The first oscillation is a settling time of the controller, and is not measured.
 _SETTLING = 1
 _INTERVAL = 0.002  # s, as in 7.4
 
 
 @dataclass(frozen=True, eq=False)
 class MotorLinearity:
-    """Mean demand against suspended mass (Fig. 7.2-2), and the line that a linear motor obeys.
+    """Mean demand against suspended mass (Fig. 7.2-2), and the line of a linear motor.
 
     The line is the least-squares fit to every measurement but the heaviest. A motor beyond its
     limit of linearity needs more demand a torque, which puts the heaviest above the line.
@@ -42,7 +42,7 @@ class MotorLinearity:
     """Of the line [N m/kg]: gravity times the lever, whatever that is."""
 
     intercept: float
-    """Of the line [N m]: what the arm alone takes."""
+    """Of the line [N m]: the torque of the arm alone."""
 
     @classmethod
     def of(
@@ -94,41 +94,41 @@ def motor_linearity(
     seed: int = 0,
     progress: Callable[[Iterable[float | int]], Iterable[float | int]] | None = None,
 ) -> MotorLinearity:
-    """The experiment of 7.2.3 on a PUMA 560: does a motor give what is demanded of it?
+    """The experiment of 7.2.3 on a PUMA 560: is a motor's torque linear in its demand?
 
     Every other joint is locked, the arm points straight out, weights hang from the flange, and a
     PD controller with the abbreviated gravity compensation makes the joint oscillate about the
-    horizontal, so that friction averages out. What is measured is the demand, power expressed as
+    horizontal, so that friction averages out. The measurement is the demand, power expressed as
     torque, as on the real machine.
 
     The thesis gives no masses, gains or motion. The defaults are choices: masses that take joint
-    2's mean demand from 46 to 86 N m, past the 55 N m that the training trajectory asks of it, and
-    the gains of 7.4.2. The compensation does not know of the weight; the PD controller carries it,
+    2's mean demand from 46 to 86 N m, beyond the 55 N m of the training trajectory, and
+    the gains of 7.4.2. The compensation does not include the weight; the PD controller balances it,
     which lowers the mean position by mass times gravity times lever over `position_gain`, 4 mrad
     with the heaviest.
 
     **Arguments**
 
     - `machine`: a PUMA 560.
-    - `joint`: the one to try, counted from 1.
+    - `joint`: the joint of the tested motor, counted from 1.
     - `masses`: one measurement each [kg]; three or more different ones.
     - `posture`: the mean position [rad]. Gravity's torque should not change much about it.
     - `amplitude`, `period`: of the oscillation [rad], [s].
-    - `swings`: how many whole periods are averaged, after one that is not.
+    - `swings`: how many whole periods are averaged, after one for settling.
     - `position_gain`, `velocity_gain`: of the controller [N m/rad], [N m s/rad].
     - `seed`: of the first measurement; every other takes the next.
-    - `progress`: what the masses are iterated through, such as `tqdm`.
+    - `progress`: wraps the iteration over the masses, such as `tqdm`.
 
     **Raises**
 
-    - `MachineError`: no such joint, masses that draw no line, or no swing at all.
+    - `MachineError`: no such joint, too few different masses for a line, or no oscillation.
     - `SimulationError`: a joint leaves its range.
 
     >>> import sim
-    >>> found = sim.motor_linearity(
+    >>> result = sim.motor_linearity(
     ...     sim.puma560(), masses=(0, 1, 2), swings=1, period=0.5, amplitude=0.03
     ... )
-    >>> round(found.slope), abs(found.excess) < 0.05
+    >>> round(result.slope), abs(result.excess) < 0.05
     (9, True)
     """
     if not 1 <= joint <= machine.joint_count:
@@ -176,7 +176,7 @@ def motor_linearity(
 
 
 def _locked(machine: Machine, joint: int) -> Machine:
-    """A machine with the brakes of every other joint on, its links held as by clamps."""
+    """A machine whose other joints are all locked by brakes on motors and links."""
 
     def instead(values: tuple[float, ...], locked: float) -> tuple[float, ...]:
         return tuple(v if i == joint else locked for i, v in enumerate(values, start=1))
@@ -198,13 +198,13 @@ def _laden(machine: Machine, mass: float | int) -> Machine:
     if mass == 0:
         return machine
     hand = links[-1]
-    own = float(hand.mass)
-    place = np.array([0.0, 0.0, FLANGE])
-    centre = (own * np.asarray(hand.centre_of_gravity) + mass * place) / (own + mass)
+    hand_mass = float(hand.mass)
+    flange = np.array([0.0, 0.0, FLANGE])
+    centre = (hand_mass * np.asarray(hand.centre_of_gravity) + mass * flange) / (hand_mass + mass)
     inertia = np.asarray(hand.inertia, dtype=np.float64)
-    for part, at in ((own, np.asarray(hand.centre_of_gravity)), (mass, place)):
+    for part, at in ((hand_mass, np.asarray(hand.centre_of_gravity)), (mass, flange)):
         r = at - centre
         inertia = inertia + part * (r @ r * np.eye(3) - np.outer(r, r))
-    laden = LinkParameters(own + mass, centre, inertia, hand.motor_inertia)
+    laden = LinkParameters(hand_mass + mass, centre, inertia, hand.motor_inertia)
     robot = dataclasses.replace(machine.robot, links=(*links[:-1], laden))
     return dataclasses.replace(machine, robot=robot)

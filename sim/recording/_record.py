@@ -15,8 +15,8 @@ from ._store import load, save
 
 Backend = Literal["mujoco", "mjx"]
 
-# How many machines move side by side. A few dozen keep two cores busy and lose little when
-# interrupted; a GPU wants as many as it can get, and compiles anew for another number.
+# How many machines are simulated side by side. A few dozen keep two cores busy and lose little when
+# interrupted; a GPU is fastest with many, and compiles again for another number.
 _SIDE_BY_SIDE = {"mujoco": 64, "mjx": 1024}
 
 
@@ -39,17 +39,17 @@ def record(
 ) -> list[SimulatedRecording]:
     """Makes many recordings: hundreds of seeds, machines and levels of disturbance in one call.
 
-    Each is what `simulate` makes of the same machine, trajectory and seed, bit for bit with C
-    MuJoCo (`"mujoco"`), which steps machines side by side on all cores; to rounding under MJX
+    Each equals the result of `simulate` for the same machine, trajectory and seed, bit for bit with
+    C MuJoCo (`"mujoco"`), which steps machines side by side on all cores; to rounding under MJX
     (`"mjx"`), which steps them on JAX's default device, a GPU where there is one. Recordings of
-    one `Trajectory` object go together, so make that object once.
+    one `Trajectory` object are simulated together, so make that object once.
 
     **Arguments**
 
     - `jobs`: what to record.
     - `backend`: `"mujoco"` or `"mjx"`.
-    - `store`: a folder, made if missing, that keeps each recording as soon as it is there. What it
-        has is not simulated again: a call that was interrupted goes on from where it was.
+    - `store`: a folder, made if missing, to which each recording is saved once it is complete.
+        Saved recordings are not simulated again: an interrupted call resumes.
     - `threads`: of C MuJoCo; as many as the process has cores, if omitted.
     - `side_by_side`: how many machines at a time; 64 or, under MJX, 1024 if omitted.
     - `progress`: show a progress bar on standard error.
@@ -62,7 +62,7 @@ def record(
     **Raises**
 
     - `MachineError`: a machine or trajectory that cannot exist; before anything runs.
-    - `SimulationError`: a joint leaves its range; after the rest has been recorded.
+    - `SimulationError`: a joint leaves its range; after the other jobs have been recorded.
 
     >>> import sim
     >>> trajectory = sim.training(samples=20)
@@ -70,7 +70,7 @@ def record(
     >>> len(sim.record(jobs))
     3
     """
-    found: list[SimulatedRecording | None] = [None] * len(jobs)
+    results: list[SimulatedRecording | None] = [None] * len(jobs)
     wrong: list[tuple[int, SimulationError]] = []
     for i, result in record_each(
         jobs,
@@ -83,12 +83,12 @@ def record(
         if isinstance(result, SimulationError):
             wrong.append((i, result))
         else:
-            found[i] = result
+            results[i] = result
     if wrong:
         i, error = min(wrong, key=lambda entry: entry[0])
         more = f" (and {len(wrong) - 1} jobs more)" if len(wrong) > 1 else ""
         raise SimulationError(f"job {i}, seed {jobs[i].seed}: {error}{more}")
-    return [result for result in found if result is not None]
+    return [result for result in results if result is not None]
 
 
 def record_each(
@@ -100,7 +100,7 @@ def record_each(
     side_by_side: int | None = None,
     progress: bool = False,
 ) -> Iterator[tuple[int, SimulatedRecording | SimulationError]]:
-    """As `record`, but hands out each recording as soon as it is there.
+    """As `record`, but yields each recording as soon as it is complete.
 
     **Arguments**
 
@@ -144,8 +144,8 @@ def record_each(
                 part = group[start : start + size]
                 # MJX compiles for a number of machines: fill the last part up.
                 padding = size - len(part) if backend == "mjx" and len(group) > size else 0
-                chosen = [jobs[i] for i in (*part, *[part[-1]] * padding)]
-                results = run(chosen, bar.update)[: len(part)]
+                padded = [jobs[i] for i in (*part, *[part[-1]] * padding)]
+                results = run(padded, bar.update)[: len(part)]
                 for i, result in zip(part, results, strict=True):
                     if folder is not None and not isinstance(result, SimulationError):
                         save(folder, names[i], result)
@@ -165,7 +165,7 @@ def _runner(
             [job.seed for job in jobs],
             advanced=advanced,
         )
-    thread_count(threads, 1)  # refused before anything runs
+    thread_count(threads, 1)  # raises before anything runs
     return lambda jobs, advanced: perform(
         [job.machine for job in jobs],
         jobs[0].trajectory,

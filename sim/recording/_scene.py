@@ -11,28 +11,28 @@ from ..machine import Load, Machine, during
 from ..trajectory import Hand
 
 
-# Okabe and Ito's palette, told apart by colour-blind viewers: links by turns, what is carried.
+# Okabe and Ito's palette, which colour-blind viewers distinguish: links in turn, loads.
 _LINKS = ("#0072B2", "#E69F00", "#009E73", "#56B4E9", "#CC79A7", "#999999")
 _LOAD = "#D55E00"
 _JOINT = "#333333"
 _BASE = "#777777"
-# A load is drawn as a cube of water of its mass [kg/m³], but one that can be seen [m].
+# A load is drawn as a cube of water of its mass [kg/m³], of a visible size [m].
 _DENSITY = 1000.0
 _SMALLEST_LOAD = 0.05
-# How far the tool sticks out of the last link's frame, as a part of the arm's size.
+# Length of the tool beyond the last link's frame, as a part of the arm's size.
 _TOOL = 0.06
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A machine to look at: its links as rods, the floor, and what it carries as boxes.
+    """Geometry for drawing a machine: links as rods, the floor, and loads as boxes.
 
-    Only where things are is MuJoCo's here; nothing moves by itself.
+    MuJoCo computes the kinematics only; there is no dynamics.
 
     >>> import numpy as np
     >>> import sim
     >>> scene = sim.Scene.of(sim.puma560())
-    >>> scene.place(np.zeros(6))
+    >>> scene.update(np.zeros(6))
     >>> scene.data.xpos.shape
     (7, 3)
     """
@@ -41,7 +41,7 @@ class Scene:
     """MuJoCo's."""
 
     data: Any
-    """MuJoCo's: where everything is."""
+    """MuJoCo's: positions of all bodies."""
 
     hand: Hand
     """The last link's frame."""
@@ -59,7 +59,7 @@ class Scene:
     """Height of the floor in frame 0 [m]."""
 
     carried: Bool[np.ndarray, " loads"]
-    """Whether the hand holds each load as it was placed last; `place` changes it."""
+    """Whether the hand holds each load, as of the last `update`."""
 
     @classmethod
     def of(
@@ -69,8 +69,8 @@ class Scene:
 
         **Arguments**
 
-        - `machine`: what is to be seen.
-        - `loads`: what it carries at one time or another.
+        - `machine`: the machine to draw.
+        - `loads`: the loads of its trajectory.
         - `floor`: height of the floor in frame 0 [m]; if omitted 0 where the first joint is above
             that, and half the arm's reach below where it is not.
         """
@@ -80,9 +80,9 @@ class Scene:
         size = float(np.linalg.norm(origins, axis=1).sum()) or 1.0
         standing = origins[0][2] > 0.1 * size  # frame 0 is at the arm's foot
         ground = (0.0 if standing else -0.5 * size) if floor is None else floor
-        _furnish(spec, size, ground)
+        _add_surroundings(spec, size, ground)
         radii = 0.05 * size * (1.0 - 0.6 * np.arange(n) / n)
-        _clothe(spec, origins[0], radii, size, ground)
+        _add_links(spec, origins[0], radii, size, ground)
         centres = np.zeros((len(loads), 3))
         for number, load in enumerate(loads):
             centres[number] = np.asarray(load.body.centre_of_gravity)
@@ -100,58 +100,57 @@ class Scene:
             np.zeros(len(loads), dtype=bool),
         )
 
-    def place(
+    def update(
         self,
         position: Float[np.ndarray, " joints"],
         carriers: Sequence[Float[np.ndarray, " joints"]] = (),
     ) -> None:
-        """Puts everything where it is.
+        """Moves links and loads to their positions.
 
         **Arguments**
 
         - `position`: of the joints [rad or m].
-        - `carriers`: for each load, the joints' positions with which the hand is where it holds, or
-            held, or will hold the load (see `holding`).
+        - `carriers`: for each load, joint positions at which the hand holds it (see `holding`).
         """
         n = position.size
         self.data.qpos[:] = 0.0
         self.data.qpos[:n] = position
-        for number, held in enumerate(carriers):
-            self.carried[number] = np.array_equal(held, position)
-            rotation, _ = self.hand.turn(held)
-            place, _ = self.hand.locate(held)
-            self.data.mocap_pos[number] = place + rotation @ self.centres[number]
+        for number, carrier in enumerate(carriers):
+            self.carried[number] = np.array_equal(carrier, position)
+            rotation, _ = self.hand.turn(carrier)
+            point, _ = self.hand.locate(carrier)
+            self.data.mocap_pos[number] = point + rotation @ self.centres[number]
             mujoco.mju_mat2Quat(
                 self.data.mocap_quat[number], np.ascontiguousarray(rotation).ravel()
             )
         mujoco.mj_forward(self.model, self.data)
 
     def draw(self, canvas: Any) -> None:
-        """Adds to a `MjvScene` what changes its shape: rods from joint to joint, which slide with
-        the joints that do, and a stand below each load that is not carried."""
-        places = self.data.xpos[1 : len(self.radii) + 1]
+        """Adds the shapes of varying length to a `MjvScene`: rods from joint to joint, and a stand
+        below each load that is not carried."""
+        origins = self.data.xpos[1 : len(self.radii) + 1]
         for i in range(len(self.radii) - 1):
-            if np.linalg.norm(places[i + 1] - places[i]) > 1e-3 * self.size:
+            if np.linalg.norm(origins[i + 1] - origins[i]) > 1e-3 * self.size:
                 colour = _LINKS[i % len(_LINKS)]
-                _rod(canvas, places[i], places[i + 1], 0.8 * self.radii[i], colour)
-        for place, carried in zip(self.data.mocap_pos, self.carried, strict=True):
+                _rod(canvas, origins[i], origins[i + 1], 0.8 * self.radii[i], colour)
+        for point, carried in zip(self.data.mocap_pos, self.carried, strict=True):
             if not carried:
-                _rod(canvas, place, np.array([*place[:2], self.ground]), self.radii[-1], _BASE)
+                _rod(canvas, point, np.array([*point[:2], self.ground]), self.radii[-1], _BASE)
 
 
 def holding(
     load: Load, time: Float[np.ndarray, " samples"], position: Float[np.ndarray, "samples joints"]
 ) -> Float[np.ndarray, "samples joints"]:
-    """Where the joints are, were last or will be first when they hold a load; at each sample.
+    """Joint positions that correspond to a load's position, at each sample.
 
-    A load waits where it is picked up, and stays where it is put down.
+    Before it is picked up these are the positions at the pick-up, later those at the put-down.
     """
-    held = np.flatnonzero(during(time, load.start, load.stop))
-    if not held.size:
+    carrying = np.flatnonzero(during(time, load.start, load.stop))
+    if not carrying.size:
         return np.broadcast_to(position[-1], position.shape)
-    # It is let go of at the first sample at which it is not held any more.
-    last = min(held[-1] + 1, len(time) - 1)
-    return position[np.clip(np.arange(len(time)), held[0], last)]
+    # It is released at the first sample at which it is no longer carried.
+    last = min(carrying[-1] + 1, len(time) - 1)
+    return position[np.clip(np.arange(len(time)), carrying[0], last)]
 
 
 def _rod(canvas: Any, start: Any, end: Any, radius: float, colour: str) -> None:
@@ -163,8 +162,8 @@ def _rod(canvas: Any, start: Any, end: Any, radius: float, colour: str) -> None:
     mujoco.mjv_connector(rod, capsule, radius, start, end)
 
 
-def _furnish(spec: Any, size: float, ground: float) -> None:
-    """Floor, light and air."""
+def _add_surroundings(spec: Any, size: float, ground: float) -> None:
+    """Floor, light and background."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
@@ -206,14 +205,14 @@ def _furnish(spec: Any, size: float, ground: float) -> None:
     )
 
 
-def _clothe(
+def _add_links(
     spec: Any,
     shoulder: Float[np.ndarray, "3"],
     radii: Float[np.ndarray, " joints"],
     size: float,
     ground: float,
 ) -> None:
-    """Drums about the joints' axes, a column below the first, a tool at the last."""
+    """Cylinders about the joints' axes, a column below the first, a tool at the last."""
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
     base = 1.3 * radii[0]
     spec.worldbody.add_geom(

@@ -12,13 +12,13 @@ from ..engine import SimulatedRecording, Truth
 
 
 def save(folder: Path, name: str, result: SimulatedRecording) -> None:
-    """Keeps a recording and its truth as `folder/name.npz`; all of it or, if interrupted, nothing.
+    """Saves a recording and its truth as `folder/name.npz`; atomic if interrupted.
 
     **Arguments**
 
     - `folder`: made if missing.
     - `name`: of the file, without its ending.
-    - `result`: what to keep.
+    - `result`: recording and truth.
     """
     folder.mkdir(parents=True, exist_ok=True)
     truth = {
@@ -43,7 +43,7 @@ def save(folder: Path, name: str, result: SimulatedRecording) -> None:
 
 
 def load(folder: Path, name: str) -> SimulatedRecording | None:
-    """What `save` kept under a name, or nothing if it kept nothing.
+    """The recording that `save` saved under a name, or None.
 
     **Raises**
 
@@ -59,4 +59,6 @@ def load(folder: Path, name: str) -> SimulatedRecording | None:
         recording = Recording(time, values.pop("reading"), values.pop("demand"))
         return SimulatedRecording(recording, Truth(time=time, **values))
     except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: expected a simulated recording; delete it to go on") from error
+        raise ValueError(
+            f"{path}: expected a simulated recording; delete it to continue"
+        ) from error

@@ -18,7 +18,7 @@ _LARGEST_STEP = 0.3  # [rad or m]
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """A point of the last link: where it is, and its Jacobian, by the modified D-H rows.
+    """A point of the last link: its position and Jacobian, from the modified D-H rows.
 
     The transform of row i (Eqn. 2.6-1) is linear in the cosine and the sine of its angle and in
     its offset, so all of them are formed at once and then multiplied along the chain.
@@ -26,13 +26,13 @@ class Hand:
     >>> import numpy as np
     >>> import jaxcslc
     >>> from sim import Hand
-    >>> place, jacobian = Hand.of(jaxcslc.puma560()).locate(np.zeros(6))
-    >>> place.round(4), jacobian.shape
+    >>> point, jacobian = Hand.of(jaxcslc.puma560()).locate(np.zeros(6))
+    >>> point.round(4), jacobian.shape
     (array([0.4115, 0.1501, 0.4331]), (3, 6))
     """
 
     fixed: Float[np.ndarray, "joints 4 4"]
-    """What is left of each transform when its cosine, sine and joint variable are zero."""
+    """The constant part of each transform: cosine, sine and joint variable are zero."""
 
     cosine: Float[np.ndarray, "joints 4 4"]
     """Its factor of the cosine of θ."""
@@ -79,24 +79,24 @@ class Hand:
     def locate(
         self, position: Float[Array, "*batch joints"]
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3 joints"]]:
-        """Where the point is in frame 0 [m], and by how much each joint moves it [m/rad, or 1],
-        at joint positions [rad or m]."""
+        """Position of the point in frame 0 [m], and its Jacobian [m/rad, or 1], at joint positions
+        [rad or m]."""
         xp = namespace(position)
         chain = self._chain(position)  # (*batch, 4, 4, joints)
-        place = (chain[..., :3, :3, -1] @ spread(self.point[:, None], position))[..., 0]
-        place = place + chain[..., :3, 3, -1]
+        point = (chain[..., :3, :3, -1] @ spread(self.point[:, None], position))[..., 0]
+        point = point + chain[..., :3, 3, -1]
         axis, origin = chain[..., :3, 2, :], chain[..., :3, 3, :]
-        x, y, z = (place[..., i, None] - origin[..., i, :] for i in range(3))
+        x, y, z = (point[..., i, None] - origin[..., i, :] for i in range(3))
         u, v, w = (axis[..., i, :] for i in range(3))
         circling = xp.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-2)
         turns = spread(self.turns, position)[..., None, :]
-        return place, turns * circling + (1.0 - turns) * axis
+        return point, turns * circling + (1.0 - turns) * axis
 
     def turn(
         self, position: Float[Array, "*batch joints"]
     ) -> tuple[Float[Array, "*batch 3 3"], Float[Array, "*batch 3 joints"]]:
-        """How the last link is turned in frame 0, and about what each joint turns it [rad/rad, or
-        0], at joint positions [rad or m].
+        """Rotation of the last link in frame 0, and the axis about which each joint turns it
+        [rad/rad, or 0], at joint positions [rad or m].
 
         >>> import numpy as np
         >>> import jaxcslc
@@ -128,63 +128,67 @@ class Hand:
 
 def reach(
     hand: Hand,
-    place: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
     rotation: Float[np.ndarray, "3 3"] | None,
     near: Float[np.ndarray, " joints"],
 ) -> Float[np.ndarray, " joints"]:
-    """Joint positions that bring the hand to a place, by Newton's method from near there.
+    """Inverse kinematics by a damped Newton method.
 
-    Damped in proportion to what is missing (Sugihara 2011): far off it is gradient descent, which
-    passes singular poses, and close by it converges quadratically. Of several solutions, with
-    joints to spare, it finds one close to where it begins.
+    The damping is proportional to the squared error (Sugihara 2011): far from the target the method
+    is gradient descent, which passes singular poses; close to it, it converges quadratically. Of
+    several solutions it returns one close to `near`.
 
     **Arguments**
 
     - `hand`: which point of the last link.
-    - `place`: in frame 0 [m].
+    - `target`: position of the hand in frame 0 [m].
     - `rotation`: of the last link's frame in frame 0; any, if None.
-    - `near`: where to begin [rad or m].
+    - `near`: initial joint positions [rad or m].
 
     **Raises**
 
-    - `MachineError`: it cannot be reached from there.
+    - `MachineError`: the target cannot be reached from `near`.
     """
     q = near
     for _ in range(_ITERATIONS):
-        missing, jacobian = _missing(hand, place, rotation, q)
-        size = float(np.abs(missing).max())
+        error, jacobian = _pose_error(hand, target, rotation, q)
+        size = float(np.abs(error).max())
         if size < _TOLERANCE:
             return q
-        damping = min(size * size, 1e-2) * 1e-2 * np.eye(len(missing))
+        damping = min(size * size, 1e-2) * 1e-2 * np.eye(len(error))
         step = jacobian.T @ np.linalg.solve(
-            jacobian @ jacobian.T + damping + 1e-15 * np.eye(len(missing)), missing
+            jacobian @ jacobian.T + damping + 1e-15 * np.eye(len(error)), error
         )
         q = q + step * min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-    missing, _ = _missing(hand, place, rotation, q)
-    if np.abs(missing).max() < _ACCEPTED:
+    error, _ = _pose_error(hand, target, rotation, q)
+    if np.abs(error).max() < _ACCEPTED:
         return q
-    where = ", ".join(f"{value:.4g}" for value in place)
-    turned = "" if rotation is None else f" and {np.linalg.norm(missing[3:]):.3g} rad"
+    where = ", ".join(f"{value:.4g}" for value in target)
+    turned = "" if rotation is None else f" and {np.linalg.norm(error[3:]):.3g} rad"
     raise MachineError(
-        f"the hand cannot be brought to ({where}) m as asked: it stays"
-        f" {np.linalg.norm(missing[:3]):.3g} m{turned} away"
+        f"the hand cannot reach ({where}) m: it stays"
+        f" {np.linalg.norm(error[:3]):.3g} m{turned} away"
     )
 
 
-def _missing(
+def _pose_error(
     hand: Hand,
-    place: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
     rotation: Float[np.ndarray, "3 3"] | None,
     q: Float[np.ndarray, " joints"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """By how much the hand is off [m, rad], and its Jacobian."""
-    found, jacobian = hand.locate(q)
+    """Error of the hand's pose [m, rad], and its Jacobian."""
+    point, jacobian = hand.locate(q)
     if rotation is None:
-        return place - found, np.asarray(jacobian)
+        return target - point, np.asarray(jacobian)
     turned, axes = hand.turn(q)
-    # Half the antisymmetric part of what is left to turn: sin(angle) times its axis.
-    left = rotation @ turned.T
+    # Half the antisymmetric part of the remaining rotation: sin(angle) times its axis.
+    remaining = rotation @ turned.T
     angle = 0.5 * np.array(
-        [left[2, 1] - left[1, 2], left[0, 2] - left[2, 0], left[1, 0] - left[0, 1]]
+        [
+            remaining[2, 1] - remaining[1, 2],
+            remaining[0, 2] - remaining[2, 0],
+            remaining[1, 0] - remaining[0, 1],
+        ]
     )
-    return np.concatenate([place - found, angle]), np.concatenate([jacobian, axes])
+    return np.concatenate([target - point, angle]), np.concatenate([jacobian, axes])

@@ -8,7 +8,7 @@ from ._kinematics import Hand, reach
 from ._paths import MinimumJerk, SampledPath, minimum_jerk
 
 
-# A joint quicker than this is about to turn over [rad/s or m/s].
+# A joint faster than this is near a singular pose [rad/s or m/s].
 _QUICKEST = 50.0
 # The largest rate of `minimum_jerk`, in its middle.
 _PEAK = 15 / 8
@@ -28,42 +28,43 @@ def circle(
     keep_orientation: bool = True,
     interval: float = 0.002,
 ) -> SampledPath:
-    """The hand goes around a circle, from rest to rest, as the joints have to move for it.
+    """Joint motion that moves the hand around a circle, from rest to rest.
 
-    The way along the circle is that of `minimum_jerk`. At every row the hand is on the circle to
+    The angle along the circle follows `minimum_jerk`. At every row the hand is on the circle to
     rounding (`reach`); between rows joints move along the quintic spline through them, whose
-    derivatives the path's velocities and accelerations are.
+    derivatives are the path's velocities and accelerations.
 
     **Arguments**
 
     - `machine`: whose geometry and joint ranges count.
     - `centre`: of the circle, in frame 0 [m].
     - `radius`: [m].
-    - `near`: joint positions that say how the hand is turned, which of several solutions to take,
-        and where on the circle to begin: at the point nearest to the hand there [rad or m].
+    - `near`: joint positions that select the orientation of the hand, one of several solutions, and
+        the start on the circle: its point nearest to the hand there [rad or m].
     - `duration`: from rest to rest [s].
     - `normal`: of the circle's plane, in frame 0. Turns are positive about it.
     - `turns`: how many times around.
-    - `point`: of the last link's frame, which goes around [m].
-    - `keep_orientation`: the hand is not turned; needs six joints. Otherwise it turns as it likes.
+    - `point`: the moving point, in the last link's frame [m].
+    - `keep_orientation`: the hand keeps its orientation; needs six joints. Otherwise the
+        orientation is free.
     - `interval`: between rows [s].
 
     **Returns**
 
-    A path that begins at its own `start`. Joints move as little as can be from row to row, so that
-    an arm with joints to spare need not end as it began.
+    A path that begins at its `start`. Each row is the solution nearest to the previous one, so that
+    a redundant arm need not end in its initial configuration.
 
     **Raises**
 
-    - `MachineError`: the circle cannot be reached, a joint leaves its range or turns over; with the
-        time.
+    - `MachineError`: the circle cannot be reached, a joint leaves its range or passes a singular
+        pose; with the time.
 
     >>> import numpy as np
     >>> import sim
     >>> near = np.array([0.0, -0.5, 2.9, 0.0, 0.8, 0.0])
     >>> path = sim.circle(sim.puma560(), (0.6, 0.15, -0.1), 0.1, near=near, duration=0.5)
-    >>> place, _ = sim.Hand.of(sim.puma560().robot).locate(path.q)
-    >>> bool(np.allclose(np.linalg.norm(place - [0.6, 0.15, -0.1], axis=1), 0.1))
+    >>> point, _ = sim.Hand.of(sim.puma560().robot).locate(path.q)
+    >>> bool(np.allclose(np.linalg.norm(point - [0.6, 0.15, -0.1], axis=1), 0.1))
     True
     """
     from scipy.interpolate import make_interp_spline  # loading it takes a while
@@ -88,13 +89,13 @@ def circle(
     rows = round(duration / interval) + 1
     time = interval * np.arange(rows)
     angle = 2 * np.pi * turns * minimum_jerk(np.linspace(0.0, 1.0, rows))[:, None]
-    places = middle + radius * (np.cos(angle) * first + np.sin(angle) * second)
+    targets = middle + radius * (np.cos(angle) * first + np.sin(angle) * second)
     rotation = np.asarray(hand.turn(near)[0]) if keep_orientation else None
 
     q, guess = np.empty((rows, n)), near
-    for row, place in enumerate(places):
+    for row, target in enumerate(targets):
         try:
-            q[row] = reach(hand, place, rotation, guess)
+            q[row] = reach(hand, target, rotation, guess)
         except MachineError as error:
             raise MachineError(f"circle, {time[row]:.4g} s: {error}") from None
         guess = q[row]
@@ -120,7 +121,7 @@ def go_to(
         no range.
     - `seed`: the same seed gives the same motion.
     - `speed`: the largest speed of each joint; one of them reaches it [rad/s or m/s].
-    - `margin`: how much of a range is left free at either end, as a part of it.
+    - `margin`: part of a range that is excluded at either end.
 
     **Returns**
 
@@ -157,8 +158,8 @@ def _plane(
     if not length > 0:
         raise MachineError("circle: its normal is zero; expected a direction")
     normal = normal / length
-    across = [each - normal * (normal @ each) for each in (towards, *np.eye(3))]
-    first = next(each for each in across if np.linalg.norm(each) > 1e-6)
+    across = [vector - normal * (normal @ vector) for vector in (towards, *np.eye(3))]
+    first = next(vector for vector in across if np.linalg.norm(vector) > 1e-6)
     first = first / float(np.linalg.norm(first))
     return first, np.cross(normal, first)
 

@@ -11,14 +11,14 @@ from ._arrays import Array, namespace, spread
 
 
 class AbstractPath(abc.ABC):
-    """Where the joints should be, as a function of the time and of where they were at first."""
+    """Desired joint motion as a function of the time and of the initial positions."""
 
     @abc.abstractmethod
     def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
     ) -> Reference:
-        """Positions, velocities and accelerations at `time` [s] on the way from `origin`, where the
-        joints rest at time 0 [rad or m]."""
+        """Positions, velocities and accelerations at `time` [s] of the path from `origin`, the
+        joint positions at rest at time 0 [rad or m]."""
 
     def position(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
@@ -42,7 +42,7 @@ class MinimumJerk(AbstractPath):
     """Where the path ends [rad or m]."""
 
     duration: float
-    """[s]; afterwards the end is held."""
+    """[s]; afterwards the path stays at `end`."""
 
     def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
@@ -59,8 +59,8 @@ class MinimumJerk(AbstractPath):
 class ViaPoints(AbstractPath):
     """From pose to pose, each time from rest to rest along `minimum_jerk`, with a stay at each.
 
-    With a first axis of machines in all three tables, each machine has a way of its own, as many
-    poses long.
+    With a first axis of machines in all three tables, each machine has its path, all of as many
+    poses.
 
     >>> import numpy as np
     >>> from sim import ViaPoints
@@ -76,13 +76,13 @@ class ViaPoints(AbstractPath):
     """
 
     poses: Float[np.ndarray, "*machines poses joints"]
-    """Where it stops [rad or m]."""
+    """The via points [rad or m]."""
 
     durations: Float[np.ndarray, "... _"]
-    """Of the way to each pose [s]."""
+    """Of the motion to each pose [s]."""
 
     stays: Float[np.ndarray, "... _"]
-    """How long it stays there before it goes on [s]; the last pose is held for ever."""
+    """Time at rest at each pose [s]; the path stays at the last one."""
 
     def __post_init__(self) -> None:
         shape, count = self.poses.shape[:-1], self.poses.shape[-2]
@@ -104,24 +104,25 @@ class ViaPoints(AbstractPath):
     ) -> Reference:
         """As the abstract method."""
         alike = self.poses.ndim == 2
-        own = spread if alike else _of_each
-        duration = own(self.durations, time)
-        first = own(self.poses[..., 0, :], origin) - origin
-        rest = namespace(origin).asarray(np.diff(self.poses, axis=-2), dtype=origin.dtype)
-        s, rate, change = _minimum_jerk(1 + (time - own(self.arrivals, time)) / duration)
+        broadcast = spread if alike else _rows
+        duration = broadcast(self.durations, time)
+        first = broadcast(self.poses[..., 0, :], origin) - origin
+        segments = namespace(origin).asarray(np.diff(self.poses, axis=-2), dtype=origin.dtype)
+        s, rate, change = _minimum_jerk(1 + (time - broadcast(self.arrivals, time)) / duration)
 
-        def along(each: Array) -> Array:
-            later = each[..., 1:] @ rest if alike else (each[..., None, 1:] @ rest)[..., 0, :]
-            return first * each[..., :1] + later
+        def along(parts: Array) -> Array:
+            later = parts[..., 1:]
+            later = later @ segments if alike else (later[..., None, :] @ segments)[..., 0, :]
+            return first * parts[..., :1] + later
 
         return Reference(origin + along(s), along(rate / duration), along(change / duration**2))
 
 
 @dataclass(frozen=True, eq=False)
 class Oscillation(AbstractPath):
-    """A sinusoid about a mean, for ever: mean − amplitude cos(2π time / period).
+    """An endless sinusoid about a mean: mean − amplitude cos(2π time / period).
 
-    It begins at rest at mean − amplitude, wherever the joints are found.
+    It begins at rest at mean − amplitude, whatever the initial positions.
 
     >>> import numpy as np
     >>> from sim import Oscillation
@@ -134,7 +135,7 @@ class Oscillation(AbstractPath):
     """[rad or m]."""
 
     amplitude: Float[np.ndarray, " joints"]
-    """[rad or m]; zero for a joint that is to be held."""
+    """[rad or m]; zero for a joint that is to stay at its mean."""
 
     period: float
     """[s]."""
@@ -155,9 +156,9 @@ class Oscillation(AbstractPath):
 
 @dataclass(frozen=True, eq=False)
 class SampledPath(AbstractPath):
-    """A path that was computed beforehand, row by row; the last row is held.
+    """A precomputed path, row by row; after the last row it stays there.
 
-    It begins at its own first row, wherever the joints are found.
+    It begins at its first row, whatever the initial positions.
 
     >>> import numpy as np
     >>> from sim import SampledPath
@@ -181,7 +182,7 @@ class SampledPath(AbstractPath):
     """[rad/s² or m/s²]."""
 
     interval: float = 0.002
-    """Between rows [s]. At times between two rows it is at the nearer one."""
+    """Between rows [s]. Times between two rows are rounded to the nearer one."""
 
     def __post_init__(self) -> None:
         if not self.q.shape == self.qd.shape == self.qdd.shape:
@@ -192,7 +193,7 @@ class SampledPath(AbstractPath):
 
     @property
     def start(self) -> Float[np.ndarray, " joints"]:
-        """Where it begins [rad or m]."""
+        """The first row [rad or m]."""
         return self.q[0]
 
     @property
@@ -227,7 +228,7 @@ def minimum_jerk(s: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return _minimum_jerk(s)[0]
 
 
-def _of_each(values: np.ndarray, like: Array) -> Array:
+def _rows(values: np.ndarray, like: Array) -> Array:
     """A row for each row of another array (machines, n), in its library and of its type."""
     return namespace(like).asarray(values, dtype=like.dtype)
 

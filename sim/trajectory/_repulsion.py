@@ -10,13 +10,13 @@ from ._arrays import Array, namespace, spread
 from ._kinematics import Hand
 
 
-# How many widths beyond its bound a repulsion goes on growing: it ends threefold, not infinite.
+# Widths beyond its bound over which a repulsion still grows: at most by a factor e.
 _DEEPEST = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Repulsion(AbstractPositionTorque):
-    """Away from the ends of each joint's range.
+    """Repulsive torque from the ends of each joint's range.
 
     >>> import numpy as np
     >>> from sim import Repulsion
@@ -48,12 +48,11 @@ class Repulsion(AbstractPositionTorque):
 
 @dataclass(frozen=True, eq=False)
 class HandRepulsion(AbstractPositionTorque):
-    """Keeps the hand off the floor and off the arm's own trunk.
+    """Repulsion of the hand from the floor and from the arm's trunk.
 
-    A force on the hand, and so the torques that it takes to exert it there, Jᵀ F. It is minus the
-    gradient of a potential: `strength` times `width` times exp(−clearance / width), one for the
-    floor and one for the trunk, a cylinder about axis 1 that stands on the floor. The z axis of
-    frame 0 points up.
+    The torque is Jᵀ F of a force F on the hand, which is minus the gradient of a
+    potential: `strength` times `width` times exp(−clearance / width), one for the floor and one for
+    the trunk, a cylinder about axis 1 that stands on the floor. The z axis of frame 0 points up.
 
     >>> import numpy as np
     >>> import jaxcslc
@@ -69,7 +68,7 @@ class HandRepulsion(AbstractPositionTorque):
     """
 
     hand: Hand
-    """The point that is kept off."""
+    """The repelled point."""
 
     floor: float
     """Its height in frame 0 [m]."""
@@ -109,11 +108,11 @@ class HandRepulsion(AbstractPositionTorque):
     def torque(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
         """As the abstract method."""
         xp = namespace(q)
-        place, jacobian = self.hand.locate(q)
-        clearance = self._clearance(place)
+        point, jacobian = self.hand.locate(q)
+        clearance = self._clearance(point)
         size = self.strength * xp.exp(xp.clip(-clearance / self.width, None, _DEEPEST))
         floor, trunk = size[..., 0], size[..., 1]
-        x, y, z = place[..., 0], place[..., 1], place[..., 2]
+        x, y, z = point[..., 0], point[..., 1], point[..., 2]
         radius = xp.hypot(x, y)
         # Shares of the trunk's side and of its top; on axis 1 itself the side has no direction.
         above = xp.exp((z - self.trunk_top) / self.width - clearance[..., 1] / self.width)
@@ -122,9 +121,9 @@ class HandRepulsion(AbstractPositionTorque):
         return xp.sum(jacobian * force[..., None], axis=-2)
 
     @no_type_check
-    def _clearance(self, place: Array) -> Array:
-        xp = namespace(place)
-        beside = xp.hypot(place[..., 0], place[..., 1]) - self.trunk_radius
-        above = place[..., 2] - self.trunk_top
+    def _clearance(self, point: Array) -> Array:
+        xp = namespace(point)
+        beside = xp.hypot(point[..., 0], point[..., 1]) - self.trunk_radius
+        above = point[..., 2] - self.trunk_top
         trunk = self.width * xp.logaddexp(beside / self.width, above / self.width)
-        return xp.stack([place[..., 2] - self.floor, trunk], axis=-1)
+        return xp.stack([point[..., 2] - self.floor, trunk], axis=-1)

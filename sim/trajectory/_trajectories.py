@@ -14,8 +14,8 @@ from ._repulsion import HandRepulsion, Repulsion
 
 # The PUMA 560 around the frames of Fig. 2.6-3, in metres; not in the thesis. Frame 0 is at the
 # height of the shoulder. Column and flange are as commonly published; the trunk is a choice that
-# contains the column and what the upper arm's rear end sweeps, and leaves the arm room to stand
-# upright. The hand cannot reach the upper arm: at either end of joint 3's range, the flange is
+# contains the column and the volume that the upper arm's rear end sweeps, and permits the upright
+# arm. The hand cannot reach the upper arm: at either end of joint 3's range, the flange is
 # still 0.24 m or more from its middle line.
 _FLOOR = -0.6718
 FLANGE = 0.05625
@@ -25,12 +25,12 @@ _TRUNK_TOP = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What a machine is asked to do, and for how long it is watched."""
+    """The task of a simulation: start, controller, desired path, duration, loads and faults."""
 
     name: str
 
     start: Float[np.ndarray, " joints"]
-    """Where the joints rest at time 0 [rad or m]."""
+    """Joint positions at time 0, at rest [rad or m]."""
 
     controller: AbstractController
 
@@ -38,19 +38,19 @@ class Trajectory:
     """How many samples are recorded, the first at time 0."""
 
     sample_interval: float = 0.002
-    """Between samples; the demand is updated at each of them and held in between [s] (7.4)."""
+    """Between samples; the demand is updated at each of them and constant in between [s] (7.4)."""
 
     loads: tuple[Load, ...] = ()
-    """What the last link carries, and when."""
+    """Bodies that the last link carries, with times."""
 
     faults: tuple[Fault, ...] = ()
-    """What goes wrong, and when."""
+    """Faults of encoders and drives, with times."""
 
     path: AbstractPath | None = None
-    """The desired motion, from where the encoders read the arm at first; None to stay there."""
+    """The desired motion, from the first encoder readings; None to stay there."""
 
     per_machine: bool = False
-    """Whether each machine has a controller of its own. Every array in `controller` then has a
+    """Whether each machine has its controller. Every array in `controller` then has a
     leading axis of machines, and each controller gets one machine's readings, (joints,). Otherwise
     one controller gets those of all machines, (machines, joints)."""
 
@@ -79,8 +79,8 @@ def training(
     gravity compensation and repulsions: from the ends of the joints' ranges, and of the flange from
     the floor and from the trunk. The last two periods are restored from a damaged scan; the last
     amplitude is reconstructed (the scan's 60 N m cannot be), and so are form and size of the
-    repulsions. As it stands, the flange keeps 0.9 m from the floor and 0.25 m from the trunk, where
-    their repulsion is a hundredth of a newton metre.
+    repulsions. With the defaults, the flange keeps 0.9 m from the floor and 0.25 m from the
+    trunk, where their repulsion is a hundredth of a newton metre.
 
     **Arguments**
 
@@ -121,9 +121,9 @@ def comparison(*, duration: float = 2.5) -> Trajectory:
     """The PUMA 560's comparison trajectory of 7.4.2: from rest to rest, every joint by 90°.
 
     From (0, −π/2, π/2, 0, 0, 0) to (−π/2, 0, 0, π/2, π/2, π/2) rad under PID control with the
-    thesis's gains and the abbreviated gravity compensation. The shape of the path is not given:
-    minimum jerk is a reconstruction that brings about the reported torques, and so is the sixth
-    integral gain.
+    thesis's gains and the abbreviated gravity compensation. The thesis does not give the shape of
+    the path: minimum jerk is a reconstruction that reproduces the reported torques, and so is the
+    sixth integral gain.
 
     **Arguments**
 

@@ -18,13 +18,13 @@ EARLY = 3
 # mean square this many times, which noise alone does once in 10^10 samples.
 ONSET_SHARE = 0.15
 ONSET_NOISE = 5.0
-# What of a profile lies this far below the whole is taken to be this far below [dB].
+# Lower limit of a profile's coefficients, relative to the total [dB].
 FLOOR = -50.0
 
-# The transducers hear nothing from further off; what seems to be is two echoes taken for one.
+# The transducers receive nothing from larger angles; such an estimate comes from two echoes.
 _WIDEST = math.radians(30)
 
-# Inputs are (value - middle) / half width of what the scene can give, so about -1 to 1.
+# Inputs are (value - middle) / half width of the scene's range, so about -1 to 1.
 _ANGLE = (0.0, math.radians(15))
 _DISTANCE = (1.5, 0.9)  # m
 _POWER = (-70.0, 25.0)  # dB
@@ -33,7 +33,7 @@ _PROFILE = (0.5 * FLOOR, -0.5 * FLOOR)  # dB
 
 @dataclass(frozen=True, eq=False)
 class Echoes:
-    """Patterns of a robot's two ultrasound receivers and of what stood before it (thesis 6.3.1)."""
+    """Patterns of a robot's two ultrasound receivers and the objects before it (thesis 6.3.1)."""
 
     inputs: Float[np.ndarray, "patterns 25"]
     """Angle off the robot's centre line, distance, power, and eleven coefficients each of the left
@@ -57,19 +57,19 @@ class Echoes:
     @property
     def training(self) -> "Echoes":
         """The patterns of the training set alone."""
-        return self._only(self.trains)
+        return self._subset(self.trains)
 
     @property
     def comparison(self) -> "Echoes":
         """The patterns of the comparison set alone."""
-        return self._only(~self.trains)
+        return self._subset(~self.trains)
 
-    def _only(self, chosen: Bool[np.ndarray, " patterns"]) -> "Echoes":
+    def _subset(self, mask: Bool[np.ndarray, " patterns"]) -> "Echoes":
         return Echoes(
-            self.inputs[chosen],
-            self.targets[chosen],
-            self.kind[chosen],
-            self.trains[chosen],
+            self.inputs[mask],
+            self.targets[mask],
+            self.kind[mask],
+            self.trains[mask],
             self.names,
             self.kinds,
         )
@@ -79,27 +79,26 @@ def ultrasound(
     *,
     seed: int = 0,
     patterns: int = 5000,
-    training_each: int = 315,
+    training_per_kind: int = 315,
     noise: float = 2e-4,
     sonar: Sonar | None = None,
 ) -> Echoes:
     """Simulates the ultrasound object identification problem of section 6.3.1.
 
-    A robot stands still and fires once a pattern at a single object of one of ten kinds. Range,
-    bearing, attitude and size of the object are random; what its two receivers pick up follows from
+    A robot at rest emits one pulse a pattern at a single object of one of ten kinds. Range,
+    bearing, attitude and size of the object are random; the received signals follow from
     geometrical acoustics, edge diffraction, spreading, the air's absorption, the transducers'
-    directivity and noise. `docs/ultrasound.md` has the numbers and what is left out. The thesis's
-    own recordings [Sillitoe & Elomaa 1994] were not published with it: kinds and numbers are
-    choices.
+    directivity and noise. `docs/ultrasound.md` has the numbers and the omissions. The thesis's
+    recordings [Sillitoe & Elomaa 1994] were not published with it: kinds and numbers are choices.
 
     **Arguments**
 
-    - `seed`: of objects, noise and order, each drawn from its own stream.
+    - `seed`: of objects, noise and order, each from a separate random stream.
     - `patterns`: in all; each kind has as many as the others, or one more.
-    - `training_each`: of these, how many of each kind are to train on. The rest are to compare on.
+    - `training_per_kind`: number of training patterns of each kind. The others are for comparison.
     - `noise`: root mean square at a receiver over that of the emitter's tone at 1 m. The default is
       a sound pressure level of 30 dB beside an emitter of 104 dB.
-    - `sonar`: another one, or other air.
+    - `sonar`: dimensions, transducers and air; the defaults if omitted.
 
     **Raises**
 
@@ -116,12 +115,12 @@ def ultrasound(
     """
     sonar = Sonar() if sonar is None else sonar
     count = len(KINDS)
-    if training_each < 1:
-        raise ValueError(f"training_each is {training_each}; expected one or more")
-    if patterns < count * training_each:
+    if training_per_kind < 1:
+        raise ValueError(f"training_per_kind is {training_per_kind}; expected one or more")
+    if patterns < count * training_per_kind:
         raise ValueError(
-            f"patterns is {patterns}; expected {count * training_each} or more, for"
-            f" {training_each} of each of {count} kinds to train on"
+            f"patterns is {patterns}; expected {count * training_per_kind} or more, for"
+            f" {training_per_kind} of each of {count} kinds to train on"
         )
     if not 0 <= noise < math.inf:
         raise ValueError(f"noise is {noise}; expected a finite number, zero or more")
@@ -135,7 +134,7 @@ def ultrasound(
         inputs[rows] = features(sonar, start, signal, noise)
     shuffled = order.permutation(patterns)
     inputs, kind = inputs[shuffled], kind[shuffled]
-    # The first so many of each kind, in an order that is random already.
+    # The first patterns of each kind, in an order that is random already.
     rank = np.empty(patterns, dtype=np.int64)
     for number in range(count):
         rows = np.flatnonzero(kind == number)
@@ -144,7 +143,7 @@ def ultrasound(
         inputs=inputs,
         targets=np.where(kind[:, None] == np.arange(count), 1.0, -1.0),
         kind=kind,
-        trains=rank < training_each,
+        trains=rank < training_per_kind,
         names=_names(),
         kinds=tuple(KINDS),
     )
@@ -170,17 +169,17 @@ def features(
     signal: Complex[np.ndarray, "patterns 2 samples"],
     noise: float,
 ) -> Float[np.ndarray, "patterns 25"]:
-    """The network's inputs, from nothing but the two received signals.
+    """The network's inputs, from the two received signals alone.
 
     `start` is when the records begin after the emission [s], `noise` the root mean square of the
-    receivers' noise, which a robot knows from listening without firing.
+    receivers' noise, which a robot can measure without emitting.
     """
     envelope = np.abs(signal)
-    arrival, found = onset(sonar, start, envelope, noise)
+    arrival, crossing = onset(sonar, start, envelope, noise)
     angle, distance = position(sonar, sonar.speed_of_sound * arrival)
     # Energy from the beginning of the record on, at the end of every sample.
     energy = np.cumsum(envelope**2, axis=-1)
-    edges = (found - start[:, None])[..., None] + WINDOW * (np.arange(COEFFICIENTS + 1) - EARLY)
+    edges = (crossing - start[:, None])[..., None] + WINDOW * (np.arange(COEFFICIENTS + 1) - EARLY)
     share = np.maximum(np.diff(_between(energy, edges / sonar.sampling), axis=-1), 0.0)
     total = share.sum(axis=-1, keepdims=True)
     profile = _decibel(np.maximum(share / total, 10 ** (FLOOR / 10)))
@@ -238,11 +237,11 @@ def _decibel(power: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
 
 
 def _between(
-    values: Float[np.ndarray, "patterns 2 samples"], place: Float[np.ndarray, "patterns 2 places"]
-) -> Float[np.ndarray, "patterns 2 places"]:
-    """Values at places between samples, the first of which is 0, by straight lines."""
-    whole = np.clip(np.floor(place).astype(np.int64), 0, values.shape[-1] - 2)
-    part = np.clip(place - whole, 0.0, 1.0)
+    values: Float[np.ndarray, "patterns 2 samples"], index: Float[np.ndarray, "patterns 2 windows"]
+) -> Float[np.ndarray, "patterns 2 windows"]:
+    """Values at fractional sample indices, by linear interpolation."""
+    whole = np.clip(np.floor(index).astype(np.int64), 0, values.shape[-1] - 2)
+    part = np.clip(index - whole, 0.0, 1.0)
     below = np.take_along_axis(values, whole, axis=-1)
     above = np.take_along_axis(values, whole + 1, axis=-1)
     return below + part * (above - below)

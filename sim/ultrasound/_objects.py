@@ -1,8 +1,8 @@
-"""The ten kinds of object: what each is drawn as, and how sound comes back from it.
+"""The ten kinds of object: random dimensions, and the paths of their echoes.
 
 Each kind is a function of a sonar, a random generator and a number of patterns. Sizes are in metres
-and angles in radians, uniform in the ranges named at the top. Sound that meets two objects, or the
-floor (but for the kerb's), is left out.
+and angles in radians, uniform in the ranges named at the top. Reflections by two objects, or by
+the floor (but for the kerb's), are left out.
 """
 
 import math
@@ -23,8 +23,8 @@ BEARING = (-math.radians(15), math.radians(15))
 
 # Pressure reflection coefficient of what is hard: painted or papered wall, wood, stone.
 REFLECTION = (0.7, 1.0)
-# Of the line that halves an edge or corner, off the line of sight: within it, a face of a box is
-# never met squarely, and neither is a face of a corner, which is too short for that.
+# Angle between the bisector of an edge or corner and the line of sight: within it, no face of a
+# box or of a corner has specular reflection.
 SKEW = (-math.radians(25), math.radians(25))
 BOX_FACE = (0.1, 0.4)
 CORNER_FACE = (0.12, 0.25)
@@ -33,7 +33,7 @@ COLUMN_RADIUS = (0.06, 0.25)  # from a drainpipe to a pillar
 BALL_RADIUS = (0.05, 0.2)  # from a small ball to a football's double
 BALL_HEIGHT = (-0.1, 0.1)  # of its centre over the sonar
 PAIR_SPACING = (0.08, 0.3)  # from chair legs to railings
-PAIR_TURN = (-math.radians(60), math.radians(60))  # more, and one would hide the other
+PAIR_TURN = (-math.radians(60), math.radians(60))  # beyond, one would occlude the other
 DOORWAY_WIDTH = (0.3, 0.8)
 DOORWAY_TURN = (-math.radians(15), math.radians(15))
 KERB_HEIGHT = (0.08, 0.2)  # from a pavement's to a stair's
@@ -43,7 +43,7 @@ BUSH_DEPTH = (0.1, 0.35)
 # A flat leaf of area A that faces the sonar has a strength A / wavelength, 0.1 m for 30 by 30 mm;
 # one that does not, far less. The root mean square of a leaf's strength:
 LEAF_STRENGTH = (0.005, 0.02)
-# Depth over which leaves before take away 8.7 dB there and back, as a share of the bush's depth.
+# Depth of leaves that attenuates by 8.7 dB there and back, as a share of the bush's depth.
 BUSH_SHADE = 0.7
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -51,7 +51,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 Draw = Callable[[Sonar, np.random.Generator, int], EchoPaths]
 
 
-def _place(rng: np.random.Generator, n: int) -> Float[np.ndarray, "patterns 3"]:
+def _nearest_point(rng: np.random.Generator, n: int) -> Float[np.ndarray, "patterns 3"]:
     distance, bearing = rng.uniform(*RANGE, n), rng.uniform(*BEARING, n)
     return np.stack([distance * np.cos(bearing), distance * np.sin(bearing), np.zeros(n)], axis=-1)
 
@@ -75,12 +75,12 @@ def _upright(at: Float[np.ndarray, "patterns 3"]) -> Float[np.ndarray, "patterns
 
 def wall(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """A plane wall with its ends out of the field."""
-    return plane(sonar, _place(rng, n), rng.uniform(*REFLECTION, n))
+    return plane(sonar, _nearest_point(rng, n), rng.uniform(*REFLECTION, n))
 
 
 def corner(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """A concave right-angled corner of two boards: both in turn, and the boards' ends."""
-    at, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    at, reflection = _nearest_point(rng, n), rng.uniform(*REFLECTION, n)
     middle = _turned(_unit(-at), rng.uniform(*SKEW, n))
     paths = vertical_corner(sonar, at, reflection)
     for side in (1, -1):
@@ -93,7 +93,7 @@ def corner(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
 
 def box_edge(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """A convex right-angled edge of a box, and the far edges of the two faces seen."""
-    at, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    at, reflection = _nearest_point(rng, n), rng.uniform(*REFLECTION, n)
     middle = _turned(_unit(-at), rng.uniform(*SKEW, n))
     box = {"exterior": 1.5 * math.pi}
     left, right = (_turned(middle, np.full(n, side * 0.75 * math.pi)) for side in (1, -1))
@@ -108,12 +108,12 @@ def box_edge(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
 
 def pole(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """A thin vertical cylinder."""
-    return _cylinder(sonar, _place(rng, n), rng.uniform(*POLE_RADIUS, n), rng)
+    return _cylinder(sonar, _nearest_point(rng, n), rng.uniform(*POLE_RADIUS, n), rng)
 
 
 def column(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """A thick vertical cylinder."""
-    return _cylinder(sonar, _place(rng, n), rng.uniform(*COLUMN_RADIUS, n), rng)
+    return _cylinder(sonar, _nearest_point(rng, n), rng.uniform(*COLUMN_RADIUS, n), rng)
 
 
 def _cylinder(
@@ -128,14 +128,14 @@ def _cylinder(
 
 def ball(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """A sphere."""
-    nearest, radius = _place(rng, n), rng.uniform(*BALL_RADIUS, n)
+    nearest, radius = _nearest_point(rng, n), rng.uniform(*BALL_RADIUS, n)
     centre = nearest + radius[:, None] * _unit(nearest) + rng.uniform(*BALL_HEIGHT, (n, 1)) * _UP
     return curved(sonar, centre, radius, rng.uniform(*REFLECTION, n), sphere=True)
 
 
 def pair(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """Two thin vertical cylinders side by side, about equally strong."""
-    middle, radius = _place(rng, n), rng.uniform(*POLE_RADIUS, n)
+    middle, radius = _nearest_point(rng, n), rng.uniform(*POLE_RADIUS, n)
     across = _turned(_unit(middle), math.pi / 2 + rng.uniform(*PAIR_TURN, n))
     half = 0.5 * rng.uniform(*PAIR_SPACING, n)[:, None] * across
     return _cylinder(sonar, middle + half, radius, rng) + _cylinder(
@@ -145,7 +145,7 @@ def pair(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
 
 def doorway(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """An opening in a wall: both its edges, and the wall where it is met squarely."""
-    middle, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    middle, reflection = _nearest_point(rng, n), rng.uniform(*REFLECTION, n)
     normal = _turned(-_unit(middle), rng.uniform(*DOORWAY_TURN, n))
     across = _turned(normal, np.full(n, -math.pi / 2))
     half = 0.5 * rng.uniform(*DOORWAY_WIDTH, n)
@@ -161,7 +161,7 @@ def doorway(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
 
 def kerb(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """A step in the floor: its upper edge, and its riser together with the floor before it."""
-    foot, reflection = _place(rng, n), rng.uniform(*REFLECTION, n)
+    foot, reflection = _nearest_point(rng, n), rng.uniform(*REFLECTION, n)
     outward = -_unit(foot)
     below = sonar.height - rng.uniform(*KERB_HEIGHT, n)[:, None]
     down = np.broadcast_to(-_UP, foot.shape)
@@ -175,7 +175,7 @@ def kerb(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
 
 def bush(sonar: Sonar, rng: np.random.Generator, n: int) -> EchoPaths:
     """Leaves throughout a volume, those behind in the shade of those before."""
-    front, size = _place(rng, n)[:, None], (n, BUSH_LEAVES)
+    front, size = _nearest_point(rng, n)[:, None], (n, BUSH_LEAVES)
     ahead = front / np.sqrt(np.sum(front**2, axis=-1, keepdims=True))
     across = np.stack([-ahead[..., 1], ahead[..., 0], ahead[..., 2]], axis=-1)
     into = rng.uniform(size=size)

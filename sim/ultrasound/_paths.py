@@ -1,4 +1,4 @@
-"""How sound comes back from surfaces, edges and points: geometrical acoustics and diffraction.
+"""Echo paths of surfaces, edges and points: geometrical acoustics and diffraction.
 
 Points have the axis "3" last and are in the sonar's frame. Every function gives one path to each
 receiver for a batch of objects, or, for `scattered`, one a scatterer.
@@ -73,7 +73,7 @@ def vertical_corner(
 ) -> EchoPaths:
     """Reflection by both faces of a vertical right-angled corner one after the other.
 
-    The image in both is the point opposite about the corner's line, whatever way the corner faces.
+    The image in both is the point opposite about the corner's line, for any orientation.
     """
     return mirrored(sonar, 2 * corner, 2 * corner[:, None] - sonar.receivers, reflection**2)
 
@@ -200,7 +200,7 @@ def scattered(
     points: Float[np.ndarray, "patterns paths 3"],
     strength: Float[np.ndarray, "patterns paths"],
 ) -> EchoPaths:
-    """Small things, each of which scatters alike in all directions.
+    """Point scatterers, each isotropic.
 
     `strength` [m] is the scattered pressure 1 m away over the incident pressure.
     """

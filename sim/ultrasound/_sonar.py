@@ -7,8 +7,8 @@ from scipy.signal import lfilter
 from scipy.special import j1
 
 
-# The record begins this long before the first echo and ends this long after it [s]: room for the
-# eleven windows of a profile behind an onset that is found late.
+# The record begins this long before the first echo and ends this long after it [s]: enough for
+# the eleven windows of a profile behind a late onset.
 BEFORE = 0.8e-3
 AFTER = 4.5e-3
 
@@ -77,13 +77,13 @@ class Sonar:
 
     @property
     def receivers(self) -> Float[np.ndarray, "2 3"]:
-        """Where the receivers are [m], left and right."""
+        """Positions of the receivers [m], left and right."""
         return np.array([[0.0, self.offset, 0.0], [0.0, -self.offset, 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class EchoPaths:
-    """The ways that sound takes from the emitter over an object to the left and right receiver."""
+    """Sound paths from the emitter by an object to the left and right receiver."""
 
     length: Float[np.ndarray, "patterns paths 2"]
     """[m]."""
@@ -99,7 +99,7 @@ class EchoPaths:
     """Cosine of the angle between receiver's axis and path."""
 
     def __add__(self, other: "EchoPaths") -> "EchoPaths":
-        """Both objects' paths, as if neither stood in the other's way."""
+        """Both objects' paths, without occlusion."""
         mine, theirs = vars(self), vars(other)
         return EchoPaths(**{name: np.concatenate([mine[name], theirs[name]], 1) for name in mine})
 
@@ -108,7 +108,7 @@ def absorption(frequency: float, temperature: float, humidity: float) -> float:
     """Absorption of sound in air at standard pressure [dB/m], by ISO 9613-1.
 
     Classical absorption, and the relaxations of oxygen and nitrogen, which water vapour hastens.
-    Frequency in Hz, temperature in °C, relative humidity in %. The standard vouches for up to
+    Frequency in Hz, temperature in °C, relative humidity in %. The standard is valid up to
     10 kHz; ANSI S1.26 has the same formula for up to 1 MHz, to within a tenth.
     """
     kelvin = temperature + 273.15
@@ -147,7 +147,7 @@ def pulse(sonar: Sonar, t: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*b
 
 
 def amplitude(sonar: Sonar, paths: EchoPaths) -> Complex[np.ndarray, "patterns paths 2"]:
-    """What each path makes of a tone of unit pressure 1 m before the emitter: gain, absorption,
+    """Each path's response to a tone of unit pressure 1 m before the emitter: gain, absorption,
     the emitter's and the receiver's directivity, and phase."""
     loss = 10 ** (-sonar.absorption * paths.length / 20)
     beams = directivity(sonar, paths.departure) * directivity(sonar, paths.arrival)
@@ -161,7 +161,7 @@ def received(
     on, as sums of the echoes of all paths. Both receivers share a clock."""
     size = amplitude(sonar, paths)
     delay = paths.length / sonar.speed_of_sound
-    # A path without sound is no echo: it does not say when the record begins.
+    # A path without sound is no echo: it does not affect when the record begins.
     first = np.where(size == 0, np.inf, delay).min(axis=(1, 2))
     start = sonar.sampling * np.floor((first - BEFORE) / sonar.sampling)
     after = sonar.sampling * np.arange(math.ceil((BEFORE + AFTER) / sonar.sampling))
@@ -178,7 +178,7 @@ def receiver_noise(
     """Noise of unit mean square, limited to a receiver's band; the last axis is time."""
     white = rng.normal(scale=math.sqrt(0.5), size=(*shape, 2)).view(np.complex128)[..., 0]
     kept = math.exp(-math.pi * sonar.bandwidth * sonar.sampling)
-    # Filtered from its own stationary state on, so that it is as loud at the start as later.
+    # Filtered from the stationary state on, so that the variance is constant.
     fresh = math.sqrt(1 - kept**2)
     begin = (1 - fresh) * white[..., :1]
     return lfilter([fresh], [1.0, -kept], white, axis=-1, zi=begin)[0]

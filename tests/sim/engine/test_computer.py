@@ -75,14 +75,14 @@ def test_the_computer_does_what_the_controller_does(rng: np.random.Generator):
     )
     q = rng.normal(size=(3, 2))
     torques, state = _steps(_computer(loop, PATH), q)
-    own = loop.begin(jnp.asarray(q))
+    alone = loop.begin(jnp.asarray(q))
     for sample, torque in enumerate(torques):
         wanted = PATH.reference(np.full((3, 1), 0.002 * sample), q)
-        expected, own = loop.step(own, wanted, jnp.asarray(q + 0.01 * sample), 0.002)
+        expected, alone = loop.step(alone, wanted, jnp.asarray(q + 0.01 * sample), 0.002)
         assert isinstance(torque, np.ndarray)
         np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-12)
     np.testing.assert_array_equal(state.origin, q)
-    assert jax.tree_util.tree_structure(state.controller) == jax.tree_util.tree_structure(own)
+    assert jax.tree_util.tree_structure(state.controller) == jax.tree_util.tree_structure(alone)
 
 
 def test_one_controller_for_each_machine_is_each_alone(rng: np.random.Generator):
@@ -134,9 +134,9 @@ def test_transforms_go_through_the_computer():
 def test_an_arm_follows_a_path_with_estimated_velocities():
     """The comparison's gains behind a velocity estimate end where they do without one."""
     trajectory = sim.comparison()
-    own = trajectory.controller
-    assert isinstance(own, PID) and isinstance(trajectory.path, sim.MinimumJerk)
-    pid = PID(6, position_gain=own.position_gain, velocity_gain=own.velocity_gain)
+    original = trajectory.controller
+    assert isinstance(original, PID) and isinstance(trajectory.path, sim.MinimumJerk)
+    pid = PID(6, position_gain=original.position_gain, velocity_gain=original.velocity_gain)
     feedback = OutputFeedback(pid, LowPassChain(50.0, lags=2))
     _, truth = sim.simulate(
         sim.puma560(), dataclasses.replace(trajectory, controller=feedback), seed=1
@@ -145,9 +145,9 @@ def test_an_arm_follows_a_path_with_estimated_velocities():
 
 
 def test_what_a_controller_remembers_can_be_seen():
-    each = Proportional(jnp.full((2, 6), 100.0))
+    controllers = Proportional(jnp.full((2, 6), 100.0))
     trajectory = sim.Trajectory(
-        "seen", np.zeros(6), each, samples=8, path=_path(6), per_machine=True
+        "seen", np.zeros(6), controllers, samples=8, path=_path(6), per_machine=True
     )
     machines = [sim.puma560(), sim.specimen(sim.puma560(), 1)]
     results = sim.close_loop(machines, trajectory, [1, 2], observe=lambda state: {"asked": state})
@@ -161,7 +161,7 @@ def test_what_a_controller_remembers_can_be_seen():
         np.testing.assert_array_equal(recording.position, result.recording.position)
 
 
-def test_one_machine_that_leaves_its_range_is_told_among_the_others():
+def test_one_machine_that_leaves_its_range_is_named_among_the_others():
     narrow = dataclasses.replace(sim.puma560(), position_range=((-0.01, 0.01),) * 6)
     trajectory = dataclasses.replace(sim.comparison(), samples=5)
     one, other = sim.close_loop([sim.puma560(), narrow], trajectory, [1, 1])

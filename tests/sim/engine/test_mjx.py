@@ -75,8 +75,8 @@ def test_mjx_does_with_servos_loads_and_faults_what_mujoco_does(
     _agree(jobs)
     without = dataclasses.replace(trajectory, loads=(), faults=())
     (one, _), (other, _) = (
-        sim.record([job._replace(trajectory=each) for job in jobs])
-        for each in (trajectory, without)
+        sim.record([job._replace(trajectory=item) for job in jobs])
+        for item in (trajectory, without)
     )
     assert np.abs(one.truth.position - other.truth.position).max() > 1e-3
 

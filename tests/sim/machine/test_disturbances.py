@@ -61,7 +61,7 @@ def test_a_machine_keeps_its_own_static_friction():
     )
 
 
-def test_tilted_axes_are_wrong_by_a_known_amount():
+def test_tilted_axes_are_wrong_by_the_predicted_amount():
     """What a network of full tensors knows and one of principal axes does not."""
     import jaxcslc as jc
 
@@ -93,5 +93,5 @@ def test_tilted_axes_are_wrong_by_a_known_amount():
 
 
 def test_unknown_names_and_other_arms_are_refused():
-    with pytest.raises(sim.MachineError, match="no disturbance is called 'rust'; expected some of"):
+    with pytest.raises(sim.MachineError, match="unknown disturbance 'rust'; expected some of"):
         sim.disturbed(sim.puma560(), "rust")

@@ -1,4 +1,4 @@
-"""The motor's response (7.2.3): linear, bent, saturated; late by a known time."""
+"""The motor's response (7.2.3): linear, bent, saturated; delayed by a fixed time."""
 
 import dataclasses
 from collections.abc import Callable
@@ -18,8 +18,8 @@ def drives() -> sim.Drives:
 
 def test_response_is_its_formula(drives: sim.Drives, rng: np.random.Generator):
     demand = rng.uniform(-40, 40, size=(200, 2))
-    given = drives.torque(demand)
-    for u, (bent, cut) in zip(demand, given, strict=True):
+    response = drives.torque(demand)
+    for u, (bent, cut) in zip(demand, response, strict=True):
         size = abs(u[0])
         expected = size if size <= 10 else 10 + 10 * (1 - np.exp(-(size - 10) / 10))
         assert bent == pytest.approx(np.sign(u[0]) * expected, rel=1e-14)
@@ -31,8 +31,8 @@ def test_response_leaves_the_line_smoothly_and_never_exceeds_the_most(drives: si
     slopes = np.diff(drives.torque(np.stack([near, near], axis=1))[:, 0]) / np.diff(near)
     np.testing.assert_allclose(slopes, 1.0, atol=1e-4)
     ramp = np.linspace(0, 1e4, 5000)
-    given = drives.torque(np.stack([ramp, ramp], axis=1))
-    assert np.all(np.diff(given, axis=0) >= 0) and np.all(given <= [20.0, 15.0])
+    response = drives.torque(np.stack([ramp, ramp], axis=1))
+    assert np.all(np.diff(response, axis=0) >= 0) and np.all(response <= [20.0, 15.0])
     np.testing.assert_array_equal(drives.torque(np.zeros(2)), 0.0)
 
 

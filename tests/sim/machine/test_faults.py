@@ -1,4 +1,4 @@
-"""Faults: what the controller is given, what the drives do, and what the recording tells."""
+"""Faults: readings of the controller, torques of the drives, and the recording."""
 
 import dataclasses
 from collections.abc import Callable
@@ -34,28 +34,28 @@ def _watched(
     trajectory = sim.Trajectory("watched", np.zeros(1), Witness(), samples, faults=faults)
     machine = one_joint(inertia=0.1)
     (result,) = sim.close_loop(
-        [machine], trajectory, [0], observe=lambda state: {"given": state[1]}
+        [machine], trajectory, [0], observe=lambda state: {"reading": state[1]}
     )
     assert not isinstance(result, sim.SimulationError)
-    return result, result.observed["given"]
+    return result, result.observed["reading"]
 
 
-def test_without_faults_the_controller_is_given_what_is_recorded(
+def test_without_faults_the_controller_gets_the_recorded_readings(
     one_joint: Callable[..., sim.Machine],
 ):
-    result, given = _watched(one_joint)
-    np.testing.assert_array_equal(given, result.recording.position)
-    np.testing.assert_array_equal(given, result.truth.position)
+    result, reading = _watched(one_joint)
+    np.testing.assert_array_equal(reading, result.recording.position)
+    np.testing.assert_array_equal(reading, result.truth.position)
     assert not result.truth.lost.any()
 
 
 def test_lost_samples_are_not_numbers_and_the_recording_repeats_the_last(
     one_joint: Callable[..., sim.Machine],
 ):
-    result, given = _watched(one_joint, sim.Fault("lost samples", 1, 0.02, 0.03))
+    result, reading = _watched(one_joint, sim.Fault("lost samples", 1, 0.02, 0.03))
     lost = np.zeros((40, 1), bool)
     lost[10:15] = True
-    np.testing.assert_array_equal(np.isnan(given), lost)
+    np.testing.assert_array_equal(np.isnan(reading), lost)
     np.testing.assert_array_equal(result.truth.lost, lost)
     recorded, true = result.recording.position, result.truth.position
     np.testing.assert_array_equal(recorded[~lost], true[~lost])
@@ -63,12 +63,12 @@ def test_lost_samples_are_not_numbers_and_the_recording_repeats_the_last(
 
 
 def test_a_stuck_encoder_keeps_its_reading(one_joint: Callable[..., sim.Machine]):
-    result, given = _watched(one_joint, sim.Fault("stuck encoder", None, 0.02, 0.03))
+    result, reading = _watched(one_joint, sim.Fault("stuck encoder", None, 0.02, 0.03))
     true = result.truth.position
-    np.testing.assert_array_equal(given[10:15], np.broadcast_to(true[10], (5, 1)))
-    np.testing.assert_array_equal(given[15:], true[15:])
+    np.testing.assert_array_equal(reading[10:15], np.broadcast_to(true[10], (5, 1)))
+    np.testing.assert_array_equal(reading[15:], true[15:])
     assert np.all(np.diff(true[5:20, 0]) > 0)
-    np.testing.assert_array_equal(given, result.recording.position)
+    np.testing.assert_array_equal(reading, result.recording.position)
 
 
 def test_a_reversed_drive_gives_minus_what_is_demanded(one_joint: Callable[..., sim.Machine]):

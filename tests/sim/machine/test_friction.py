@@ -90,10 +90,10 @@ def test_dry_friction_stops_a_joint_and_holds_it(one_joint: Callable[..., sim.Ma
     for _ in range(50):
         plant.advance()
     np.testing.assert_allclose(plant.velocity, 0.0, atol=1e-12)
-    rest = plant.position
+    stopped = plant.position
     for _ in range(500):
         plant.advance()
-    np.testing.assert_allclose(plant.position, rest, atol=1e-9)
+    np.testing.assert_allclose(plant.position, stopped, atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.99, -0.99])

@@ -37,7 +37,7 @@ def test_a_load_from_the_start_is_part_of_the_link():
 def test_the_truth_obeys_the_equation_of_what_is_carried(
     inverse_dynamics: Callable[..., Callable[..., np.ndarray]],
 ):
-    """Two loads that overlap; the torque is that of Pinocchio's arm with the bodies held then."""
+    """Two loads that overlap; the torque is that of Pinocchio's arm with the carried bodies."""
     machine = sim.puma560()
     loads = (sim.Load(0.06, BOX, 0.16), sim.Load(0.1, BALL, 0.2))
     _, truth = sim.simulate(machine, _pick_and_place(*loads))
@@ -79,14 +79,14 @@ def test_nothing_but_acceleration_jumps_when_a_load_comes(pinocchio_model: Calla
     plant.drive(torque)
     np.testing.assert_array_equal(plant.position, q)
     np.testing.assert_array_equal(plant.velocity, qd)
-    for body, found in ((None, before), (BOX, plant.acceleration)):
+    for body, acceleration in ((None, before), (BOX, plant.acceleration)):
         model = pinocchio_model(sim.carrying(machine, body).robot)
         expected = pin.aba(model, model.createData(), q, qd, torque)
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(acceleration, expected, rtol=1e-9, atol=1e-9)
     assert np.abs(before - plant.acceleration).max() > 1.0
     plant.advance()
     step = plant.velocity - qd
-    np.testing.assert_allclose(step, 0.002 * found, atol=5e-3 * np.abs(step).max())
+    np.testing.assert_allclose(step, 0.002 * acceleration, atol=5e-3 * np.abs(step).max())
 
 
 def test_energy_is_conserved_while_a_load_is_carried(pinocchio_model: Callable[..., Any]):

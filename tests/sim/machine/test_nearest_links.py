@@ -1,4 +1,4 @@
-"""The possible machine whose coefficients are nearest to given ones."""
+"""The possible machine whose coefficients are nearest to others."""
 
 import dataclasses
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from sim.machine._nearest_links import nearest_links
 from sim.machine._thesis_machines import thesis_coefficients
 
 
-# What the pull of open parameters towards the robot's own links may cost of the distance.
-PULL = 1e-3
+# Relative increase of the distance by the regularisation towards the robot's nominal links.
+REGULARISATION = 1e-3
 
 RandomLinks = Callable[..., tuple[LinkParameters, ...]]
 
@@ -33,14 +33,14 @@ def with_spread(parameters: np.ndarray, value: np.ndarray) -> np.ndarray:
     return result
 
 
-def own(robot: Manipulator) -> np.ndarray:
+def nominal(robot: Manipulator) -> np.ndarray:
     assert robot.links is not None
     return parameters_of(sim.possible_links(robot, robot.links))
 
 
 def draw_like(robot: Manipulator, rng: np.random.Generator, by: float = 1.0) -> np.ndarray:
     """A machine well within what `nearest_links` allows, `by` of the way to its limits."""
-    at = own(robot)
+    at = nominal(robot)
     drawn = with_spread(at, spread(at) * 2 ** (by * rng.uniform(-0.9, 3.0, (len(at), 3))))
     drawn[:, [0, 7]] *= 2 ** (by * rng.uniform(-0.9, 0.9, (len(at), 2)))
     drawn[:, 1:4] += by * rng.uniform(-0.09, 0.09, (len(at), 3))
@@ -49,7 +49,7 @@ def draw_like(robot: Manipulator, rng: np.random.Generator, by: float = 1.0) -> 
 
 def of_kind(robot: Manipulator, parameters: np.ndarray) -> np.ndarray:
     """With the robot's zeros and equal moments."""
-    result, at = parameters.copy(), own(robot)
+    result, at = parameters.copy(), nominal(robot)
     for i, inertia in enumerate(robot.inertia):
         for j, name in enumerate(("rx", "ry", "rz"), start=1):
             if name in inertia.zero or at[i, 0] == 0:
@@ -102,9 +102,9 @@ def test_links_and_parameters_make_the_round_trip(rng: np.random.Generator) -> N
 
 def test_armstrongs_links_stay_as_they_are() -> None:
     robot = puma560()
-    k = CoefficientMap.of(robot).values(own(robot))
-    found = nearest_links(robot, k, np.ones(31))
-    np.testing.assert_allclose(parameters_of(found), own(robot), rtol=1e-12, atol=1e-15)
+    k = CoefficientMap.of(robot).values(nominal(robot))
+    result = nearest_links(robot, k, np.ones(31))
+    np.testing.assert_allclose(parameters_of(result), nominal(robot), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("weight", [1.0, 30.0])
@@ -114,14 +114,14 @@ def test_coefficients_of_a_possible_machine_are_kept(
     robot = puma560()
     mapping = CoefficientMap.of(robot)
     k = mapping.values(draw_like(robot, rng))
-    found = mapping.values(parameters_of(nearest_links(robot, k, np.full(31, weight))))
-    start = np.linalg.norm(mapping.values(own(robot)) - k)
-    assert np.linalg.norm(found - k) < 1e-4 * start
+    result = mapping.values(parameters_of(nearest_links(robot, k, np.full(31, weight))))
+    start = np.linalg.norm(mapping.values(nominal(robot)) - k)
+    assert np.linalg.norm(result - k) < 1e-4 * start
 
 
 @pytest.mark.parametrize("name", ["A", "B"])
 def test_no_possible_machine_is_nearer(name: str, rng: np.random.Generator) -> None:
-    """Neither beside the one found nor anywhere else."""
+    """Neither near the result nor elsewhere."""
     robot, thesis = puma560(), thesis_coefficients(name)
     mapping = CoefficientMap.of(robot)
     k, w = thesis.coefficients[:31], thesis.sensitivity[:31]
@@ -129,7 +129,7 @@ def test_no_possible_machine_is_nearer(name: str, rng: np.random.Generator) -> N
     def distance(parameters: np.ndarray) -> float:
         return float(np.linalg.norm(w * (mapping.values(parameters) - k)))
 
-    at = own(robot)
+    at = nominal(robot)
     best = parameters_of(nearest_links(robot, k, w))
     for _ in range(500):
         anywhere = draw_like(robot, rng)
@@ -139,13 +139,13 @@ def test_no_possible_machine_is_nearer(name: str, rng: np.random.Generator) -> N
         beside = with_spread(best, spread(best) + part * (spread(anywhere) - spread(best)))
         others = [0, 1, 2, 3, 7]
         beside[:, others] += part * (anywhere - best)[:, others]
-        assert distance(beside) > (1 - PULL) * distance(best)
+        assert distance(beside) > (1 - REGULARISATION) * distance(best)
     assert distance(best) < distance(at)
 
 
 def test_another_optimiser_finds_the_same(arm: Manipulator, rng: np.random.Generator) -> None:
     """SLSQP over the parameters themselves, from many starts, against impossible coefficients."""
-    mapping, at = CoefficientMap.of(arm), own(arm)
+    mapping, at = CoefficientMap.of(arm), nominal(arm)
     k = mapping.values(at) * [0.3, 2.0, -1.0, 1.5, 0.6, 3.0, 2.0, 1.1, 0.9][: len(mapping.names)]
     w = rng.uniform(0.5, 2.0, len(k))
     best = parameters_of(nearest_links(arm, k, w))
@@ -155,12 +155,12 @@ def test_another_optimiser_finds_the_same(arm: Manipulator, rng: np.random.Gener
     def unpack(z: np.ndarray) -> np.ndarray:
         return with_spread(z.reshape(2, 8), z.reshape(2, 8)[:, 4:7])
 
-    own_spread = spread(at)
-    low, high = with_spread(at, own_spread), with_spread(at, own_spread)
+    nominal_spread = spread(at)
+    low, high = with_spread(at, nominal_spread), with_spread(at, nominal_spread)
     low[:, [0, 7]], high[:, [0, 7]] = at[:, [0, 7]] / 2, at[:, [0, 7]] * 2
     low[:, 1:4], high[:, 1:4] = at[:, 1:4] - 0.1, at[:, 1:4] + 0.1
-    low[:, 4:7], high[:, 4:7] = own_spread / 2, own_spread + 10
-    found = [
+    low[:, 4:7], high[:, 4:7] = nominal_spread / 2, nominal_spread + 10
+    result = [
         minimize(
             lambda z: np.sum((w * (mapping.values(unpack(z)) - k)) ** 2),
             rng.uniform(low, np.minimum(high, low + 1)).ravel(),
@@ -170,21 +170,21 @@ def test_another_optimiser_finds_the_same(arm: Manipulator, rng: np.random.Gener
         ).fun
         for _ in range(10)
     ]
-    assert distance == pytest.approx(min(found), rel=2 * PULL)
+    assert distance == pytest.approx(min(result), rel=2 * REGULARISATION)
 
 
 def test_the_result_is_of_the_robots_kind_and_like_it(rng: np.random.Generator) -> None:
     robot = puma560()
-    at, mapping = own(robot), CoefficientMap.of(robot)
+    at, mapping = nominal(robot), CoefficientMap.of(robot)
     k = mapping.values(at) * rng.uniform(-3, 3, 31)
     links = nearest_links(robot, k, np.ones(31), least=0.4, shift=0.05)
-    found = parameters_of(links)
+    result = parameters_of(links)
     slack = 1e-12
-    np.testing.assert_array_equal(of_kind(robot, found), found)
-    assert (found[:, [0, 7]] >= 0.4 * at[:, [0, 7]] - slack).all()
-    assert (found[:, [0, 7]] <= at[:, [0, 7]] / 0.4 + slack).all()
-    assert (np.abs(found - at)[:, 1:4] <= 0.05 + slack).all()
-    assert (spread(found) >= 0.4 * spread(at) - slack).all()
+    np.testing.assert_array_equal(of_kind(robot, result), result)
+    assert (result[:, [0, 7]] >= 0.4 * at[:, [0, 7]] - slack).all()
+    assert (result[:, [0, 7]] <= at[:, [0, 7]] / 0.4 + slack).all()
+    assert (np.abs(result - at)[:, 1:4] <= 0.05 + slack).all()
+    assert (spread(result) >= 0.4 * spread(at) - slack).all()
     assert all(a is b for a, b in zip(sim.possible_links(robot, links), links, strict=True))
 
 

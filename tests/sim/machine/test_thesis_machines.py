@@ -52,7 +52,7 @@ def test_there_is_no_third_machine() -> None:
 
 
 @names
-def test_friction_is_as_printed_and_the_rest_the_designs(name: str) -> None:
+def test_friction_is_as_printed_and_the_remainder_the_designs(name: str) -> None:
     machine, design, thesis = MACHINES[name](), sim.puma560(), thesis_coefficients(name)
     assert machine.viscous == tuple(thesis.viscous) and machine.dry == tuple(thesis.dry)
     np.testing.assert_allclose(machine.static, 1.25 * thesis.dry)
@@ -64,7 +64,7 @@ def test_friction_is_as_printed_and_the_rest_the_designs(name: str) -> None:
 
 @names
 def test_mujoco_accepts_the_links_as_they_are(name: str) -> None:
-    """A witness of its own: MuJoCo refuses moments that break the triangle inequality."""
+    """Independent check: MuJoCo refuses moments that break the triangle inequality."""
     bodies = "".join(
         f'<body><joint/><inertial pos="0 0 0" mass="{float(link.mass) or 1.0!r}"'
         f' diaginertia="{" ".join(repr(float(x)) for x in np.diag(link.inertia))}"/></body>'
@@ -112,19 +112,19 @@ def test_the_network_is_exact(
     robot = MACHINES[name]().robot
     motion = rng.normal(size=(3, 50, 6)) * [[[3.0]], [[5.0]], [[20.0]]]
     expected = inverse_dynamics(robot)(*motion)
-    found = puma.torque(puma.coefficients_from(links_of(MACHINES[name]())), *motion)
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+    result = puma.torque(puma.coefficients_from(links_of(MACHINES[name]())), *motion)
+    np.testing.assert_allclose(result, expected, atol=1e-12 * np.abs(expected).max())
 
 
 @names
 def test_a_comfortable_machine_nearer_than_armstrongs(name: str, puma: CSLC) -> None:
     machine, design = MACHINES[name](), sim.puma560()
     at = parameters_of(sim.possible_links(design.robot, links_of(design)))
-    found = parameters_of(links_of(machine))
+    result = parameters_of(links_of(machine))
     for column in (0, 7):
-        assert (found[:, column] >= 0.499 * at[:, column]).all()
-        assert (found[:, column] <= 2.001 * at[:, column]).all()
-    assert np.abs(found - at)[:, 1:4].max() < 0.1001
+        assert (result[:, column] >= 0.499 * at[:, column]).all()
+        assert (result[:, column] <= 2.001 * at[:, column]).all()
+    assert np.abs(result - at)[:, 1:4].max() < 0.1001
     thesis = thesis_coefficients(name)
 
     def distance(of: sim.Machine) -> float:
@@ -136,10 +136,12 @@ def test_a_comfortable_machine_nearer_than_armstrongs(name: str, puma: CSLC) -> 
 
 @names
 def test_what_a_motor_inertia_sets_is_as_printed(name: str, puma: CSLC) -> None:
-    """kM6, kM11, kM16 and kM23 each hold a motor inertia that nothing else does."""
-    chosen = [puma.names.index(k) for k in ("kM6", "kM11", "kM16", "kM23")]
+    """kM6, kM11, kM16 and kM23 each contain a motor inertia that no other does."""
+    with_motor = [puma.names.index(k) for k in ("kM6", "kM11", "kM16", "kM23")]
     k = np.asarray(puma.coefficients_from(links_of(MACHINES[name]())))
-    np.testing.assert_allclose(k[chosen], thesis_coefficients(name).coefficients[chosen], rtol=1e-5)
+    np.testing.assert_allclose(
+        k[with_motor], thesis_coefficients(name).coefficients[with_motor], rtol=1e-5
+    )
 
 
 def test_each_call_gives_the_same_links() -> None:

@@ -27,33 +27,33 @@ def test_a_scene_is_where_the_kinematics_say(
     scene = sim.Scene.of(machine, (sim.Load(0.0, BALL),))
     model = pinocchio_model(machine.robot)
     data = model.createData()
-    q, held = rng.normal(size=(2, 6))
-    scene.place(q, [held])
+    q, carrier = rng.normal(size=(2, 6))
+    scene.update(q, [carrier])
     pin.forwardKinematics(model, data, q)
-    places = np.stack([data.oMi[i].translation for i in range(1, 7)])
-    np.testing.assert_allclose(scene.data.xpos[1:7], places, atol=1e-12)
-    pin.forwardKinematics(model, data, held)
+    origins = np.stack([data.oMi[i].translation for i in range(1, 7)])
+    np.testing.assert_allclose(scene.data.xpos[1:7], origins, atol=1e-12)
+    pin.forwardKinematics(model, data, carrier)
     np.testing.assert_allclose(
         scene.data.mocap_pos[0], data.oMi[6].act(np.array([0.0, 0.0, 0.1])), atol=1e-12
     )
     assert not scene.carried[0]
-    scene.place(q, [q])
+    scene.update(q, [q])
     assert scene.carried[0]
 
 
 def test_a_load_waits_and_stays():
     time, position = 0.1 * np.arange(10), np.arange(10.0)[:, None]
 
-    def held(*times: float) -> list[float]:
+    def positions(*times: float) -> list[float]:
         return holding(sim.Load(times[0], BALL, *times[1:]), time, position)[:, 0].tolist()
 
-    assert held(0.3, 0.6) == [3, 3, 3, 3, 4, 5, 6, 6, 6, 6]
-    assert held(0.3) == [3, 3, 3, 3, 4, 5, 6, 7, 8, 9]
-    assert held(5.0) == [9.0] * 10
+    assert positions(0.3, 0.6) == [3, 3, 3, 3, 4, 5, 6, 6, 6, 6]
+    assert positions(0.3) == [3, 3, 3, 3, 4, 5, 6, 7, 8, 9]
+    assert positions(5.0) == [9.0] * 10
 
 
 def test_a_film_has_its_pictures(tmp_path: Path):
-    """In a process of its own, where OpenGL can be chosen; skipped where there is none."""
+    """In a process of its own, where OpenGL can be selected; skipped where there is none."""
     av = pytest.importorskip("av")
     pytest.importorskip("PIL")
     program = f"""

@@ -30,14 +30,14 @@ def linear() -> MotorLinearity:
 
 def test_line_and_residuals_are_numpys(rng: np.random.Generator):
     mass, torque = np.array([2.0, 0.0, 1.0, 3.0, 0.0]), rng.normal(size=5)
-    found = MotorLinearity.of(2, mass, torque)
-    np.testing.assert_array_equal(found.mass, [0.0, 0.0, 1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(found.torque, torque[[1, 4, 2, 0, 3]])
-    design = np.stack([np.ones(4), found.mass[:-1]], axis=-1)
-    line, squares, *_ = np.linalg.lstsq(design, found.torque[:-1], rcond=None)
-    np.testing.assert_allclose([found.intercept, found.slope], line, rtol=1e-12)
-    np.testing.assert_allclose(found.scatter**2, squares[0] / 2)
-    np.testing.assert_allclose(found.excess, torque[3] - line @ [1.0, 3.0])
+    result = MotorLinearity.of(2, mass, torque)
+    np.testing.assert_array_equal(result.mass, [0.0, 0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(result.torque, torque[[1, 4, 2, 0, 3]])
+    design = np.stack([np.ones(4), result.mass[:-1]], axis=-1)
+    line, squares, *_ = np.linalg.lstsq(design, result.torque[:-1], rcond=None)
+    np.testing.assert_allclose([result.intercept, result.slope], line, rtol=1e-12)
+    np.testing.assert_allclose(result.scatter**2, squares[0] / 2)
+    np.testing.assert_allclose(result.excess, torque[3] - line @ [1.0, 3.0])
     assert np.isnan(MotorLinearity.of(2, mass[[0, 1, 3]], torque[[0, 1, 3]]).scatter)
 
 
@@ -60,25 +60,25 @@ def test_a_linear_motor_gives_a_line(linear: MotorLinearity):
 
 def test_beyond_the_limit_of_linearity_the_heaviest_lies_above():
     machine = dataclasses.replace(sim.puma560(), linear_torque=(math.inf, 75.0, *[math.inf] * 4))
-    found = motor_linearity(machine, masses=_MASSES, **_QUICK)
-    assert found.excess > 10 * _SCATTER
+    result = motor_linearity(machine, masses=_MASSES, **_QUICK)
+    assert result.excess > 10 * _SCATTER
 
 
 def test_friction_averages_out_also_when_it_is_lopsided(linear: MotorLinearity):
     """What it leaves is the same for every mass: the line is shifted, and no less straight."""
     machine = dataclasses.replace(sim.puma560(), asymmetry=(0.0, 0.3, 0.0, 0.0, 0.0, 0.0))
-    found = motor_linearity(machine, masses=(0.0, 2.0, 4.0), **_QUICK)
-    np.testing.assert_allclose(found.slope, linear.slope, rtol=0.02)
-    shift = abs(found.intercept - linear.intercept)
+    result = motor_linearity(machine, masses=(0.0, 2.0, 4.0), **_QUICK)
+    np.testing.assert_allclose(result.slope, linear.slope, rtol=0.02)
+    shift = abs(result.intercept - linear.intercept)
     assert machine.dry[1] * 0.3 * 0.8 < shift < machine.static[1] * 0.3 * 1.2
 
 
 def test_brakes_hold():
     machine = _laden(_locked(sim.puma560(), 2), 4.5)
-    rest = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0])
+    start = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0])
     zero = np.zeros(6)
     controller = SinusoidalTorque(zero, np.ones(6), zero)  # nothing holds joint 2
-    _, truth = sim.simulate(machine, sim.Trajectory("drop", rest, controller, 200))
+    _, truth = sim.simulate(machine, sim.Trajectory("drop", start, controller, 200))
     assert truth.position[-1, 1] - truth.position[0, 1] > 0.3
     others = [0, 2, 3, 4, 5]
     # A tenth of an encoder count.

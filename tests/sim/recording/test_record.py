@@ -1,4 +1,4 @@
-"""Many machines at once: each as if alone, kept as they come, found again, wrong ones named."""
+"""Many machines at once: each as if alone, saved when complete, loaded again, errors named."""
 
 import dataclasses
 from pathlib import Path
@@ -21,8 +21,8 @@ def jobs() -> list[sim.Job]:
     machines = [machine, sim.specimen(machine, 3), soft]
     trajectories = [sim.training(samples=40), dataclasses.replace(sim.comparison(), samples=30)]
     return [
-        sim.Job(each, trajectory, seed)
-        for seed, each in enumerate(machines)
+        sim.Job(machine, trajectory, seed)
+        for seed, machine in enumerate(machines)
         for trajectory in trajectories
     ]
 
@@ -40,7 +40,7 @@ def test_threads_make_no_difference(jobs: list[sim.Job], threads: int):
     assert eqx.tree_equal(sim.record(jobs, threads=threads), sim.record(jobs))
 
 
-def test_what_was_recorded_is_kept_and_found_again(jobs: list[sim.Job], tmp_path: Path):
+def test_recordings_are_saved_and_loaded(jobs: list[sim.Job], tmp_path: Path):
     first = sim.record(jobs[:3], store=tmp_path / "kept")
     files = sorted((tmp_path / "kept").iterdir())
     assert len(files) == 3 and all(file.suffix == ".npz" for file in files)
@@ -54,17 +54,17 @@ def test_what_was_recorded_is_kept_and_found_again(jobs: list[sim.Job], tmp_path
 def test_an_interrupted_batch_keeps_what_it_finished(
     jobs: list[sim.Job], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Ctrl-C in the third part; the second call simulates the rest only."""
+    """Ctrl-C in the third part; the second call simulates the others only."""
     from sim.recording import _record
 
     parts: list[int] = []
     perform = _record.perform
 
-    def interrupted(machines: Any, *rest: Any, **named: Any) -> Any:
+    def interrupted(machines: Any, *others: Any, **named: Any) -> Any:
         if len(parts) == 2:
             raise KeyboardInterrupt
         parts.append(len(machines))
-        return perform(machines, *rest, **named)
+        return perform(machines, *others, **named)
 
     monkeypatch.setattr(_record, "perform", interrupted)
     with pytest.raises(KeyboardInterrupt):

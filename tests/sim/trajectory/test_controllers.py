@@ -58,7 +58,7 @@ def test_gravity_compensation_is_for_a_puma():
         AbbreviatedGravity.of(puma560().with_gravity((1.0, 0.0, -9.81)))
 
 
-def test_sinusoids_have_the_given_amplitude_period_and_phase():
+def test_sinusoids_have_their_amplitude_period_and_phase():
     controller = SinusoidalTorque(np.array([2.0]), np.array([0.8]), np.array([1.5 * np.pi]))
     q, torque = np.zeros(1), []
     state = controller.begin(q)

@@ -1,4 +1,4 @@
-"""The hand's place and Jacobian, against MuJoCo's."""
+"""The hand's position and Jacobian, against MuJoCo's."""
 
 import dataclasses
 
@@ -24,19 +24,19 @@ def _scara() -> Manipulator:
 
 
 @pytest.mark.parametrize("robot", [puma560(), _scara()], ids=["puma560", "mixed"])
-def test_place_and_jacobian_are_mujocos(robot: Manipulator, rng: np.random.Generator):
+def test_position_and_jacobian_are_mujocos(robot: Manipulator, rng: np.random.Generator):
     model = mujoco.MjModel.from_xml_string(sim.mjcf(robot))
     data = mujoco.MjData(model)
     q = rng.normal(size=(20, robot.joint_count))
-    places, jacobians = Hand.of(robot, _POINT).locate(q)
-    for row, place, jacobian in zip(q, places, jacobians, strict=True):
+    points, jacobians = Hand.of(robot, _POINT).locate(q)
+    for row, point, jacobian in zip(q, points, jacobians, strict=True):
         data.qpos[:] = row
         mujoco.mj_forward(model, data)
         last = data.body(f"link_{robot.joint_count}")
         expected = last.xpos + last.xmat.reshape(3, 3) @ _POINT
         by_mujoco = np.zeros((3, robot.joint_count))
         mujoco.mj_jac(model, data, by_mujoco, None, expected, last.id)
-        np.testing.assert_allclose(place, expected, atol=1e-14)
+        np.testing.assert_allclose(point, expected, atol=1e-14)
         np.testing.assert_allclose(jacobian, by_mujoco, atol=1e-14)
 
 
@@ -53,10 +53,10 @@ def test_jacobian_is_the_derivative(rng: np.random.Generator):
 def test_a_batch_is_its_rows(batch: tuple[int, ...], rng: np.random.Generator):
     hand = Hand.of(puma560(), _POINT)
     q = rng.normal(size=(*batch, 6))
-    place, jacobian = hand.locate(q)
+    point, jacobian = hand.locate(q)
     for index in np.ndindex(*batch):
         one = hand.locate(q[index])
-        np.testing.assert_allclose(place[index], one[0], atol=1e-15)
+        np.testing.assert_allclose(point[index], one[0], atol=1e-15)
         np.testing.assert_allclose(jacobian[index], one[1], atol=1e-15)
 
 

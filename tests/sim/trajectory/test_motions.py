@@ -44,13 +44,13 @@ def test_the_hand_goes_around_without_turning(
         last = data.oMi[6]
         return last.act(np.array([0.0, 0.0, FLANGE])), last.rotation.copy()
 
-    places, rotations = (np.stack(each) for each in zip(*(poses(q) for q in path.q), strict=True))
-    arms = places - CENTRE
+    points, rotations = (np.stack(rows) for rows in zip(*(poses(q) for q in path.q), strict=True))
+    arms = points - CENTRE
     normal = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)
     np.testing.assert_allclose(np.linalg.norm(arms, axis=1), RADIUS, atol=1e-11)
     np.testing.assert_allclose(arms @ normal, 0.0, atol=1e-11)
     np.testing.assert_allclose(rotations, np.broadcast_to(poses(NEAR)[1], (501, 3, 3)), atol=1e-11)
-    np.testing.assert_allclose(places[0], places[-1], atol=1e-11)
+    np.testing.assert_allclose(points[0], points[-1], atol=1e-11)
     # A whole turn, negative about the normal, along minimum jerk.
     second = np.cross(normal, arms[0])
     angle = np.unwrap(np.arctan2(arms @ second, arms @ arms[0]))
@@ -65,8 +65,8 @@ def test_its_rates_are_those_of_the_hand(path: sim.SampledPath):
     angle = -2 * np.pi * sim.minimum_jerk(time)
     rate = -2 * np.pi * 30 * (time * (1 - time)) ** 2
     change = -2 * np.pi * 60 * time * (1 - time) * (1 - 2 * time)
-    place, jacobian = hand.locate(path.q)
-    first = (np.asarray(place)[0] - CENTRE) / RADIUS
+    point, jacobian = hand.locate(path.q)
+    first = (np.asarray(point)[0] - CENTRE) / RADIUS
     normal = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)
     radial = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(normal, first)
     tangent = np.cross(normal, radial)
@@ -106,16 +106,16 @@ def test_an_arm_of_two_joints_goes_around_if_it_may_turn_its_hand():
     path = sim.circle(
         machine, (1.0, 0.8, 0.0), 0.2, point=(0.7, 0.0, 0.0), keep_orientation=False, **arguments
     )
-    place, _ = sim.Hand.of(robot, (0.7, 0.0, 0.0)).locate(path.q)
+    point, _ = sim.Hand.of(robot, (0.7, 0.0, 0.0)).locate(path.q)
     np.testing.assert_allclose(
-        np.linalg.norm(np.asarray(place) - [1.0, 0.8, 0.0], axis=1), 0.2, atol=1e-9
+        np.linalg.norm(np.asarray(point) - [1.0, 0.8, 0.0], axis=1), 0.2, atol=1e-9
     )
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"centre": (1.5, 0.15, 0.0)}, r"circle, 0 s: the hand cannot be brought to \(1\.4"),
+        ({"centre": (1.5, 0.15, 0.0)}, r"circle, 0 s: the hand cannot reach \(1\.4"),
         ({"radius": 0.0}, "circle of radius 0.0 m"),
         ({"duration": 0.01}, "a duration of 8 intervals"),
         ({"normal": (0.0, 0.0, 0.0)}, "its normal is zero"),

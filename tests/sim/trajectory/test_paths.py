@@ -1,4 +1,4 @@
-"""Paths: what each of them promises of its shape, its ends and its rest."""
+"""Paths: shape, ends and stops."""
 
 from typing import Any
 
@@ -33,21 +33,23 @@ def test_references_are_derivatives_of_positions(name: str):
     rate = jax.jacfwd(position)
     times = np.linspace(-0.05, 1.45, 61)
     ends = np.isclose(times[:, None], [0.0, 0.3, 0.4, 0.6, 0.8, 1.0], atol=1e-6).any(axis=1)
-    found = path.reference(times[:, None], np.tile(origin, (61, 1)))
-    qd, qdd = (jax.jit(jax.vmap(each))(jnp.array(times)) for each in (rate, jax.jacfwd(rate)))
-    np.testing.assert_allclose(found.qd, qd, atol=1e-11)
-    np.testing.assert_allclose(found.qdd[~ends], qdd[~ends], atol=1e-9)
+    result = path.reference(times[:, None], np.tile(origin, (61, 1)))
+    qd, qdd = (
+        jax.jit(jax.vmap(function))(jnp.array(times)) for function in (rate, jax.jacfwd(rate))
+    )
+    np.testing.assert_allclose(result.qd, qd, atol=1e-11)
+    np.testing.assert_allclose(result.qdd[~ends], qdd[~ends], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", sorted(PATHS))
 def test_paths_take_either_library_and_any_batch(name: str, rng: np.random.Generator):
     path, time, origin = PATHS[name], rng.uniform(0, 2, (4, 3, 1)), rng.normal(size=(4, 3, 2))
-    found = path.reference(time, origin)
+    result = path.reference(time, origin)
     other = jax.jit(path.reference)(jnp.asarray(time), jnp.asarray(origin))
     for i in range(4):
         row = path.reference(time[i], origin[i])
         for one, two, three in zip(
-            *(jax.tree_util.tree_leaves(each) for each in (found, other, row)), strict=True
+            *(jax.tree_util.tree_leaves(item) for item in (result, other, row)), strict=True
         ):
             np.testing.assert_allclose(one, two, atol=1e-12)
             np.testing.assert_allclose(one[i], three, atol=1e-14)
@@ -73,14 +75,16 @@ def test_via_points_of_each_machine_are_its_own(rng: np.random.Generator):
     )
     together = ViaPoints(poses, durations, stays)
     time, origin = rng.uniform(0, 2, (3, 1)), rng.normal(size=(3, 2))
-    found = together.reference(time, origin)
+    result = together.reference(time, origin)
     traced = jax.jit(together.reference)(jnp.asarray(time), jnp.asarray(origin))
     for i in range(3):
         alone = ViaPoints(poses[i], durations[i], stays[i])
         np.testing.assert_allclose(together.arrivals[i], alone.arrivals)
         expected = alone.reference(time[i], origin[i])
         for name in ("q", "qd", "qdd"):
-            np.testing.assert_allclose(getattr(found, name)[i], getattr(expected, name), atol=1e-12)
+            np.testing.assert_allclose(
+                getattr(result, name)[i], getattr(expected, name), atol=1e-12
+            )
             np.testing.assert_allclose(
                 getattr(traced, name)[i], getattr(expected, name), atol=1e-11
             )
@@ -92,10 +96,10 @@ def test_one_pose_is_minimum_jerk(rng: np.random.Generator):
     end, time, origin = rng.normal(size=3), rng.uniform(0, 3, (9, 1)), rng.normal(size=(9, 3))
     one = ViaPoints(end[None], np.array([2.0]), np.zeros(1)).reference(time, origin)
     other = MinimumJerk(end, 2.0).reference(time, origin)
-    for found, expected in zip(
+    for result, expected in zip(
         (one.q, one.qd, one.qdd), (other.q, other.qd, other.qdd), strict=True
     ):
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+        np.testing.assert_allclose(result, expected, atol=1e-12)
 
 
 def test_a_sampled_path_is_its_rows_and_holds_the_last(rng: np.random.Generator):
@@ -104,8 +108,8 @@ def test_a_sampled_path_is_its_rows_and_holds_the_last(rng: np.random.Generator)
     time = 0.002 * np.arange(9)[:, None]
     rows = np.minimum(np.arange(9), 5)
     for at in (time, time + 0.0009):
-        found = path.reference(at, np.zeros((9, 2)))
-        for values, table in zip((found.q, found.qd, found.qdd), tables, strict=True):
+        result = path.reference(at, np.zeros((9, 2)))
+        for values, table in zip((result.q, result.qd, result.qdd), tables, strict=True):
             np.testing.assert_array_equal(values, table[rows])
     traced = jax.jit(path.position)(jnp.asarray(time), jnp.zeros((9, 2)))
     np.testing.assert_array_equal(traced, tables[0][rows])
@@ -135,8 +139,8 @@ def test_minimum_jerk_path_runs_straight_from_where_it_begins(rng: np.random.Gen
     origin, end = rng.normal(size=(4, 3)), rng.normal(size=3)
     path = MinimumJerk(end, 2.0)
     at = [path.position(np.full((4, 1), time), origin) for time in (0.0, 1.0, 2.0, 5.0)]
-    for found, expected in zip(at, [origin, (origin + end) / 2, end, end], strict=True):
-        np.testing.assert_allclose(found, np.broadcast_to(expected, (4, 3)), atol=1e-15)
+    for result, expected in zip(at, [origin, (origin + end) / 2, end, end], strict=True):
+        np.testing.assert_allclose(result, np.broadcast_to(expected, (4, 3)), atol=1e-15)
 
 
 def test_oscillation_begins_at_rest_and_has_its_mean():

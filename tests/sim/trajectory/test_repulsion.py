@@ -79,7 +79,7 @@ def test_torque_is_minus_the_gradient_of_the_potential(
 
 def test_it_pushes_the_hand_up_and_outwards(off_hand: HandRepulsion, rng: np.random.Generator):
     q = _near(off_hand, rng)
-    place, jacobian = off_hand.hand.locate(q)
+    point, jacobian = off_hand.hand.locate(q)
     # Torque is Jᵀ F, and with a Jacobian of full rank F is all that it can be.
     well = np.linalg.cond(jacobian) < 100
     force = np.einsum(
@@ -87,7 +87,7 @@ def test_it_pushes_the_hand_up_and_outwards(off_hand: HandRepulsion, rng: np.ran
     )
     clearance = off_hand.clearance(q)[well]
     size = off_hand.strength * np.exp(np.minimum(-clearance / off_hand.width, 1.0))
-    outwards = force[:, :2] * place[well, :2] / np.hypot(*place[well, :2].T)[:, None]
+    outwards = force[:, :2] * point[well, :2] / np.hypot(*point[well, :2].T)[:, None]
     assert (force[:, 2] > 0).all()
     assert (outwards.sum(-1) > -1e-9 * off_hand.strength).all()
     # No stronger than floor and trunk together, no weaker than the floor alone.

@@ -20,13 +20,13 @@ def echoes() -> sim.Echoes:
     return sim.ultrasound()
 
 
-def test_the_place_of_a_point_comes_back_exactly(rng: np.random.Generator):
+def test_the_position_of_a_point_comes_back_exactly(rng: np.random.Generator):
     distance, angle = rng.uniform(0.3, 5.0, 200), rng.uniform(-1.2, 1.2, 200)
     x, y = distance * np.cos(angle), distance * np.sin(angle)
     length = np.stack([distance + np.hypot(x, y - side * 0.1) for side in (1, -1)], axis=-1)
-    found = position(SONAR, length)
-    np.testing.assert_allclose(found[0], angle, atol=1e-9)
-    np.testing.assert_allclose(found[1], distance, rtol=1e-12)
+    result = position(SONAR, length)
+    np.testing.assert_allclose(result[0], angle, atol=1e-9)
+    np.testing.assert_allclose(result[1], distance, rtol=1e-12)
 
 
 def test_a_wall_seems_nearer_as_documented():
@@ -37,7 +37,7 @@ def test_a_wall_seems_nearer_as_documented():
 
 
 def test_angle_and_distance_are_unbiased_without_noise():
-    """Poles at known places, through the whole chain."""
+    """Poles at known positions, through the whole chain."""
     angle = np.radians(np.linspace(-15, 15, 31))
     nearest = np.linspace(0.6, 2.4, 31)
     radius = np.full(31, 0.01)
@@ -45,12 +45,12 @@ def test_angle_and_distance_are_unbiased_without_noise():
         [np.cos(angle), np.sin(angle), np.zeros(31)], axis=-1
     )
     start, signal = received(SONAR, curved(SONAR, centre, radius, np.ones(31)))
-    found = features(SONAR, start, signal, 0.0)
-    wrong = np.degrees(np.radians(15) * found[:, 0] - angle)
+    result = features(SONAR, start, signal, 0.0)
+    wrong = np.degrees(np.radians(15) * result[:, 0] - angle)
     # Straight lines between samples 20 µs apart: under 2 µs each, of 0.58 ms/rad between the two.
     assert np.abs(wrong).max() < 0.4
     assert abs(wrong.mean()) < 0.05
-    np.testing.assert_allclose(1.5 + 0.9 * found[:, 1], nearest, atol=1e-3)
+    np.testing.assert_allclose(1.5 + 0.9 * result[:, 1], nearest, atol=1e-3)
 
 
 @pytest.mark.parametrize("draw", [wall, pole, column])
@@ -103,29 +103,29 @@ def test_a_seed_says_it_all(echoes: sim.Echoes):
 
 
 def test_noise_leaves_the_objects_alone():
-    loud, soft = (sim.ultrasound(patterns=500, training_each=30, noise=n) for n in (1e-5, 2e-5))
+    loud, soft = (sim.ultrasound(patterns=500, training_per_kind=30, noise=n) for n in (1e-5, 2e-5))
     np.testing.assert_array_equal(loud.kind, soft.kind)
     assert np.median(np.abs(loud.inputs[:, :3] - soft.inputs[:, :3])) < 1e-3
 
 
 def test_order_tells_nothing_of_the_kind(echoes: sim.Echoes):
     for one in (echoes, echoes.training, echoes.comparison):
-        place = np.arange(one.kind.size)
-        mean = np.array([place[one.kind == kind].mean() for kind in range(10)]) / place.size
-        # Standard error of a mean of 185 or more uniform places: 0.021.
+        index = np.arange(one.kind.size)
+        mean = np.array([index[one.kind == kind].mean() for kind in range(10)]) / index.size
+        # Standard error of a mean of 185 or more uniform positions: 0.021.
         assert np.abs(mean - 0.5).max() < 0.1
         follows = np.mean((np.diff(one.kind) % 10) == 1)
         assert follows == pytest.approx(0.1, abs=0.035)
 
 
 def test_an_odd_number_of_patterns_is_shared_all_the_same():
-    echoes = sim.ultrasound(patterns=57, training_each=3)
+    echoes = sim.ultrasound(patterns=57, training_per_kind=3)
     assert echoes.training.kind.size == 30
     assert set(np.bincount(echoes.kind)) == {5, 6}
 
 
 def test_what_cannot_be_heard_is_still_a_number():
-    echoes = sim.ultrasound(patterns=100, training_each=5, noise=1.0)
+    echoes = sim.ultrasound(patterns=100, training_per_kind=5, noise=1.0)
     assert np.isfinite(echoes.inputs).all()
 
 
@@ -140,11 +140,11 @@ def test_a_linear_classifier_gets_more_than_half_and_not_all(echoes: sim.Echoes)
     assert 0.5 < np.mean(judged == echoes.comparison.kind) < 0.8
 
 
-def test_wrong_use_is_told_in_a_line():
+def test_errors_are_one_line():
     with pytest.raises(ValueError, match=r"^patterns is 3000; expected 3150 or more, for 315 of"):
         sim.ultrasound(patterns=3000)
-    with pytest.raises(ValueError, match=r"^training_each is 0; expected one or more$"):
-        sim.ultrasound(training_each=0)
+    with pytest.raises(ValueError, match=r"^training_per_kind is 0; expected one or more$"):
+        sim.ultrasound(training_per_kind=0)
     for noise in (-1.0, math.inf, math.nan):
         with pytest.raises(ValueError, match=r"^noise is .*; expected a finite number"):
             sim.ultrasound(noise=noise)

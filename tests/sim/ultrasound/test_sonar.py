@@ -48,8 +48,8 @@ def test_absorption_is_that_of_the_standard_s_table(
     """ISO 9613-2, table 2 [dB/km], in octaves about 1 kHz, to the digits printed."""
     for octave, expected in enumerate(per_km):
         # The standard's midband frequencies are powers of 10^0.3.
-        found = 1e3 * absorption(1e3 * 10 ** (0.3 * (octave - 4)), temperature, humidity)
-        assert found == pytest.approx(expected, abs=0.05, rel=0.003)
+        result = 1e3 * absorption(1e3 * 10 ** (0.3 * (octave - 4)), temperature, humidity)
+        assert result == pytest.approx(expected, abs=0.05, rel=0.003)
 
 
 def test_a_piston_has_its_null_where_j1_has():
@@ -94,15 +94,15 @@ def test_a_wall_is_as_far_as_the_emitter_s_image():
 def test_a_corner_is_two_mirrors():
     """Reflected in one face and then the other, however the corner is turned."""
     corner = at(1.3, -7.0)
-    found = vertical_corner(SONAR, corner, np.array([0.9]))
+    result = vertical_corner(SONAR, corner, np.array([0.9]))
     for turn in (0.3, 1.1):
         image = np.zeros(3)
         for angle in (turn, turn + math.pi / 2):
             normal = np.array([math.cos(angle), math.sin(angle), 0.0])
             image = image - 2 * ((image - corner[0]) @ normal) * normal
         expected = [math.dist(image, LEFT), math.dist(image, RIGHT)]
-        np.testing.assert_allclose(found.length[0, 0], expected, rtol=1e-14)
-    np.testing.assert_allclose(found.gain * found.length, 0.81, rtol=1e-14)
+        np.testing.assert_allclose(result.length[0, 0], expected, rtol=1e-14)
+    np.testing.assert_allclose(result.gain * result.length, 0.81, rtol=1e-14)
 
 
 def test_a_cylinder_s_echo_is_the_shortest_way():
@@ -168,10 +168,10 @@ def test_far_from_that_it_is_keller_s(exterior: float):
 
     keller = np.exp(-0.25j * math.pi) * math.sin(math.pi / n) / (n * math.sqrt(2 * math.pi * k))
     keller = keller * (term(diffracted - incident) + term(diffracted + incident))
-    found = diffraction(k, incident, diffracted, np.full(3, 100.0), exterior)
-    np.testing.assert_allclose(found, keller, rtol=2e-3)
+    result = diffraction(k, incident, diffracted, np.full(3, 100.0), exterior)
+    np.testing.assert_allclose(result, keller, rtol=2e-3)
     swapped = diffraction(k, diffracted, incident, np.full(3, 100.0), exterior)
-    np.testing.assert_allclose(found, swapped, rtol=1e-12)  # reciprocity
+    np.testing.assert_allclose(result, swapped, rtol=1e-12)  # reciprocity
 
 
 def test_a_level_edge_is_met_where_the_way_is_shortest():
@@ -187,20 +187,20 @@ def test_a_level_edge_is_met_where_the_way_is_shortest():
 
 
 def test_mirrored_objects_swap_the_receivers():
-    one, place = np.array([0.9]), at(1.1, 9.0)
+    one, point = np.array([0.9]), at(1.1, 9.0)
     face, normal = at(1.0, 80.0), at(1.0, 170.0)
     radius = np.array([0.1])
 
     def echoes(flip: np.ndarray) -> list[EchoPaths]:
-        images = place * flip * 2 - np.array([[0.0, 0.0, 0.4]])
+        images = point * flip * 2 - np.array([[0.0, 0.0, 0.4]])
         box = 1.5 * math.pi
         return [
-            plane(SONAR, place * flip, one),
-            vertical_corner(SONAR, place * flip, one),
-            curved(SONAR, place * flip, radius, one),
-            curved(SONAR, place * flip, radius, one, sphere=True),
-            edge(SONAR, place * flip, UP, face * flip, normal * flip, one, exterior=box),
-            scattered(SONAR, (place * flip)[:, None], one[:, None]),
+            plane(SONAR, point * flip, one),
+            vertical_corner(SONAR, point * flip, one),
+            curved(SONAR, point * flip, radius, one),
+            curved(SONAR, point * flip, radius, one, sphere=True),
+            edge(SONAR, point * flip, UP, face * flip, normal * flip, one, exterior=box),
+            scattered(SONAR, (point * flip)[:, None], one[:, None]),
             mirrored(SONAR, images, images[:, None] + SONAR.receivers * [1, -1, 1], one),
         ]
 
