@@ -65,7 +65,7 @@ class TestIdentify:
                 document["torque_error_rms"][name][0], rel=1e-6
             )
 
-    def test_settings_can_be_given(
+    def test_settings_can_be_passed(
         self, identified: tuple[Result, Path], recordings: tuple[Path, Path], tmp_path: Path
     ) -> None:
         """The settings that one run printed give the same coefficients in the next."""
@@ -388,7 +388,7 @@ def test_files_that_are_not_there(recordings: tuple[Path, Path], tmp_path: Path)
 def test_a_joint_that_stands_still_is_named(
     identified: tuple[Result, Path], recordings: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    """Nothing is told of it, the others are as good as ever, and the command says so."""
+    """Its coefficients stay undetermined, the others are as accurate, and the command says so."""
     cells = _cells(recordings[0])
     column = cells[0].index("position_6")
     for row in cells[1:]:

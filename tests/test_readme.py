@@ -37,10 +37,10 @@ def test_the_examples_of_networks_run_one_after_the_other(
     for example in examples_of("docs/networks.md"):
         exec(compile(example, "docs/networks.md", "exec"), namespace)
         printed.append(capsys.readouterr().out)
-    training, size, relearnt, several, pruned = printed
+    training, size, reidentified, several, pruned = printed
     assert "stop set" in training or "not ended" in training
     assert size == "25 21 ('network 1', 'network 2')\n"
-    assert float(relearnt) < 1e-3
+    assert float(reidentified) < 1e-3
     assert "8 of 25 weights" in several
     assert re.search(r"of 25 weights removed", pruned)
 
@@ -53,10 +53,10 @@ def test_the_examples_of_friction_run_one_after_the_other(
     for example in examples_of("docs/friction.md"):
         exec(compile(example, "docs/friction.md", "exec"), namespace)
         printed.append(capsys.readouterr().out)
-    names, slopes, relearnt = printed
+    names, slopes, reidentified = printed
     assert names == "('ks6', 'kvp3', 'kvn3')\n"
     assert slopes.startswith("[5.")
-    assert "0.03" in relearnt  # dry friction of 0.05, cleaned
+    assert "0.03" in reidentified  # dry friction of 0.05, cleaned
 
 
 def test_the_examples_of_payload_run_one_after_the_other(

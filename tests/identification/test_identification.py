@@ -1,4 +1,4 @@
-"""What users hold after a fit: intervals, tables, files; and how it does on data not its own."""
+"""What users hold after a fit: intervals, tables, files; and its errors on validation data."""
 
 import json
 import math

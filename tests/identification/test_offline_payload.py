@@ -246,7 +246,7 @@ class TestPhysical:
         assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) > 0
 
     def test_an_arm_of_unknown_link_and_payload(self, rng: np.random.Generator) -> None:
-        """With a recording of the empty arm that tells too little of it, so does the payload's."""
+        """A recording of the empty arm that does not determine the arm leaves the payload open."""
         arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
         network = jc.derive(arm, lengths="numeric")
         loaded = network.with_payload()

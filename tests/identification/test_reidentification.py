@@ -123,7 +123,7 @@ def test_a_part_equals_a_network_of_that_part(
     """Oracle: the payload's columns alone are a robot without mass that carries a body."""
     alone = jc.derive(carrier(arm.robot), lengths="numeric")
     loaded = arm.with_payload()
-    # What can be told of a payload is what the algebra chooses: its numbers, one by one.
+    # The algebra determines which numbers of a payload are identifiable, one by one.
     names = [f"p{c.expression.replace('m2*r', 'h').rstrip('2')}" for c in alone.coefficients]
     k = rng.normal(size=loaded.size)
     patterns = _drawn(loaded, k, rng, 400, 0.3)
@@ -191,7 +191,7 @@ def test_a_vector_is_exact(arm: jc.CSLC, rng: np.random.Generator) -> None:
 def test_what_a_short_recording_leaves_open_is_named(
     arm: jc.CSLC, rng: np.random.Generator
 ) -> None:
-    """A joint that stands still tells nothing of its friction."""
+    """A joint that stands still leaves its friction undetermined."""
     q, qd, qdd = rng.uniform(-2, 2, (3, 50, 2))
     qd[:, 1] = 0.0
     k = rng.normal(size=arm.size)
@@ -202,7 +202,7 @@ def test_what_a_short_recording_leaves_open_is_named(
         "kd2: nothing in the patterns depends on it",
     )
     assert np.isinf(fit.standard_error[arm.names.index("kv2")])
-    assert_allclose(fit.k, k, atol=_ROUNDING)  # what nothing is told of stays as it was
+    assert_allclose(fit.k, k, atol=_ROUNDING)  # undetermined coefficients keep their values
 
 
 def test_last_coefficients_may_be_missing_if_they_are_fitted(

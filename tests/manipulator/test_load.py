@@ -237,7 +237,7 @@ def test_bodies_without_geometry_weigh_nothing(tmp_path: Path) -> None:
     assert robot.source.carried == (None,)
 
 
-def test_carried_bodies_are_told_apart() -> None:
+def test_carried_bodies_are_distinguished() -> None:
     """Composite = the file's own body, in the link's frame, and what is fixed to it."""
     robot = jc.load_robot(example("panda.urdf"), tip="panda_link7")
     assert robot.links is not None and robot.source is not None

@@ -94,7 +94,7 @@ def test_variants_keep_the_rest() -> None:
     assert full.numbering is None
 
 
-def test_lengths_are_named_by_their_place() -> None:
+def test_lengths_are_named_by_their_joint() -> None:
     robot = Manipulator.from_modified_dh(
         [(0, 0, 0.5, 0), (0, 0.1, 0, 0), (0, "upper", -0.2, 0)], lengths={"upper": 0.7}
     )

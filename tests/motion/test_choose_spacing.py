@@ -38,7 +38,7 @@ def test_without_noise_nothing_may_be_taken_from_the_motion() -> None:
 
 
 def test_a_coarser_encoder_allows_more() -> None:
-    """Of readings that do not show their counts, it can be told."""
+    """The resolution can be passed for readings that do not show their counts."""
     time, position = motion()
     steps = [0.0, 1e-5, 1e-4, 1e-3]
     spacings = np.array(
@@ -52,7 +52,7 @@ def test_a_coarser_encoder_allows_more() -> None:
     assert by_joint == (spacings[0, 0], spacings[-1, 1])
 
 
-def test_the_counts_of_readings_need_not_be_told() -> None:
+def test_the_resolution_is_estimated_from_readings() -> None:
     time, position = motion()
     readings = quantised(position)
     seen = choose_spacing(time, readings, candidates=CANDIDATES)

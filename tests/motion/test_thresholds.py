@@ -1,4 +1,4 @@
-"""Thresholds from residuals: what is put in is found, and what is not there is not."""
+"""Thresholds from residuals: simulated thresholds are recovered, and none is invented."""
 
 import numpy as np
 import pytest

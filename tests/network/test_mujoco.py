@@ -54,7 +54,7 @@ def rigid_puma(links: tuple[LinkParameters, ...]) -> tuple[LinkParameters, ...]:
 
     Link 3's measured moments break the triangle inequality. 0.004 more of its Ixx and Iyy, and as
     much less of link 1's Izz, cancel in every coefficient. Link 1 turns about the vertical: its
-    mass on that axis and its other moments are felt by no joint.
+    mass on that axis and its other moments enter no joint torque.
     """
     first, third = links[0], links[2]
     moment = float(first.inertia[2, 2]) - 0.004

@@ -123,8 +123,8 @@ def test_the_closed_form_of_the_payload_agrees_with_the_recursion(
     )
 
 
-def test_some_of_the_ten_cannot_be_felt_by_a_short_arm() -> None:
-    """An elbow in a vertical plane feels one moment and two first moments beside the mass."""
+def test_a_short_arm_does_not_determine_all_ten_parameters() -> None:
+    """In a vertical plane an elbow determines one moment and two first moments beside the mass."""
     arm = jc.Manipulator.from_modified_dh(
         [(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0), motor_inertia=False
     )

@@ -1,4 +1,4 @@
-"""A payload learnt while it is carried (8.2.4)."""
+"""A payload identified while it is carried (8.2.4)."""
 
 import dataclasses
 from typing import Any
@@ -102,7 +102,7 @@ def test_what_is_handed_out_can_exist(carried: list[sim.ClosedLoop]) -> None:
 
 def test_picking_up_and_putting_down_are_noticed(carried: list[sim.ClosedLoop]) -> None:
     observed = carried[1].observed
-    resumed = {PICKED: 1.4, PLACED: 3.9}  # an arm at rest tells nothing
+    resumed = {PICKED: 1.4, PLACED: 3.9}  # an arm at rest determines nothing
     assert 0 < observed["picked_up"][-1] - resumed[PICKED] < 1.0
     assert 0 < observed["put_down"][-1] - resumed[PLACED] < 1.0
     before = carried[1].truth.time < resumed[PICKED]
@@ -114,10 +114,10 @@ def test_compensation_tracks_better(carried: list[sim.ClosedLoop]) -> None:
     time = carried[0].truth.time
     wanted = np.asarray(PATH.reference(time[:, None], np.tile(START, (len(time), 1))).q)
     settled = (time > 2.6) & (time < PLACED)
-    unlearnt, learnt = (
+    uncompensated, compensated = (
         np.sqrt(np.mean((result.truth.position - wanted)[settled] ** 2)) for result in carried
     )
-    assert learnt < 0.6 * unlearnt
+    assert compensated < 0.6 * uncompensated
 
 
 def test_nothing_is_found_where_nothing_is(

@@ -235,7 +235,7 @@ def truncated(content: bytes) -> bytes:
 
 
 def flipped(content: bytes) -> bytes:
-    """One bit of an array: the archive's own sum tells."""
+    """One bit of an array: the archive's checksum shows it."""
     at = content.index(b"fingerprint") + 200
     return content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]
 
@@ -319,7 +319,7 @@ def test_the_same_fingerprint_in_every_process() -> None:
     assert len(fingerprints.pop()) == len(hashlib.sha256().hexdigest())
 
 
-def test_functions_are_told_apart_by_name() -> None:
+def test_functions_are_distinguished_by_name() -> None:
     def fingerprint(function: Callable[..., Any]) -> str:
         network = fully_connected([2, 1], "logistic", preprocess=function)
         return Checkpoint(Path("x"), network).fingerprint

@@ -87,7 +87,7 @@ def test_reach_goes_through_layers() -> None:
         examples(network, np.ones((4, 2)), np.ones((4, 2)))
 
 
-def test_moduli_do_not_cancel_where_data_are_told() -> None:
+def test_moduli_do_not_cancel_where_data_determine_weights() -> None:
     """Two links of opposite sign that share a weight, and contexts of opposite sign."""
     part = Subnetwork(
         "a",
@@ -121,7 +121,7 @@ def test_masks_that_leave_a_coefficient_without_data(puma: CSLC, rng: np.random.
         examples(network, patterns, t, np.zeros((6, 6), bool))
     mask[2, 5] = True
     assert float(examples(network, patterns, t, mask).patterns) == 6.0
-    # A joint that never moves tells nothing of its friction.
+    # A joint that never moves leaves its friction undetermined.
     patterns[1][:, 0] = 0.0
     with pytest.raises(ValueError, match="masks leave no data for kv1, kd1:"):
         examples(network, patterns, t)

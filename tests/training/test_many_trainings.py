@@ -100,7 +100,7 @@ def test_starts(problem: Problem) -> None:
 
 
 def test_one_that_diverges_leaves_the_others(problem: Problem) -> None:
-    """And many never raise: their outcomes tell."""
+    """And many never raise: their outcomes say which failed."""
     starts = problem.starts.copy()
     starts[3] = 1e308
     many = run(problem._replace(starts=starts), plan_of(), throw=True)

@@ -36,7 +36,7 @@ XOR_TARGETS = np.array([[0.0], [1.0], [1.0], [0.0]])
 
 
 def plan(rate: float = 1.0) -> Plan:
-    """Sequential, until every pattern is told right."""
+    """Sequential, until every pattern is classified correctly."""
     return Plan(
         PerceptronRule(),
         FixedRates(rate),

@@ -215,7 +215,7 @@ def test_transforms(rng: np.random.Generator) -> None:
 
 
 def test_a_plan_s_rates() -> None:
-    """A tenth up, a tenth down and 8 % unless told; one set for every rule, or one for each."""
+    """A tenth up, a tenth down and 8 % by default; one set for every rule, or one for each."""
     plan = Plan(Backpropagation())
     (only,) = plan.rates
     assert isinstance(only, AdaptedRates)

@@ -236,7 +236,7 @@ def test_entries_repeat_also_where_a_turn_would_change(line: Problem) -> None:
 
 
 def overtrained(rng: np.random.Generator) -> tuple[Problem, Examples]:
-    """Ten weights, twelve noisy patterns, and others to tell by: their cost falls, then rises."""
+    """Ten weights, twelve noisy patterns, and a stop set whose cost falls, then rises."""
     network = fully_connected([9, 1], "linear combiner")
     w = rng.normal(size=(9, 1))
     x, other = rng.normal(size=(12, 9)), rng.normal(size=(40, 9))
@@ -358,7 +358,7 @@ def test_frozen_layers_do_not_count_in_averages(rng: np.random.Generator) -> Non
 def test_friction_alone_is_relearnt(
     puma: CSLC, puma_k: jax.Array, rng: np.random.Generator
 ) -> None:
-    """Bearings cleaned: other friction, learnt with the rest as it was (5.2.4)."""
+    """Bearings cleaned: other friction, re-identified with all else frozen (5.2.4)."""
     network = inverse_dynamics(puma)
     patterns = tuple(rng.uniform(-2, 2, (3, 60, 6)))
     k = np.asarray(puma_k)

@@ -1,4 +1,4 @@
-"""Pictures of a payload that is learnt: axes with units, and the data drawn are the data passed."""
+"""Pictures of a payload that is identified: axes with units, the data drawn are those passed."""
 
 import numpy as np
 import pytest
