@@ -1,11 +1,16 @@
 """The examples of the README, and those of pages that promise to run, run as they stand."""
 
 import re
+import shlex
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import click
 import numpy as np
 import pytest
+import typer
+
+from jaxcslc.cli import app
 
 
 ROOT = Path(__file__).parents[1]
@@ -82,3 +87,16 @@ def test_the_examples_of_control_run_one_after_the_other(
     torque, off, faults = printed
     assert torque.startswith("[") and off.count("off by at most 0.00") == 2
     assert faults == "('joint 3: lost samples, found at 0.010 s',)\n"
+
+
+def test_the_commands_of_the_readme_have_their_options() -> None:
+    """Every `jaxcslc` line of the README's shell blocks names a command and options that exist."""
+    commands = cast("click.Group", typer.main.get_command(app)).commands
+    blocks = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    lines = [line for line in "".join(blocks).splitlines() if "jaxcslc " in line]
+    assert len(lines) >= 6
+    for line in lines:
+        _, command, *arguments = shlex.split(line, comments=True)
+        known = {name for option in commands[command].params for name in option.opts}
+        used = {argument for argument in arguments if argument.startswith("-")}
+        assert used <= known, line

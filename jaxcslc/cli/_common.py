@@ -8,17 +8,19 @@ import typer
 from rich.console import Console
 
 from .._environment import MissingExtraError
-from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560
+from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560, tx40
 from ..motion import RecordingError
 from ..network import CSLC, derive
 
 
-BUNDLED = {"puma560": puma560, "panda": panda}
+BUNDLED = {"puma560": puma560, "panda": panda, "tx40": tx40}
 """Robots that the library brings with it, by the name that the command takes."""
 
 RobotArgument = Annotated[
     str,
-    typer.Argument(metavar="ROBOT", help="A robot file (.toml, .urdf, .xml), or puma560 or panda."),
+    typer.Argument(
+        metavar="ROBOT", help="A robot file (.toml, .urdf, .xml), or puma560, panda or tx40."
+    ),
 ]
 LengthsOption = Annotated[
     str,

@@ -159,18 +159,18 @@ def fit_windows(
     system = equations(theta, states)
     within = within * (system.mean_square < _OUTLIER * jnp.median(system.mean_square))[:, None]
     system = equations(theta, states)
-    damping, settled, number = _FIRST_DAMPING, False, 0
-    while number < rounds and not settled:
+    damping, converged, number = _FIRST_DAMPING, False, 0
+    while number < rounds and not converged:
         number += 1
         change, moves = _step(system, jnp.asarray(damping))
         trial = equations(theta + change, states + moves)
         if float(trial.cost) <= float(system.cost):  # and not NaN
-            settled = float(system.cost) - float(trial.cost) < 1e-5 * float(trial.cost)
+            converged = float(system.cost) - float(trial.cost) < 1e-5 * float(trial.cost)
             theta, states, system = theta + change, states + moves, trial
             damping /= 10.0
         else:
             damping *= 10.0
-            settled = damping > 1e6
+            converged = damping > 1e6
     errors = np.asarray(_errors(system))
     p = network.size
     slopes = np.exp(np.asarray(theta[p:]))

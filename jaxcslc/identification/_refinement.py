@@ -15,9 +15,9 @@ from ._settings import Settings
 from .solver import Identification, regressor_of
 
 
-# Thresholds that change by less than this part of themselves have settled: they are known to a
+# Thresholds that change by less than this part of themselves have converged: they are known to a
 # tenth at best.
-_SETTLED = 0.05
+_TOLERANCE = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Refinement:
     - `static_friction`: the ramps in the residuals of the fit before.
     - `rounds`: the thresholds that each fit was made with, from the first to `fit`'s, each (n,)
       [rad/s or m/s].
-    - `settled`: whether the last change was small; if not, the rounds ran out.
+    - `converged`: whether the last change was small; if not, the rounds ran out.
 
     >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
     >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
@@ -52,7 +52,7 @@ class Refinement:
     fit: Identification
     static_friction: StaticFriction
     rounds: tuple[Float[np.ndarray, " joints"], ...]
-    settled: bool
+    converged: bool
 
 
 def refine_thresholds(
@@ -66,10 +66,10 @@ def refine_thresholds(
     """Fits, takes the thresholds of static friction from the residuals, and fits again (7.5).
 
     The thesis starts with one hundredth of each joint's greatest speed. Once the network fits well
-    enough for static friction to show, it updates the thresholds to the speeds at the brink of its
-    regions (Fig. 7.6-4, Fig. B.6-1). With better thresholds the plateau beside the ramps
-    is better known, so this goes round until thresholds settle. What the ramps are and how they
-    are distinguished from noise: see `jaxcslc.motion.thresholds_from_residuals`.
+    enough for static friction to show, it updates the thresholds to the speeds above which
+    static friction is negligible (Fig. 7.6-4, Fig. B.6-1). With better thresholds the plateau
+    beside the ramps is better known, so this goes round until thresholds converge. What the ramps
+    are and how they are distinguished from noise: see `jaxcslc.motion.thresholds_from_residuals`.
 
     (On simulated PUMA 560 machines, 10 seeds each: from thresholds of one hundredth to the refined,
     the error of the dry coefficients fell from 1.5 % to 0.7 %, that of the viscous from 3.2 % to
@@ -120,7 +120,7 @@ def refine_thresholds(
     minimum = friction_thresholds(np.asarray(patterns.qd), fraction)
     fit = current.fit(network, patterns)
     tried = [minimum]
-    settled = False
+    converged = False
     while True:
         static = _static_friction(network, patterns, fit, minimum)
         tried.append(static.thresholds)
@@ -128,9 +128,9 @@ def refine_thresholds(
         patterns = current.patterns(recording)
         fit = current.fit(network, patterns)
         before, after = tried[-2:]
-        settled = bool(np.all(np.abs(after - before) <= _SETTLED * after))
-        if settled or len(tried) > rounds:
-            return Refinement(current, patterns, fit, static, tuple(tried), settled)
+        converged = bool(np.all(np.abs(after - before) <= _TOLERANCE * after))
+        if converged or len(tried) > rounds:
+            return Refinement(current, patterns, fit, static, tuple(tried), converged)
 
 
 def _static_friction(

@@ -27,8 +27,8 @@ _GONE_AT = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02, 0.01, 0.005)
 _ROUNDS = 3
 _ROBUST_ROUNDS = 30
 # The search ends with a step of this part of a slope; rounds of reweighting with a larger one.
-_SETTLED = 1e-8
-_ROUND_SETTLED = 1e-6
+_TOLERANCE = 1e-8
+_ROUND_TOLERANCE = 1e-6
 # Levenberg and Marquardt's damping: at first, and its factors after a good and a bad step.
 _DAMPING = 1e-3
 _GOOD, _BAD, _MOST_DAMPING = 0.1, 5.0, 1e9
@@ -48,7 +48,7 @@ class SlopeFit(eqx.Module):
     - `slope_error`: (n,) standard deviation of each; infinite for `dropped`, zero for joints
       without static friction.
     - `steps`: of the search, all rounds together.
-    - `settled`: whether it came to an end.
+    - `converged`: whether the search converged.
     - `dropped`: joints, counted from 1, whose slope the patterns do not determine.
     - `warnings`: one sentence for each of them.
 
@@ -60,7 +60,7 @@ class SlopeFit(eqx.Module):
     >>> k = np.array([0.5, 0.3, -0.1, 0.2, 0.4])
     >>> torque = np.asarray(network.with_static_slopes([5.0]).torque(k, *motion))
     >>> found = jc.fit_slopes(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> bool(found.settled), round(float(found.slopes[0]), 6)
+    >>> bool(found.converged), round(float(found.slopes[0]), 6)
     (True, 5.0)
     """
 
@@ -69,7 +69,7 @@ class SlopeFit(eqx.Module):
     slopes: Float[Array, " joints"]
     slope_error: Float[Array, " joints"]
     steps: Int[Array, ""]
-    settled: Bool[Array, ""]
+    converged: Bool[Array, ""]
     dropped: tuple[int, ...] = eqx.field(static=True, default=())
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
@@ -139,12 +139,12 @@ def fit_slopes(
     slopes = np.array(network.static_slopes, float)
     slope_error = np.zeros(network.joint_count)
     warnings: dict[int, str] = {}
-    steps, settled, from_start = 0, True, start is not None
+    steps, converged, from_start = 0, True, start is not None
     while "static" in network.robot.friction_terms:
         equations = SlopeEquations.of(network, patterns, solver)
         joints = np.array(equations.joints)
         search = _fitted_slopes(equations, solver, slopes[joints], from_start, max_steps)
-        steps, settled, from_start = steps + search.steps, search.settled, True
+        steps, converged, from_start = steps + search.steps, search.converged, True
         slopes[joints] = search.slopes
         network = network.with_static_slopes(slopes)
         lost = {
@@ -173,7 +173,7 @@ def fit_slopes(
         jnp.asarray(slopes),
         jnp.asarray(slope_error),
         jnp.asarray(steps),
-        jnp.asarray(settled),
+        jnp.asarray(converged),
         tuple(sorted(warnings)),
         tuple(warnings[joint] for joint in sorted(warnings)),
     )
@@ -181,12 +181,12 @@ def fit_slopes(
 
 @dataclasses.dataclass(frozen=True)
 class _Search:
-    """Where a search for slopes ended: slopes, solution, steps, and whether it settled."""
+    """Where a search for slopes ended: slopes, solution, steps, and whether it converged."""
 
     slopes: Float[np.ndarray, " slopes"]
     solution: Solution
     steps: int
-    settled: bool
+    converged: bool
 
 
 def _fitted_slopes(
@@ -231,7 +231,7 @@ def _fitted_slopes(
         before = slopes
         search = _searched(equations, slopes, weights, solver.rcond, max_steps)
         slopes, steps, k = search.slopes, steps + search.steps, search.solution.k[: len(k)]
-        if robust and np.max(np.abs(np.log(slopes / before))) < _ROUND_SETTLED:
+        if robust and np.max(np.abs(np.log(slopes / before))) < _ROUND_TOLERANCE:
             break
     assert search is not None
     return dataclasses.replace(search, steps=steps)
@@ -291,7 +291,7 @@ def _searched(
                 break
             moving &= ~stuck
         size = float(np.max(np.abs(np.log(proposed / slopes))))
-        if size < _SETTLED:
+        if size < _TOLERANCE:
             return _Search(slopes, solution, step + 1, True)
         tried, remaining = _evaluated(equations, proposed, weights, rcond)
         if remaining <= squares:

@@ -14,7 +14,7 @@ class LinkParameters(eqx.Module):
     - `centre_of_gravity`: (3,), in the link's frame [m].
     - `inertia`: (3, 3), inertia tensor at the centre of gravity, axes of the link's frame
       [kg m²]; off-diagonal entries are tensor elements, `I[0, 1] = -∫ x y dm`.
-    - `motor_inertia`: effective inertia of the motor at the joint (Eqn. 2.5-5) [kg m², or kg
+    - `motor_inertia`: effective inertia of the motor at the joint (Eqn. 2.5-6) [kg m², or kg
       for a prismatic joint].
 
     A pytree of arrays: functions of it can be differentiated and vmapped.

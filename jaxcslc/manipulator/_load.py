@@ -5,15 +5,15 @@ from typing import TypeGuard
 import numpy as np
 from jaxtyping import Float
 
-from ._bodies import Body, BodyTree, FileJoint, read_bodies
 from ._errors import RobotError
 from ._inertia import LinkInertia
 from ._link_parameters import LinkParameters, fixed_together, seen_from
 from ._manipulator import Manipulator
+from ._mujoco_reader import Body, BodyTree, FileJoint, read_bodies
 from ._placement import Axis, modified_dh
 from ._source import Source
 from ._toml import read_toml
-from ._urdf_structure import check_urdf
+from ._urdf_checks import check_urdf
 from ._xml import read_xml
 
 

@@ -41,6 +41,10 @@ from ._recording import (
     stale_rows as stale_rows,
     without_stale_rows as without_stale_rows,
 )
+from ._residual_thresholds import (
+    StaticFriction as StaticFriction,
+    thresholds_from_residuals as thresholds_from_residuals,
+)
 from ._sampling import (
     Sampling as Sampling,
     encoder_resolution as encoder_resolution,
@@ -56,10 +60,6 @@ from ._smoothing import (
 )
 from ._spacing import choose_spacing as choose_spacing, left_out_error as left_out_error
 from ._splines import AveragedSplines as AveragedSplines
-from ._thresholds import (
-    StaticFriction as StaticFriction,
-    thresholds_from_residuals as thresholds_from_residuals,
-)
 from .files import (
     RecordingChunk as RecordingChunk,
     iterate_recording as iterate_recording,

@@ -82,7 +82,7 @@ class CSLC(AbstractTermSum):
         - `links`: one `LinkParameters` a joint; lengths and gravity are those of `robot`.
         - `payload`: in the frame of the link that carries it; none if omitted.
         - `friction`: by the kind of the term, zero if omitted. `viscous`, `dry`, `offset`,
-          `static`, `root`, `spring`: (n,), zero for joints without the term;
+          `static`, `root`, `quadratic`, `spring`: (n,), zero for joints without the term;
           `asymmetric_viscous`, `asymmetric_dry`: (n, 2), forwards and backwards; `coupled`:
           (pairs, 3), shared inertia, viscous and dry friction of coupled joints.
 
@@ -152,7 +152,7 @@ class CSLC(AbstractTermSum):
         self.layout.of(kind)
         robot = self.robot
         for joint in joints:
-            remaining = (word for word in robot.friction_per_joint[joint - 1] if word != kind)
+            remaining = (other for other in robot.friction_per_joint[joint - 1] if other != kind)
             robot = robot.with_friction(*remaining, joint=joint)
         terms = tuple(
             JointTerm.of(term.law, robot)
@@ -176,8 +176,8 @@ class CSLC(AbstractTermSum):
         Its ten inertial parameters are the last coefficients of `k`, in group `"payload"`: the
         inertia tensor about the origin of the carrying link's frame, the first moments and the
         mass, pIxx pIyy pIzz pIxy pIxz pIyz phx phy phz pm. Zeros are no payload. A recording of
-        the loaded arm alone cannot tell payload and link apart: know the arm's own coefficients
-        before, or fit an unloaded recording beside it.
+        the loaded arm alone cannot separate payload and link: fix the arm's coefficients at an
+        earlier identification, or fit an unloaded recording jointly.
 
         **Arguments**
 

@@ -4,7 +4,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ._bodies import MachineError
-from ._machine import Machine
+from ._machine import OFF, Machine
 from ._puma560 import puma560
 
 
@@ -56,20 +56,13 @@ def undisturbed(machine: Machine) -> Machine:
     >>> sim.undisturbed(sim.puma560()).encoder_resolution
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """
-    none = (0.0,) * machine.joint_count
     return dataclasses.replace(
         machine,
-        encoder_resolution=none,
+        encoder_resolution=(0.0,) * machine.joint_count,
         static=machine.dry,
-        asymmetry=(),
-        tilt=(),
-        linear_torque=(),
         timing_jitter=0.0,
         torque_delay=0.0,
-        stiffness=(),
-        backlash=(),
-        transmission_damping=(),
-        link_share=(),
+        **dict.fromkeys(OFF, ()),
     )
 
 

@@ -114,7 +114,7 @@ class Machine:
             raise MachineError(
                 f"robot {self.robot.name!r} has no link parameters; a machine needs its masses"
             )
-        for name, off in _OFF.items():
+        for name, off in OFF.items():
             if not getattr(self, name):
                 object.__setattr__(self, name, (off,) * self.joint_count)
         for name in ("viscous", "dry", "static", "encoder_resolution", "backlash"):
@@ -225,7 +225,8 @@ class Machine:
                 raise MachineError(f"{name} of joint {i} is {value}; expected {expected}")
 
 
-_OFF = {
+# What switches a disturbance of the joints off: the value of every joint if a field is left empty.
+OFF = {
     "stiffness": math.inf,
     "backlash": 0.0,
     "transmission_damping": 0.0,

@@ -46,7 +46,7 @@ def test_the_slope_that_was_put_in_is_found(pendulum: jc.CSLC, rng: np.random.Ge
     # Of a single recording, the excess scatters by a quarter.
     recordings = [swing(pendulum, rng) for _ in range(3)]
     results = [refine_thresholds(pendulum, recording, SETTINGS) for recording in recordings]
-    assert all(refined.settled for refined in results)
+    assert all(refined.converged for refined in results)
     slopes = [refined.static_friction.slope_velocity[0] for refined in results]
     excesses = [refined.static_friction.excess[0] for refined in results]
     assert np.mean(slopes) == pytest.approx(GAMMA, rel=0.35)
@@ -87,14 +87,14 @@ def test_without_static_friction_thresholds_stay(
     pendulum: jc.CSLC, rng: np.random.Generator
 ) -> None:
     refined = refine_thresholds(pendulum, swing(pendulum, rng, excess=0.0), SETTINGS)
-    assert refined.settled and not refined.static_friction.significant[0]
+    assert refined.converged and not refined.static_friction.significant[0]
     np.testing.assert_allclose(refined.rounds[-1], refined.rounds[0])
 
 
 def test_rounds_run_out(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
     refined = refine_thresholds(pendulum, swing(pendulum, rng), SETTINGS, rounds=1)
     assert len(refined.rounds) == 2
-    assert not refined.settled
+    assert not refined.converged
     with pytest.raises(ValueError, match="0 rounds; expected 1 or more"):
         refine_thresholds(pendulum, swing(pendulum, rng), SETTINGS, rounds=0)
 

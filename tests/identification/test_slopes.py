@@ -42,7 +42,7 @@ def test_recovers_slopes_and_coefficients(network: jc.CSLC, rng: np.random.Gener
     result = jc.fit_slopes(network.with_static_slopes([1.0, 100.0]), patterns, solver=ORDINARY)
     assert_allclose(result.slopes, SLOPES, rtol=1e-6)
     assert_allclose(result.fit.k, k, rtol=1e-6)
-    assert bool(result.settled)
+    assert bool(result.converged)
     assert np.array_equal(np.asarray(result.network.static_slopes), result.slopes)
     assert "slopes [12 ± " in repr(result)
 

@@ -310,7 +310,7 @@ def test_friction_is_each_joints_own(rng: np.random.Generator) -> None:
     )
     qd = rng.uniform(-3, 3, (9, 2))
     qd[0] = 0.0
-    # Eqns. 2.5-1 and 2.5-3; no dry friction at rest, where its sign is unknown.
+    # Eqn. 2.5-3; no dry friction at rest, where its sign is unknown.
     expected = viscous * qd + dry * np.sign(qd) + offset
     assert_equal(network.friction_term(k, qd), expected)
     assert_equal(network.torque(k, 0 * qd, qd, 0 * qd), expected)

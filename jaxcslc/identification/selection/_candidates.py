@@ -3,6 +3,7 @@ from itertools import groupby
 from typing import Any, Literal
 
 from ...motion import (
+    DEFAULT_THRESHOLD_FRACTION,
     AbstractSmoothing,
     AveragedSplines,
     Butterworth,
@@ -23,7 +24,7 @@ _SPACINGS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137)
 _SMOOTHING_CUTOFFS = (45.0, 32.0, 22.0, 16.0, 11.0, 8.0, 5.6, 4.0, 2.8, 2.0)
 _WINDOWS = (9, 13, 17, 25, 35, 49, 69, 97, 137, 193)
 _CUTOFFS = (30.0, 15.0, 8.0, 4.0)
-_THRESHOLD_FRACTIONS = (0.01, 0.03, 0.1)
+_THRESHOLD_FRACTIONS = (0.01, DEFAULT_THRESHOLD_FRACTION, 0.1)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -142,7 +142,7 @@ class LeastSquares:
         *,
         workers: int | None = None,
     ) -> Identification:
-        """The same fit of patterns that arrive in pieces, in memory that does not grow.
+        """The same fit of patterns that arrive in pieces, in constant memory.
 
         Every piece is factorised and joined to the triangles of those before (an orthogonal
         factorisation, never the normal equations). A stream passes once, so neither robust losses

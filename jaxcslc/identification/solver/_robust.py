@@ -10,9 +10,9 @@ from ._rows import AbstractRows
 from ._standard_errors import Residuals
 
 
-# Coefficients that change by less than this part of themselves have settled. Huber's rounds take
+# Coefficients that change by less than this part of themselves have converged. Huber's rounds take
 # some ten, the bisquare's some twenty.
-_SETTLED = 1e-9
+_TOLERANCE = 1e-9
 _ROUNDS = 100
 
 
@@ -92,12 +92,12 @@ def _reweighted(
         better = minimum(rows.unknowns, rows.factors(root), joint_weights, rcond, fixed).k
         return better, jnp.max(jnp.abs(better - k)) / jnp.max(jnp.abs(better)), rounds + 1
 
-    def unsettled(state: tuple[Array, Array, Array]) -> Array:
+    def not_converged(state: tuple[Array, Array, Array]) -> Array:
         _, change, rounds = state
-        return (change > _SETTLED) & (rounds < _ROUNDS)
+        return (change > _TOLERANCE) & (rounds < _ROUNDS)
 
     state = (start, jnp.asarray(jnp.inf), jnp.asarray(0))
-    return jax.lax.while_loop(unsettled, improve, state)[0]
+    return jax.lax.while_loop(not_converged, improve, state)[0]
 
 
 def _pseudo_residuals(

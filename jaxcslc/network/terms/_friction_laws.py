@@ -26,7 +26,7 @@ class Viscous(AbstractJointLaw):
 
 
 class AsymmetricViscous(AbstractJointLaw):
-    """Viscous friction with a coefficient for either direction of motion."""
+    """Viscous friction with a coefficient for either direction of motion (Fig. 8.2-2)."""
 
     @property
     def properties(self) -> LawProperties:
@@ -45,7 +45,7 @@ class AsymmetricViscous(AbstractJointLaw):
 
 
 class Dry(AbstractJointLaw):
-    """Coulomb friction, in proportion to the sign of velocity (Eqn. 2.5-4)."""
+    """Coulomb friction, in proportion to the sign of velocity (Eqn. 2.5-3)."""
 
     @property
     def properties(self) -> LawProperties:
@@ -104,7 +104,7 @@ class Root(AbstractJointLaw):
 
 
 class Offset(AbstractJointLaw):
-    """A constant torque (Fig. 8.2-1)."""
+    """A constant torque."""
 
     @property
     def properties(self) -> LawProperties:
@@ -122,7 +122,7 @@ class Offset(AbstractJointLaw):
 
 
 class Spring(AbstractJointLaw):
-    """A joint spring: torque in proportion to position (Fig. 8.2-2)."""
+    """A joint spring: torque in proportion to position."""
 
     @property
     def properties(self) -> LawProperties:

@@ -20,7 +20,7 @@ class LawProperties(NamedTuple):
 
     **Attributes**
 
-    - `kind`: the word of a robot's friction model, and the group of the coefficients.
+    - `kind`: the kind, as in a robot's friction model, and the group of the coefficients.
     - `symbols`: letters that names of coefficients begin with, one for each input.
     - `description`: of a coefficient, with `{}` for the number of the joint.
     - `units`: of revolute and of prismatic joints.

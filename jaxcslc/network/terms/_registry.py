@@ -17,7 +17,7 @@ from ._quadratic_friction import QuadraticFriction
 from ._static_friction import StaticFriction
 
 
-# The law of each word of `jaxcslc.manipulator.FRICTION_TERMS`, made for a robot.
+# The law of each kind of `jaxcslc.manipulator.FRICTION_TERMS`, made for a robot.
 _LAWS: dict[str, Callable[[Manipulator], AbstractJointLaw]] = {
     "viscous": lambda _: Viscous(),
     "asymmetric_viscous": lambda _: AsymmetricViscous(),

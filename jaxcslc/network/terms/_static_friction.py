@@ -11,7 +11,7 @@ from ._joint_term import AbstractJointLaw, LawProperties
 
 
 class StaticFriction(AbstractJointLaw):
-    """Static friction beyond dry friction: sign(qd) exp(-slope |qd|).
+    """Static friction beyond dry friction: sign(qd) exp(-slope |qd|) (Eqn. 2.5-4, Fig. 8.2-1).
 
     **Attributes**
 

@@ -23,7 +23,7 @@ class AbstractTerm(eqx.Module):
 
     **Attributes**
 
-    - `kind`: what it is called, one word that no other term of a network has: `"rigid_body"`,
+    - `kind`: its name, which no other term of a network has: `"rigid_body"`,
       `"viscous"`, `"coupled_inertia"`, `"payload"`.
     - `coefficients`: names, groups, expressions and units, in the term's order.
     """

@@ -52,7 +52,7 @@ def thresholds_from_residuals(
     insignificant: float = 0.01,
     significance: float = 4.0,
 ) -> StaticFriction:
-    r"""Finds the brink of the region where static friction matters (thesis, Section 7.5).
+    r"""Finds the speed above which static friction is negligible (thesis, Section 7.5).
 
     A model of viscous and dry friction leaves static friction in its residuals: steep ramps on
     either side of every velocity reversal (Fig. 7.6-4). Taken in the direction of motion, the
@@ -132,9 +132,9 @@ def thresholds_from_residuals(
     significant = (units >= significance) & (excess > 0.0)
     height = np.where(significant, excess, 1.0)
     negligible = np.clip(np.maximum(plateau_error, insignificant * height) / height, None, 1.0)
-    brinks = np.where(significant, -gamma * np.log(negligible), 0.0)
+    negligible_above = np.where(significant, -gamma * np.log(negligible), 0.0)
     return StaticFriction(
-        thresholds=np.maximum(brinks, lowest),
+        thresholds=np.maximum(negligible_above, lowest),
         significant=significant,
         excess=np.where(significant, excess, 0.0),
         slope_velocity=np.where(significant, gamma, 0.0),
