@@ -37,6 +37,7 @@ CHECKED = [
     "scripts/benchmarks",
     "scripts/studies",
     "scripts/tools",
+    "sim",
     "tests/adaptive",
     "tests/assessment",
     "tests/identification",

@@ -55,7 +55,7 @@ class ComputedTorque(AbstractController):
     >>> k = network.coefficients_from(jc.puma560().links)
     >>> controller = ComputedTorque(network, k, natural_frequency=20.0)
     >>> q, qd = jnp.zeros(6), jnp.zeros(6)
-    >>> torque, _ = controller.step(controller.begin(q), Reference.rest(q), q, 0.002, qd)
+    >>> torque, _ = controller.step(controller.begin(q), Reference.at_rest(q), q, 0.002, qd)
     >>> bool(jnp.allclose(torque, network.gravity_term(k, q)))
     True
     """

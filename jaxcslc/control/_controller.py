@@ -22,7 +22,7 @@ class Reference(NamedTuple):
 
     >>> import numpy as np
     >>> from jaxcslc.control import Reference
-    >>> Reference.rest(np.zeros(2)).qdd
+    >>> Reference.at_rest(np.zeros(2)).qdd
     array([0., 0.])
     """
 
@@ -31,7 +31,7 @@ class Reference(NamedTuple):
     qdd: Joints
 
     @classmethod
-    def rest(cls, q: Joints) -> "Reference":
+    def at_rest(cls, q: Joints) -> "Reference":
         """The reference of an arm that is to stand still at `q`, (*batch, n) [rad or m]."""
         return cls(q, 0 * q, 0 * q)
 

@@ -107,7 +107,7 @@ class FaultMonitor(AbstractController):
     >>> q = jnp.zeros(6)
     >>> state, reading = monitor.begin(q), q.at[2].set(jnp.nan)
     >>> for _ in range(7):
-    ...     torque, state = monitor.step(state, Reference.rest(q), reading, 0.002)
+    ...     torque, state = monitor.step(state, Reference.at_rest(q), reading, 0.002)
     >>> monitor.report(state)
     ('joint 3: lost samples, detected at 0.010 s',)
     """

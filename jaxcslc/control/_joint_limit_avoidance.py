@@ -42,7 +42,7 @@ class JointLimitAvoidance(AbstractController):
     >>> k = jnp.array([2.0])
     >>> safe = JointLimitAvoidance(pid, network, k, [(-1.0, 1.0)], torque_limit=50.0, rate=10.0)
     >>> q, qd = jnp.array([0.9]), jnp.zeros(1)  # a tenth of a radian from the limit
-    >>> torque, _ = safe.step(safe.begin(q), Reference.rest(jnp.array([2.0])), q, 0.002, qd)
+    >>> torque, _ = safe.step(safe.begin(q), Reference.at_rest(jnp.array([2.0])), q, 0.002, qd)
     >>> round(float(torque[0]), 6)  # 2 kg m² times 10² / s² times 0.1 rad
     20.0
     """

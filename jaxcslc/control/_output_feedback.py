@@ -39,7 +39,7 @@ class OutputFeedback(AbstractController):
     >>> from jaxcslc.control import PID, LowPassChain, OutputFeedback, Reference
     >>> pid = PID(1, position_gain=100.0, velocity_gain=10.0)
     >>> feedback = OutputFeedback(pid, LowPassChain(50.0, lags=2))
-    >>> q, reference = jnp.zeros(1), Reference.rest(jnp.array([0.1]))
+    >>> q, reference = jnp.zeros(1), Reference.at_rest(jnp.array([0.1]))
     >>> torque, state = feedback.step(feedback.begin(q), reference, q, 0.002)
     >>> bool(torque[0] > 10.0)
     True

@@ -51,7 +51,7 @@ class PID(AbstractController):
     >>> from jaxcslc.control import PID, Reference
     >>> pid = PID(2, position_gain=100.0, velocity_gain=10.0, torque_limit=[5.0, 50.0])
     >>> q, qd = np.zeros(2), np.zeros(2)
-    >>> torque, state = pid.step(pid.begin(q), Reference.rest(np.full(2, 0.1)), q, 0.002, qd)
+    >>> torque, state = pid.step(pid.begin(q), Reference.at_rest(np.full(2, 0.1)), q, 0.002, qd)
     >>> torque.tolist()
     [5.0, 10.0]
     """

@@ -28,7 +28,7 @@ class SinusoidalTorque(AbstractController):
     >>> from jaxcslc.control import Reference, SinusoidalTorque
     >>> controller = SinusoidalTorque(np.array([2.0]), np.array([0.8]), np.array([1.5 * np.pi]))
     >>> q = np.zeros(1)
-    >>> torque, state = controller.step(controller.begin(q), Reference.rest(q), q, 0.002)
+    >>> torque, state = controller.step(controller.begin(q), Reference.at_rest(q), q, 0.002)
     >>> torque.tolist(), state.tolist()
     ([-2.0], [1])
     """

@@ -127,7 +127,7 @@ class Computer:
 
     def _reference(self, time: Any, origin: Array) -> Reference:
         if self.path is None:
-            return Reference.rest(origin)
+            return Reference.at_rest(origin)
         xp = origin.__array_namespace__()
         now = xp.broadcast_to(xp.asarray(time, dtype=origin.dtype), (*origin.shape[:-1], 1))
         return self.path.reference(now, origin)

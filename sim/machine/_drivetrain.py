@@ -11,8 +11,8 @@ from ._machine import Machine
 class Drives:
     """Torque of the motors as a function of the demand: linear, then saturating (7.2.3).
 
-    Up to its limit of linearity a motor gives what is demanded. Beyond, it gives progressively
-    less, as in Fig. 7.2-1, and approaches its greatest torque; the curve is
+    Up to its limit of linearity the torque equals the demand. Beyond, it is progressively less, as
+    in Fig. 7.2-1, and approaches the greatest torque; the curve is
     L + (S − L) (1 − exp(−(u − L) / (S − L))) for a demand of u, smooth where it leaves the line.
     The thesis gives no formula. Without a limit of linearity the greatest torque cuts off.
 

@@ -20,7 +20,7 @@ class Fault:
     - `"lost samples"`: the controller receives NaN instead of the encoder's reading. The
       recording, which holds numbers only, repeats the previous reading; `Truth.lost` marks it.
     - `"stuck encoder"`: the reading stays what it is at the first sample of the fault.
-    - `"reversed torque"`: the drive gives the opposite of what is demanded.
+    - `"reversed torque"`: the drive's torque is the negative of the demand.
 
     It acts from the first sample at or after `start` until the last one before `stop`.
 

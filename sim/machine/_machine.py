@@ -52,7 +52,7 @@ class Machine:
     """What one count of the encoder means at the joint (7.1) [rad or m]. Off: 0."""
 
     maximum_torque: tuple[float, ...]
-    """Largest magnitude of torque that the drive gives; it clips what is beyond [N m or N].
+    """Largest magnitude of the drive's torque; larger demands are clipped [N m or N].
     Off: `math.inf`."""
 
     position_range: tuple[tuple[float, float], ...]
@@ -94,7 +94,7 @@ class Machine:
     from the seed, at each sample once for all joints [s]. Off: 0."""
 
     torque_delay: float = 0.0
-    """How long after the sample the drives take on the torque demanded at it [s]; less than the
+    """Time from a sample until the drives apply its demand [s]; less than the
     sample interval. Off: 0."""
 
     start_spread: float = 5e-4

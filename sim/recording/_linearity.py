@@ -39,7 +39,7 @@ class MotorLinearity:
     """Mean torque demanded over whole oscillations, positive against gravity [N m]."""
 
     slope: float
-    """Of the line [N m/kg]: gravity times the lever, whatever that is."""
+    """Of the line [N m/kg]: gravity times the lever."""
 
     intercept: float
     """Of the line [N m]: the torque of the arm alone."""

@@ -21,7 +21,7 @@ from ._sonar import EchoPaths, Sonar
 RANGE = (0.6, 2.4)  # m
 BEARING = (-math.radians(15), math.radians(15))
 
-# Pressure reflection coefficient of what is hard: painted or papered wall, wood, stone.
+# Pressure reflection coefficient of hard surfaces: painted or papered wall, wood, stone.
 REFLECTION = (0.7, 1.0)
 # Angle between the bisector of an edge or corner and the line of sight: within it, no face of a
 # box or of a corner has specular reflection.

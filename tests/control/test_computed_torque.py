@@ -123,7 +123,7 @@ def test_an_integral_takes_out_what_a_wrong_model_leaves(puma: jc.CSLC, puma_k: 
             carry: tuple[Array, ...], _: None, controller: ComputedTorque = controller
         ) -> tuple[tuple[Array, ...], None]:
             q, qd, state = carry
-            torque, state = controller.step(state, Reference.rest(target), q, INTERVAL, qd)
+            torque, state = controller.step(state, Reference.at_rest(target), q, INTERVAL, qd)
             state = jnp.asarray(state)
             qd = qd + INTERVAL * puma.forward_dynamics(k, q, qd, torque)
             return (q + INTERVAL * qd, qd, state), None
@@ -146,7 +146,7 @@ def test_torque_stays_within_its_limits_and_the_integral_does_not_wind_up(
     state, torque = controller.begin(q), np.zeros(6)
     step = eqx.filter_jit(controller.step)
     for _ in range(50):
-        torque, state = step(state, Reference.rest(far), q, INTERVAL, 0 * q)
+        torque, state = step(state, Reference.at_rest(far), q, INTERVAL, 0 * q)
         assert np.all(np.abs(torque) <= limit)
     saturated = np.abs(np.asarray(torque)) == limit
     assert saturated.any() and not saturated.all()
@@ -154,7 +154,7 @@ def test_torque_stays_within_its_limits_and_the_integral_does_not_wind_up(
     assert np.all(integral[saturated] == 0.0)
     np.testing.assert_allclose(integral[~saturated], 50 * INTERVAL * far[~saturated])
     # What leads back is taken up even at the limit.
-    back = controller.step(jnp.asarray(far), Reference.rest(-0.1 * far), q, INTERVAL, 0 * q)[1]
+    back = controller.step(jnp.asarray(far), Reference.at_rest(-0.1 * far), q, INTERVAL, 0 * q)[1]
     assert np.all(np.abs(back) < np.abs(far))
 
 

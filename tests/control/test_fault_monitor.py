@@ -124,7 +124,7 @@ def test_an_arm_with_a_spring_at_rest() -> None:
     q = jnp.array([0.5])
     state, step = guard.begin(q), eqx.filter_jit(guard.step)
     for _ in range(40):
-        torque, state = step(state, Reference.rest(q), q, 0.002)
+        torque, state = step(state, Reference.at_rest(q), q, 0.002)
         np.testing.assert_allclose(torque, network.torque(k, q, 0 * q, 0 * q), atol=1e-9)
     assert guard.report(state) == ()
 
@@ -134,7 +134,7 @@ def test_the_report_names_joint_fault_and_time(guard: FaultMonitor) -> None:
     state, step = guard.begin(q), eqx.filter_jit(guard.step)
     gone = q.at[3].set(jnp.nan)
     for n in range(20):
-        torque, state = step(state, Reference.rest(q), gone if n >= 5 else q, 0.002)
+        torque, state = step(state, Reference.at_rest(q), gone if n >= 5 else q, 0.002)
         assert np.all(np.isfinite(torque))
     assert guard.report(state) == ("joint 4: lost samples, detected at 0.020 s",)
     assert guard.report(guard.begin(q)) == ()
@@ -146,7 +146,7 @@ def test_side_by_side_as_alone(guard: FaultMonitor, rng: np.random.Generator) ->
     states = jax.vmap(guard.begin)(q)
     step = eqx.filter_jit(eqx.filter_vmap(guard.step, in_axes=(0, 0, 0, None)))
     torque, states = step(states, reference, q, 0.002)
-    alone, _ = eqx.filter_jit(guard.step)(guard.begin(q[1]), Reference.rest(q[1]), q[1], 0.002)
+    alone, _ = eqx.filter_jit(guard.step)(guard.begin(q[1]), Reference.at_rest(q[1]), q[1], 0.002)
     np.testing.assert_allclose(torque[1], alone, atol=1e-9)
     assert states.fault.shape == (3, 6)
 

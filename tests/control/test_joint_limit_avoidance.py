@@ -23,7 +23,7 @@ def _moved(
 
     def onwards(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], Array]:
         q, qd, state = carry
-        torque, state = controller.step(state, Reference.rest(target), q, 0.002, qd)
+        torque, state = controller.step(state, Reference.at_rest(target), q, 0.002, qd)
         qd = qd + 0.002 * puma.forward_dynamics(k, q, qd, torque)
         return (q + 0.002 * qd, qd, state), q + 0.002 * qd
 

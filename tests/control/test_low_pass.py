@@ -110,7 +110,7 @@ def test_a_reading_that_has_not_come_does_no_lasting_harm() -> None:
     at, state = np.array([0.1]), loop.begin(np.zeros(1))
     for n in range(20):
         reading = np.full(1, np.nan) if n in (5, 6) else np.zeros(1)
-        torque, state = loop.step(state, Reference.rest(at), reading, 0.002)
+        torque, state = loop.step(state, Reference.at_rest(at), reading, 0.002)
         assert np.all(np.isfinite(torque))
 
 

@@ -30,7 +30,7 @@ def test_saturation_cuts_off_and_holds_the_integral() -> None:
     q, at = np.zeros(2), np.array([5.0, 0.01])
     state, torque = pid.begin(q), np.zeros(2)
     for _ in range(10):
-        torque, state = pid.step(state, Reference.rest(at), q, 0.1, q)
+        torque, state = pid.step(state, Reference.at_rest(at), q, 0.1, q)
     np.testing.assert_allclose(state.integral, [0.0, 0.01])
     np.testing.assert_allclose(torque, [1.0, 0.1 + 5.0 * 0.009])
 
@@ -38,7 +38,7 @@ def test_saturation_cuts_off_and_holds_the_integral() -> None:
 def test_gravity_is_the_networks(puma: jc.CSLC, puma_k: Array, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (3, 6))
     pid = PID(6, position_gain=0.0, velocity_gain=0.0, gravity=Gravity(puma, puma_k))
-    torque, _ = pid.step(pid.begin(q), Reference.rest(q), q, 0.002, 0 * q)
+    torque, _ = pid.step(pid.begin(q), Reference.at_rest(q), q, 0.002, 0 * q)
     np.testing.assert_allclose(torque, puma.gravity_term(puma_k, q), atol=1e-12)
 
 

@@ -61,7 +61,7 @@ def inverse_dynamics(pinocchio_model: Callable[..., Any]) -> Callable[..., Inver
 
 @pytest.fixture(scope="session")
 def one_joint() -> Callable[..., sim.Machine]:
-    """Makes a machine of one revolute joint; everything that disturbs is off unless given."""
+    """Makes a machine of one revolute joint; all disturbances are off by default."""
 
     def build(
         *,

@@ -26,9 +26,9 @@ def test_a_batch_does_what_its_loops_do(rng: np.random.Generator) -> None:
     ]
     batch, q, near = LoopBatch.of(members), *rng.normal(size=(2, 2, 2))
     state = batch.begin(jnp.asarray(q))
-    torque, _ = batch.step(state, Reference.rest(near), jnp.asarray(q), 0.002)
+    torque, _ = batch.step(state, Reference.at_rest(near), jnp.asarray(q), 0.002)
     for i, loop in enumerate(members):
-        alone, _ = loop.step(loop.begin(q[i]), Reference.rest(near[i]), q[i], 0.002)
+        alone, _ = loop.step(loop.begin(q[i]), Reference.at_rest(near[i]), q[i], 0.002)
         assert_allclose(torque[i], alone)
 
 
@@ -37,7 +37,7 @@ def test_the_payload_is_known_while_it_is_there(puma: jc.CSLC, puma_k: jax.Array
     network, controller = puma.with_payload(), ComputedTorque(puma, puma_k, 20.0)
     body = jc.LinkParameters(2.0, np.array([0.02, -0.03, 0.1]), 0.005 * np.eye(3))
     loop_of_task = KnownPayloadLoop.of(controller, network, body, 0.002, 0.004)
-    q, near = jnp.asarray(np.linspace(-1.0, 1.0, 6)), Reference.rest(np.linspace(-0.9, 1.0, 6))
+    q, near = jnp.asarray(np.linspace(-1.0, 1.0, 6)), Reference.at_rest(np.linspace(-0.9, 1.0, 6))
     nothing = jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
     loaded = network.coefficients_from([nothing] * 6, payload=body)
     ten = loaded[network.layout.payload]

@@ -176,7 +176,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="ComputedTorque: no velocities; pass qd, or wrap"):
         network = jc.derive(sim.puma560().robot)
         law = ComputedTorque(network, np.ones(network.size), 20.0)
-        law.step(law.begin(np.zeros(6)), Reference.rest(np.zeros(6)), np.zeros(6), 0.002)
+        law.step(law.begin(np.zeros(6)), Reference.at_rest(np.zeros(6)), np.zeros(6), 0.002)
     trajectory = dataclasses.replace(sim.comparison(), samples=2)
     with pytest.raises(ValueError, match=r"observe: 'x' has shape \(3,\); expected a first axis"):
         sim.close_loop([sim.puma560()], trajectory, [0], observe=lambda _: {"x": np.zeros(3)})

@@ -37,7 +37,7 @@ PATH = sim.MinimumJerk(np.array([0.3]), 0.1)
 
 
 def guarded(machines: list[sim.Machine]) -> FaultMonitor:
-    """Computed torque behind encoders and a guard, of each machine's own coefficients."""
+    """Computed torque behind encoders and a guard, with each machine's coefficients."""
     network = jc.derive(machines[0].robot, lengths="numeric")
     k = jnp.stack([network.coefficients_from(machine.links) for machine in machines])
 

@@ -1,4 +1,4 @@
-"""Recordings of the PUMA 560's two trajectories, judged by what the thesis and algebra say."""
+"""Recordings of the PUMA 560's two trajectories, against the thesis's figures and algebra."""
 
 import dataclasses
 from collections.abc import Callable

@@ -62,7 +62,7 @@ def test_a_machine_keeps_its_own_static_friction():
 
 
 def test_tilted_axes_are_wrong_by_the_predicted_amount():
-    """What a network of full tensors knows and one of principal axes does not."""
+    """Torque error of a network of principal axes, and none of one of full tensors."""
     import jaxcslc as jc
 
     machine = sim.disturbed(sim.puma560(), "tilted axes")

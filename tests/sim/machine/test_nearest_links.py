@@ -134,7 +134,7 @@ def test_no_possible_machine_is_nearer(name: str, rng: np.random.Generator) -> N
     for _ in range(500):
         anywhere = draw_like(robot, rng)
         assert distance(anywhere) > distance(best)
-        # What is asked of a machine is a box in these numbers: between two machines are machines.
+        # The constraints are bounds on these variables, so the set of machines is convex in them.
         part = 10.0 ** rng.uniform(-4, 0)
         beside = with_spread(best, spread(best) + part * (spread(anywhere) - spread(best)))
         others = [0, 1, 2, 3, 7]
@@ -211,7 +211,7 @@ def test_the_same_again() -> None:
 
 def test_what_is_refused() -> None:
     robot, ones = puma560(), np.ones(31)
-    with pytest.raises(sim.MachineError, match=r"has no link parameters; expected some"):
+    with pytest.raises(sim.MachineError, match=r"has no link parameters; expected nominal values"):
         nearest_links(dataclasses.replace(robot, links=None), ones, ones)
     full = (LinkParameters(1.0, np.zeros(3), np.eye(3)),) * 7
     with pytest.raises(sim.MachineError, match=r"link 1 has a full inertia tensor"):

@@ -53,7 +53,7 @@ def test_a_load_waits_and_stays():
 
 
 def test_a_film_has_its_pictures(tmp_path: Path):
-    """In a process of its own, where OpenGL can be selected; skipped where there is none."""
+    """In a separate process, where OpenGL can be selected; skipped where there is none."""
     av = pytest.importorskip("av")
     pytest.importorskip("PIL")
     program = f"""

@@ -28,7 +28,7 @@ def _swing() -> sim.Trajectory:
 
 def _reference(trajectory: sim.Trajectory, time: Any, origin: Any) -> Reference:
     if trajectory.path is None:
-        return Reference.rest(origin)
+        return Reference.at_rest(origin)
     xp = origin.__array_namespace__()
     now = xp.broadcast_to(xp.asarray(time, dtype=origin.dtype), (*origin.shape[:-1], 1))
     return trajectory.path.reference(now, origin)
@@ -63,7 +63,7 @@ def test_sinusoids_have_their_amplitude_period_and_phase():
     q, torque = np.zeros(1), []
     state = controller.begin(q)
     for _ in range(5):
-        value, state = controller.step(state, Reference.rest(q), q, 0.2)
+        value, state = controller.step(state, Reference.at_rest(q), q, 0.2)
         torque.append(float(value[0]))
     np.testing.assert_allclose(torque, [-2.0, 0.0, 2.0, 0.0, -2.0], atol=1e-14)
 
@@ -82,7 +82,7 @@ def test_pid_is_its_formula_on_a_moving_arm():
     state = pid.begin(q)
     errors, torques = np.asarray(sim.minimum_jerk(np.array([0.0, 0.25, 0.5]))), []
     for error in errors:
-        torque, state = pid.step(state, Reference.rest(np.array([error])), q, interval)
+        torque, state = pid.step(state, Reference.at_rest(np.array([error])), q, interval)
         torques.append(float(torque[0]))
     expected = [
         0.0,
@@ -99,7 +99,7 @@ def test_pid_filter_has_its_cut_off():
     interval, torque = 1e-4, np.zeros(1)
     for sample in range(round(1 / (2 * np.pi * 10.0) / interval) + 1):
         q = np.array([-sample * interval])
-        torque, state = pid.step(state, Reference.rest(np.zeros(1)), q, interval)
+        torque, state = pid.step(state, Reference.at_rest(np.zeros(1)), q, interval)
     np.testing.assert_allclose(torque, 1 - np.exp(-1), rtol=1e-2)
 
 
@@ -158,9 +158,9 @@ def test_a_compiled_scan_gives_what_numpy_gives(
 def test_rows_may_have_clocks_of_their_own(rng: np.random.Generator):
     controller = sim.training().controller
     q, samples = rng.normal(size=(2, 6)), np.array([[150], [350]])
-    together, _ = controller.step(samples, Reference.rest(q), q, 0.002)
+    together, _ = controller.step(samples, Reference.at_rest(q), q, 0.002)
     apart = [
-        controller.step(count, Reference.rest(row), row, 0.002)[0]
+        controller.step(count, Reference.at_rest(row), row, 0.002)[0]
         for count, row in zip(samples, q, strict=True)
     ]
     np.testing.assert_array_equal(together, apart)

@@ -72,7 +72,7 @@ def test_torque_is_minus_the_gradient_of_the_potential(
     np.testing.assert_allclose(
         torque, (down - up) / (2 * step), rtol=0, atol=1e-7 * np.abs(torque).max()
     )
-    # The same by differentiation that knows nothing of Jacobians.
+    # The same by automatic differentiation of the potential, without Jacobians.
     gradient = jax.jit(jax.vmap(jax.grad(lambda at: off_hand.potential(at))))(q)
     np.testing.assert_allclose(torque, -gradient, rtol=0, atol=1e-12 * np.abs(torque).max())
 
