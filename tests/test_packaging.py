@@ -395,3 +395,10 @@ def test_importing_the_library_leaves_everything_as_it_was() -> None:
         [sys.executable, "-W", "error", "-c", program], cwd=ROOT, capture_output=True, text=True
     )
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+
+
+def test_the_table_of_contributing_lists_who_may_import_whom() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    rows = re.findall(r"^\| `jaxcslc/(\w+)` \|.*\| ([^|]*) \|$", text, re.MULTILINE)
+    listed = {folder: set(re.findall(r"`(\w+)`", lower)) for folder, lower in rows}
+    assert listed == LAYERS
