@@ -86,7 +86,7 @@ def test_the_examples_of_control_run_one_after_the_other(
         printed.append(capsys.readouterr().out)
     torque, off, faults = printed
     assert torque.startswith("[") and off.count("off by at most 0.00") == 2
-    assert faults == "('joint 3: lost samples, found at 0.010 s',)\n"
+    assert faults == "('joint 3: lost samples, detected at 0.010 s',)\n"
 
 
 def test_the_commands_of_the_readme_have_their_options() -> None:

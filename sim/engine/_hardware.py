@@ -158,8 +158,12 @@ class JointHardware:
             "rotor_acceleration": rotor_acceleration,
             "link_friction": on_link,
             "transmitted": torque - on_rotor - self.motor_inertia * rotor_acceleration,
-            "apart": abs(q[:, rotor] - q[:, :n]) < self.backlash / 2,
+            "apart": self.apart(q),
         }
+
+    def apart(self, q: Any) -> Any:
+        """Whether the teeth are apart, (machines, joints), at positions `q` of links and rotors."""
+        return abs(q[:, self.rotor] - q[:, : len(self.flexible)]) < self.backlash / 2
 
 
 _STATIC = ("flexible", "delayed", "step")

@@ -145,8 +145,8 @@ class Plant:
 
     @property
     def apart(self) -> Bool[np.ndarray, "*machines joints"]:
-        """Whether the teeth are apart at the latest `drive`: the joint is in backlash (2.5.3)."""
-        return self._rows(self._observed["apart"])
+        """Whether the teeth are apart now: whether the joint is in backlash (2.5.3)."""
+        return self._rows(self._hardware.apart(self._q))
 
     @property
     def observed(self) -> dict[str, np.ndarray]:

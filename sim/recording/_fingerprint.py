@@ -27,7 +27,7 @@ def fingerprint(*values: Any) -> str:
     - `TypeError`: a value of another type.
 
     >>> import sim
-    >>> from sim.recording import fingerprint
+    >>> from sim.recording._fingerprint import fingerprint
     >>> fingerprint(sim.puma560(), 1) == fingerprint(sim.puma560(), 1)
     True
     >>> fingerprint(sim.puma560(), 1) == fingerprint(sim.puma560(), 2)

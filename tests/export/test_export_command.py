@@ -119,7 +119,7 @@ def test_friction_that_the_file_has_no_words_for(tmp_path: Path) -> None:
     path = identification(network, tmp_path / "fit.json")
     result = run(arm, path, "-o", tmp_path / "new" / "out.urdf")
     assert result.exit_code == 0, result.output
-    assert "no place for ko1, ko2, kcm1_2, kcv1_2, kcd1_2: left out" in result.output
+    assert "the file has no entry for ko1, ko2, kcm1_2, kcv1_2, kcd1_2: left out" in result.output
     result = run(arm, path, "--c", "-o", tmp_path / "code" / "out.c")
     assert result.exit_code == 0, result.output
     assert "void arm_torque" in (tmp_path / "code" / "out.h").read_text()

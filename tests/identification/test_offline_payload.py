@@ -221,7 +221,7 @@ class TestPhysical:
         document = payload.document()
         assert document["physical"]["m"]["low"] < 1.5 < document["physical"]["m"]["high"]
         assert list(document["parameters"])[-1] == "pm"
-        assert repr(payload).startswith("PayloadFit(1.5")
+        assert repr(payload).startswith(f"PayloadFit({document['physical']['m']['value']:.4g} ± ")
         for interval in (payload.physical_interval, payload.confidence_interval):
             with pytest.raises(ValueError, match="level"):
                 interval(1.0)
