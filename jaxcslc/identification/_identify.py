@@ -1,15 +1,19 @@
 import contextlib
+import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
 from types import MappingProxyType
+
+import jax.numpy as jnp
+import numpy as np
 
 from ..motion import Patterns, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._settings import Settings
-from ._slopes import fit_slopes
+from ._slopes import SlopeFit, fit_slopes
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import Candidates, choose_settings
-from .solver import Identification, Previous
+from .solver import Identification, LeastSquares, Previous
 
 
 def identify(
@@ -65,6 +69,7 @@ def identify(
     if (previous is None) != (groups is None):
         raise ValueError("identify: got one of previous and groups; expected both or neither")
     step = progress or without_progress
+    automatic_masks = settings is None or settings.preparation.threshold_fraction is None
     step("choosing settings")
     recordings = {"training": training}
     by_recording: dict[str, Settings] = {}
@@ -88,6 +93,13 @@ def identify(
         step("fitting slopes of static friction")
         slopes = fit_slopes(network, patterns["training"], solver=settings.solver)
         network = slopes.network
+        if slopes.dropped and automatic_masks:
+            # Slow pairs of these joints have no term that explains them any more.
+            by_recording = _without_static_friction(by_recording, slopes.dropped)
+            settings = by_recording["training"]
+            patterns = _patterns(by_recording, recordings)
+            slopes = _fitted_again(slopes, patterns["training"], settings.solver)
+            network = slopes.network
     step("fitting coefficients")
     vectors = {}
     if slopes is not None:
@@ -122,6 +134,33 @@ def identify(
         slopes,
         None if groups is None else tuple(groups),
         tuple(warnings),
+    )
+
+
+def _without_static_friction(
+    by_recording: Mapping[str, Settings], joints: Sequence[int]
+) -> dict[str, Settings]:
+    """The settings when joints, counted from 1, have lost their term of static friction."""
+    return {
+        name: dataclasses.replace(
+            settings, preparation=settings.preparation.without_static_friction(joints)
+        )
+        for name, settings in by_recording.items()
+    }
+
+
+def _fitted_again(slopes: SlopeFit, patterns: Patterns, solver: LeastSquares) -> SlopeFit:
+    """The fit of slopes to other patterns, without the joints that have lost the term."""
+    network = slopes.network
+    if "static" not in network.robot.friction_terms:
+        return dataclasses.replace(slopes, fit=solver.fit(network, patterns))
+    again = fit_slopes(network, patterns, solver=solver, start=slopes.slopes)
+    lost = np.isin(np.arange(1, network.joint_count + 1), slopes.dropped)
+    return dataclasses.replace(
+        again,
+        slope_error=jnp.where(lost, jnp.inf, again.slope_error),
+        dropped=tuple(sorted({*slopes.dropped, *again.dropped})),
+        warnings=(*slopes.warnings, *again.warnings),
     )
 
 

@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from ._alignment import TorqueAlignment, align_torque
 from ._masks import (
+    STATIC_FRICTION_PART,
     away_from_reversals,
     friction_mask,
     friction_thresholds,
@@ -232,6 +233,31 @@ class Preparation:
         if self.threshold_fraction is not None or self.thresholds is not None or not any(joints):
             return self
         fractions = static_fractions(DEFAULT_THRESHOLD_FRACTION, joints)
+        return dataclasses.replace(self, threshold_fraction=fractions)
+
+    def without_static_friction(self, joints: Collection[int]) -> "Preparation":
+        """The preparation when joints lose their term of static friction: they mask slow pairs.
+
+        **Arguments**
+
+        - `joints`: counted from 1.
+
+        **Returns**
+
+        The preparation with the usual threshold fraction at these joints, if fractions are spelled
+        out joint by joint as by `with_static_friction`; or itself.
+
+        >>> from jaxcslc.motion import Preparation
+        >>> both = Preparation().with_static_friction([True, True])
+        >>> both.without_static_friction([2]).threshold_fraction
+        (0.003, 0.03)
+        """
+        if not isinstance(self.threshold_fraction, tuple):
+            return self
+        fractions = tuple(
+            round(fraction / STATIC_FRICTION_PART, 12) if joint in joints else fraction
+            for joint, fraction in enumerate(self.threshold_fraction, 1)
+        )
         return dataclasses.replace(self, threshold_fraction=fractions)
 
     def check(self, recording: Recording, chosen_on: Sampling | None = None) -> tuple[str, ...]:

@@ -58,7 +58,9 @@ def test_every_symbol_kept_is_the_symbolic_form_without_its_numbering() -> None:
 def test_refused() -> None:
     with pytest.raises(jc.RobotError, match="has no length 'a9'; it has d2, "):
         jc.derive(jc.puma560(), lengths=["a9"])
-    with pytest.raises(ValueError, match="'symbolic', 'numeric', 'auto' or a list of names, got 'some'"):
+    with pytest.raises(
+        ValueError, match="'symbolic', 'numeric', 'auto' or a list of names, got 'some'"
+    ):
         jc.derive(jc.puma560(), lengths="some")  # type: ignore[arg-type]
     unknown = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, "a1", 0, 0)])
     with pytest.raises(jc.RobotError, match="length 'a1' has no value; give one, or keep it"):
