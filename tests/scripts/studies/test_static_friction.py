@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from scripts.studies.static_friction import study
@@ -17,7 +18,12 @@ def test_rows_of_two_methods(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert masked["method"] == "masked" and masked["slopes covered"] == "nan"
     # The floor is what the true coefficients leave without static friction.
     assert 0.02 < float(moving["floor"]) < 0.035
-    assert float(moving["epsilon"]) < float(masked["epsilon"])
+    # Slopes that so short a recording determines are near the truth; other joints lose the term.
+    slopes = np.array([float(moving[f"slope {joint} over truth"]) for joint in range(1, 7)])
+    errors = np.array([float(moving[f"slope {joint} error"]) for joint in range(1, 7)])
+    determined = np.isfinite(errors)
+    assert determined.sum() >= 3
+    assert np.all(np.abs(np.log(slopes[determined])) < np.log(1.6))
 
 
 def test_bad_options(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,45 @@
+"""The pages of `docs/api` list every public name, and no other."""
+
+import importlib
+import re
+import types
+from pathlib import Path
+
+import pytest
+
+from scripts.tools.docstring_examples import fenced
+
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(path.stem for path in (ROOT / "docs" / "api").glob("*.md"))
+
+
+def public_names(package: str) -> set[str]:
+    module = importlib.import_module(package)
+    return {
+        name
+        for name in dir(module)
+        if not name.startswith("_") and not isinstance(getattr(module, name), types.ModuleType)
+    }
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_lists_what_the_package_exports(page: str) -> None:
+    text = (ROOT / "docs" / "api" / f"{page}.md").read_text("utf-8")
+    if page == "jaxcslc":
+        assert set(re.findall(r"`jc\.(\w+)`", text)) == public_names("jaxcslc")
+        return
+    package = "sim" if page == "sim" else f"jaxcslc.{page}"
+    listed = re.findall(rf"^::: {re.escape(package)}\.(\w+)$", text, re.MULTILINE)
+    assert set(listed) == public_names(package)
+
+
+def test_every_package_has_its_page() -> None:
+    packages = {path.parent.name for path in (ROOT / "jaxcslc").glob("*/__init__.py")}
+    assert packages - {"cli"} == set(PAGES) - {"jaxcslc", "sim"}
+
+
+def test_examples_are_fenced() -> None:
+    assert fenced("Adds.\n\n>>> 1 + 1\n2\n\nMore.") == (
+        "Adds.\n\n```pycon\n>>> 1 + 1\n2\n```\n\nMore."
+    )
