@@ -182,6 +182,7 @@ def physical_parameters(
         network.algebra,
         network.coefficients,
         fit,
+        inertial=network.layout.inertial,
         prior=prior,
         fixed=fixed,
         weight=prior_weight,

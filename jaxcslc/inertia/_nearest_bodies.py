@@ -70,6 +70,7 @@ class NearestBodies:
         coefficients: Sequence[Coefficient],
         fit: Fitted,
         *,
+        inertial: slice,
         prior: Sequence[LinkParameters] | None,
         fixed: Sequence[LinkParameters | None] | None,
         weight: float,
@@ -79,7 +80,8 @@ class NearestBodies:
 
         **Arguments**
 
-        - `algebra`, `coefficients`: of the network; the inertial coefficients come first.
+        - `algebra`, `coefficients`: of the network.
+        - `inertial`: where the inertial ones are, `network.layout.inertial`.
         - `fit`, `prior`, `fixed`, `weight`, `motors`: as of `physical_parameters`.
 
         **Raises**
@@ -95,11 +97,11 @@ class NearestBodies:
             if link is not None:
                 fixed_bodies[i] = bodies_of([link])[0]
         inertial_of_bodies, of_motors = body_map(algebra)
-        inertial = len(inertial_of_bodies)
+        others = np.setdiff1d(np.arange(p), np.arange(p)[inertial])
         motor_mask = np.array([motors and inertia.motor for inertia in robot.inertia], bool)
         motor_count = int(motor_mask.sum())
         of_bodies = np.zeros((p, *inertial_of_bodies.shape[1:]))
-        of_bodies[:inertial] = inertial_of_bodies
+        of_bodies[inertial] = inertial_of_bodies
 
         links = prior if prior is not None else robot.links
         if links is None:
@@ -111,16 +113,16 @@ class NearestBodies:
             ball = balls(robot, float(np.mean(masses or [1.0])))
             prior_bodies = prior_of(robot, links, ball, fixed_bodies)
 
-        errors = np.sqrt(np.maximum(np.diag(np.asarray(fit.covariance, float)), 0.0))[inertial:]
-        sizes = np.maximum(np.abs(k[inertial:]), errors)
+        errors = np.sqrt(np.maximum(np.diag(np.asarray(fit.covariance, float)), 0.0))[others]
+        sizes = np.maximum(np.abs(k[others]), errors)
         scales = np.concatenate(
             [prior_bodies.motor_scales[motor_mask], np.where(sizes > 0, sizes, 1.0)]
         )
-        positive = np.array([c.positive for c in coefficients[inertial:]], bool)
-        start = np.where(positive, np.maximum(k[inertial:], 0.0), k[inertial:])
+        positive = np.array([c.positive for c in (coefficients[i] for i in others)], bool)
+        start = np.where(positive, np.maximum(k[others], 0.0), k[others])
         of_others = np.zeros((p, len(scales)))
-        of_others[:inertial, :motor_count] = of_motors[:, motor_mask]
-        of_others[inertial:, motor_count:] = np.eye(p - inertial)
+        of_others[inertial, :motor_count] = of_motors[:, motor_mask]
+        of_others[others, motor_count:] = np.eye(len(others))
         of_others *= scales
         changes = [
             of_bodies[:, i] @ in_units_of(body) for i, body in enumerate(prior_bodies.bodies)

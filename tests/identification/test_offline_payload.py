@@ -176,7 +176,7 @@ def test_of_a_simulated_arm(
 
 
 class TestPhysical:
-    def _found(
+    def _fitted(
         self, puma: jc.CSLC, loaded: jc.CSLC, k: np.ndarray, rng: np.random.Generator, noise: float
     ) -> jc.PayloadFit:
         return jc.fit_payload(
@@ -189,7 +189,7 @@ class TestPhysical:
     def test_is_the_body(
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
-        payload = self._found(puma, loaded, loaded_k, rng, 0.0)
+        payload = self._fitted(puma, loaded, loaded_k, rng, 0.0)
         assert_allclose(payload.mass, BODY.mass, rtol=_ROUNDING)
         assert_allclose(payload.centre_of_gravity, BODY.centre_of_gravity, atol=_ROUNDING)
         assert_allclose(payload.inertia, BODY.inertia, atol=_ROUNDING)
@@ -200,7 +200,7 @@ class TestPhysical:
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """Against the scatter of bodies drawn from the estimate's covariance."""
-        payload = self._found(puma, loaded, loaded_k, rng, 0.3)
+        payload = self._fitted(puma, loaded, loaded_k, rng, 0.3)
         bodies = rng.multivariate_normal(
             np.asarray(payload.parameters), np.asarray(payload.covariance), size=4000
         )
@@ -216,7 +216,7 @@ class TestPhysical:
     def test_rows_and_document(
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
-        payload = self._found(puma, loaded, loaded_k, rng, 0.1)
+        payload = self._fitted(puma, loaded, loaded_k, rng, 0.1)
         assert [row["name"] for row in payload.rows()][:4] == ["m", "rx", "ry", "rz"]
         document = payload.document()
         assert document["physical"]["m"]["low"] < 1.5 < document["physical"]["m"]["high"]
