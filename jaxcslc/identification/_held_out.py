@@ -38,10 +38,10 @@ class HeldOut:
 
     >>> import numpy as np
     >>> from jaxcslc.identification import HeldOut
-    >>> held = HeldOut(np.array([1.0, 0.5]), np.array([1.1, 0.9]), np.array([1.2, 1.2]))
-    >>> held.beyond_chance
+    >>> held_out = HeldOut(np.array([1.0, 0.5]), np.array([1.1, 0.9]), np.array([1.2, 1.2]))
+    >>> held_out.beyond_chance
     (2,)
-    >>> print(held.warnings[0])
+    >>> print(held_out.warnings[0])
     joint 2: validation RMS 0.9 N m, training RMS 0.5 N m (ratio 1.8, limit 1.2): the model may \
 lack a term
     """
@@ -143,7 +143,12 @@ def held_out_error(
 
 
 def cross_validated_error(
-    network: CSLC, patterns: Patterns, settings: Settings | None = None, *, folds: int = 8
+    network: CSLC,
+    patterns: Patterns,
+    settings: Settings | None = None,
+    *,
+    folds: int = 8,
+    fit: Identification | None = None,
 ) -> HeldOut:
     """How fits to all but one stretch of a recording do on that stretch, for each in turn.
 
@@ -155,6 +160,7 @@ def cross_validated_error(
     - `patterns`: of one recording, in order of time.
     - `settings`: of the fit; those that `patterns` were made under.
     - `folds`: how many stretches of equal length.
+    - `fit`: under these settings to all of `patterns`, where there is one already.
 
     **Returns** a `HeldOut`; its training error is that of the fit to everything.
 
@@ -182,8 +188,9 @@ def cross_validated_error(
     regressor = np.asarray(regressor_of(network, patterns))
     torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
     fold = np.arange(samples) * folds // samples
-    held_out = solver.held_out_errors(network, patterns, fold)
-    fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
+    held_out = solver.held_out_errors(network, patterns, fold, regressor)
+    if fit is None:
+        fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
     judged = _judged(training, mask, held_out, mask, int(fit.rank))
     return dataclasses.replace(judged, source="cross-validation", units=network.robot.torque_units)

@@ -81,10 +81,10 @@ def identify(
     warnings = [f"training recording: {sentence}" for sentence in base_settings.check(training)]
     if validation is not None:
         recordings["validation"] = validation
-        by_recording["validation"], sentence = _for_validation(
+        by_recording["validation"], sentences = _for_validation(
             network, by_recording["training"], training, validation, choose=settings is None
         )
-        warnings += sentence
+        warnings += sentences
     settings = by_recording["training"]
     step("preparing patterns")
     patterns = _patterns(by_recording, recordings)
@@ -119,7 +119,7 @@ def identify(
     if validation is not None:
         held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
     elif previous is None:
-        held_out = cross_validated_error(network, patterns["training"], settings)
+        held_out = cross_validated_error(network, patterns["training"], settings, fit=fit)
     warnings += () if slopes is None else slopes.warnings
     warnings += () if held_out is None else held_out.warnings
     warnings += fit_warnings(network, training, fit, errors["training"])

@@ -63,8 +63,8 @@ def fit_payload(
     >>> pairs = np.ones(q.shape, bool)
     >>> time, torque = 0.1 * np.arange(100), carried.torque(k, q, qd, qdd)
     >>> patterns = jc.Patterns(time, q, qd, qdd, torque, pairs, pairs)
-    >>> found = jc.fit_payload(network, patterns, previous=arm)
-    >>> round(float(found.mass), 6), np.round(found.centre_of_gravity, 6).tolist()
+    >>> fit = jc.fit_payload(network, patterns, previous=arm)
+    >>> round(float(fit.mass), 6), np.round(fit.centre_of_gravity, 6).tolist()
     (1.5, [0.02, 0.0, 0.1])
     """
     if unloaded is not None and previous is not None:

@@ -37,10 +37,10 @@ class PayloadFit(eqx.Module):
     >>> k = np.zeros(network.size)
     >>> k[network.layout.payload] = 0.01, 0.01, 0.02, 0, 0, 0, 0.1, 0, 0, 1
     >>> patterns = jc.Patterns(t[:, 0], *motion, network.torque(k, *motion), pairs, pairs)
-    >>> found = jc.fit_payload(network, patterns, previous=np.zeros(network.layout.unloaded.stop))
-    >>> print(found.unidentifiable[0])
+    >>> fit = jc.fit_payload(network, patterns, previous=np.zeros(network.layout.unloaded.stop))
+    >>> print(fit.unidentifiable[0])
     pIxx: nothing in the patterns depends on it
-    >>> round(float(found.parameters[6]), 6)  # first moment along x
+    >>> round(float(fit.parameters[6]), 6)  # first moment along x
     0.1
     """
 

@@ -59,8 +59,8 @@ class SlopeFit(eqx.Module):
     >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
     >>> k = np.array([0.5, 0.3, -0.1, 0.2, 0.4])
     >>> torque = np.asarray(network.with_static_slopes([5.0]).torque(k, *motion))
-    >>> found = jc.fit_slopes(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> bool(found.converged), round(float(found.slopes[0]), 6)
+    >>> result = jc.fit_slopes(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> bool(result.converged), round(float(result.slopes[0]), 6)
     (True, 5.0)
     """
 
@@ -124,8 +124,8 @@ def fit_slopes(
     >>> k = jnp.array([0.5, 0.3, -0.1, 0.2, 0.05, 0.4])
     >>> torque = np.asarray(network.torque(k, q, qd, qdd))
     >>> pairs = np.ones(q.shape, bool)
-    >>> found = jc.fit_slopes(network, jc.Patterns(t[:, 0], q, qd, qdd, torque, pairs, pairs))
-    >>> bool(jnp.allclose(found.slopes, 5.0)), bool(jnp.allclose(found.fit.k, k))
+    >>> result = jc.fit_slopes(network, jc.Patterns(t[:, 0], q, qd, qdd, torque, pairs, pairs))
+    >>> bool(jnp.allclose(result.slopes, 5.0)), bool(jnp.allclose(result.fit.k, k))
     (True, True)
     """
     if "static" not in network.robot.friction_terms:

@@ -58,7 +58,7 @@ class History(eqx.Module):
 
 
 class Training(eqx.Module):
-    """What a training found.
+    """The result of a training.
 
     **Attributes**
 
