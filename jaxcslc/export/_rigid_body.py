@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from .._rank import numerical_rank
 from ..derivation import BODY, Algebra, NewtonEuler, link_frames
 from ..inertia import body_map
 from ..manipulator import Joint
@@ -216,9 +217,8 @@ def bodies_of_coefficients(network: CSLC, k: Float[np.ndarray, " coefficients"])
     of_bodies, of_motors = body_map(algebra)
     matrix = np.concatenate([of_bodies.reshape(len(inertial), -1), of_motors], axis=1)
     # A basic solution: as many numbers as the matrix has rank. Later ones are preferred last.
-    _, triangle, order = qr(matrix, mode="economic", pivoting=True)
-    diagonal = np.abs(np.diag(triangle))
-    rank = int(np.sum(diagonal > 1e-10 * diagonal[0]))
+    _, _, order = qr(matrix, mode="economic", pivoting=True)
+    rank = numerical_rank(matrix)
     basic = np.linalg.lstsq(matrix[:, order[:rank]], inertial)[0]
     numbers = np.zeros(matrix.shape[1])
     numbers[order[:rank]] = basic

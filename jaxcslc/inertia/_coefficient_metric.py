@@ -3,6 +3,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._rank import numerical_rank
+
 
 # Noise-free coefficients have a covariance of rounding. Standard errors are taken as no less than
 # this part of the coefficient that an average body would cause: finer is beyond the solver.
@@ -54,8 +56,8 @@ def whitening(
     units = np.sqrt(np.maximum(np.diag(covariance), 0.0)) + _FINEST * sizes
     free = free[np.linalg.norm(free, axis=1) > 0] / units
     if free.size:
-        _, values, free = np.linalg.svd(free, full_matrices=False)
-        free = free[values > 1e-10 * values[0]]
+        free = free / np.linalg.norm(free, axis=1, keepdims=True)
+        free = np.linalg.svd(free, full_matrices=False)[2][: numerical_rank(free.T)]
     rank = len(units) - len(free)
     scaled = covariance / np.outer(units, units)
     # Of rank `rank` already; the floor is added within its range.

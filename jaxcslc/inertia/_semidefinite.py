@@ -5,10 +5,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._environment import require
+from .._rank import numerical_rank
 
 
 _UPPER = [(a, b) for a in range(4) for b in range(a, 4)]
-_ROUNDING = 1e-12
 
 
 def semidefinite_least_squares(
@@ -96,6 +96,9 @@ def _solutions(
     """All x with rows @ x = values: one of them, and what can be added to it."""
     if not len(rows):
         return np.zeros(rows.shape[1]), np.eye(rows.shape[1])
+    lengths = np.linalg.norm(rows, axis=1)
+    lengths = np.where(lengths > 0.0, lengths, 1.0)
+    rows, values = rows / lengths[:, None], values / lengths
     left, sizes, right = np.linalg.svd(rows)
-    rank = int(np.sum(sizes > _ROUNDING * sizes[0]))
+    rank = numerical_rank(rows.T)
     return right[:rank].T @ ((left.T @ values)[:rank] / sizes[:rank]), right[rank:].T

@@ -2,6 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._rank import numerical_rank
 from ..adaptive import AdaptiveNetwork, Signals
 from ._rules import AbstractRule, Numbers, Weights, change_of_weights, transposed_product
 
@@ -221,7 +222,7 @@ of inputs 1, 2 are not independent (thesis 6.1); record patterns that differ in 
     signs = np.sign(np.asarray(inputs, float))
     if signs.ndim != 2:
         raise ValueError(f"inputs: expected shape (patterns, inputs), got {signs.shape}")
-    rank = int(np.linalg.matrix_rank(signs)) if signs.size else 0
+    rank = numerical_rank(signs)
     if rank < signs.shape[1]:
         _, _, right = np.linalg.svd(signs, full_matrices=True)
         involved = np.flatnonzero(np.abs(right[rank:]).max(axis=0) > 1e-9) + 1

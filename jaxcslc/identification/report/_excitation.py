@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._environment import require
+from ..._rank import rank_tolerance
 from ...motion import Patterns
 from ...network import CSLC
-from ..solver import Unknowns, factorise, filled_up, rank_tolerance
+from ..solver import Unknowns, factorise, filled_up
 
 
 # Most coefficients that `worst_combination` names.

@@ -23,8 +23,6 @@ from ._losses import LOSSES as LOSSES, Loss as Loss
 from ._minimum import (
     Solution as Solution,
     minimum as minimum,
-    numerical_rank as numerical_rank,
-    rank_tolerance as rank_tolerance,
     residual_weights as residual_weights,
     weighted_minimum as weighted_minimum,
 )

@@ -2,17 +2,14 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..._rank import array_namespace, rank_tolerance
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 
 
-# Rounding of a factorisation grows with its size; the factor 10 is a heuristic that keeps columns
-# that are proportional in exact arithmetic from counting as two.
-_ROUNDINGS = 10.0
 # Weights settle to a percent in two rounds: residuals hardly depend on them.
 _ROUNDS = 3
 # A coefficient that shares this part of a unit null vector is not determined by itself.
@@ -43,33 +40,6 @@ class Solution(NamedTuple):
     inherited: Float[Numbers, "*batch coefficients coefficients"] | None = None
 
 
-def rank_tolerance(columns: int, rows: Any, rcond: float | None = None) -> Any:
-    """The part of the largest singular value up to which others count as zero.
-
-    For matrices with columns of unit length, so that neither rank nor condition depends on units.
-    """
-    if rcond is not None:
-        return rcond
-    return _ROUNDINGS * float(np.finfo(float).eps) * _namespace(rows).maximum(columns, rows**0.5)
-
-
-def numerical_rank(matrix: Float[np.ndarray, "rows columns"], rcond: float | None = None) -> int:
-    """The rank of a matrix by the rule of all least-squares fits.
-
-    >>> import numpy as np
-    >>> matrix = np.array([[1.0, 2e9], [3.0, 6e9], [5.0, 1e10]])  # proportional, in other units
-    >>> numerical_rank(matrix), numerical_rank(matrix + np.diag([1.0, 1e9], 0)[[0, 1, 1]])
-    (1, 2)
-    """
-    lengths = np.linalg.norm(matrix, axis=0)
-    scaled = matrix / np.where(lengths > 0.0, lengths, 1.0)
-    singular = np.linalg.svd(scaled, compute_uv=False)
-    if not singular.size:
-        return 0
-    tolerance = rank_tolerance(matrix.shape[1], np.float64(max(matrix.shape[0], 1)), rcond)
-    return int(np.sum(singular > tolerance * singular[0]))
-
-
 def minimum(
     unknowns: Unknowns,
     factors: JointFactors,
@@ -84,7 +54,7 @@ def minimum(
     those that are fitted, whose triangle then tells how the fitted ones would follow the fixed.
     Computed by NumPy if the factors are NumPy's, so that nothing is compiled, and by JAX otherwise.
     """
-    xp = _namespace(factors.counts)
+    xp = array_namespace(factors.counts)
     reduced = _reduced(xp, unknowns, factors, weights, fixed)
     matrix, target, scale = reduced.matrix, reduced.target, reduced.scale
     left, singular, right = xp.linalg.svd(matrix, full_matrices=False)
@@ -133,7 +103,7 @@ def weighted_minimum(
     - `solve`: a function of the weights (..., n) that returns what has coefficients `k`; called
       once for weights that are numbers, and a few times more to weight joints by residual.
     """
-    xp = _namespace(factors.counts)
+    xp = array_namespace(factors.counts)
     weights = xp.ones(factors.counts.shape)
     if not isinstance(joint_weights, str):
         n = len(unknowns.support)
@@ -151,7 +121,7 @@ def residual_weights(
     error: Float[Numbers, "*batch joints"], counts: Float[Numbers, "*batch joints"]
 ) -> Float[Numbers, "*batch joints"]:
     """One over each joint's residual; a joint without equations, or without error, weighs 1."""
-    xp = _namespace(error)
+    xp = array_namespace(error)
     largest = xp.max(error, axis=-1, keepdims=True)
     floor = xp.where(largest > 0, 1e-12 * largest, 1.0)
     return xp.where(counts > 0, 1.0 / xp.maximum(error, floor), 1.0)
@@ -276,7 +246,3 @@ def _among(xp: ModuleType, part: Solution, fixed: Fixed, follow: Any) -> Solutio
 
 def _times(matrix: Any, vector: Any) -> Any:
     return (matrix @ vector[..., None])[..., 0]
-
-
-def _namespace(x: Any) -> Any:
-    return np if isinstance(x, np.ndarray | np.floating | float) else jnp

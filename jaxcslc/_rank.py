@@ -1,0 +1,45 @@
+from types import ModuleType
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+
+# Rounding of a factorisation grows with its size; the factor 10 is a heuristic that keeps columns
+# that are proportional in exact arithmetic from counting as two.
+_ROUNDINGS = 10.0
+
+
+def array_namespace(x: Any) -> ModuleType:
+    """NumPy for its arrays and for numbers, JAX's NumPy for all others."""
+    return np if isinstance(x, np.ndarray | np.floating | float) else jnp
+
+
+def rank_tolerance(columns: int, rows: Any, rcond: float | None = None) -> Any:
+    """The part of the largest singular value up to which others count as zero.
+
+    For matrices with columns of unit length, so that neither rank nor condition depends on units.
+    """
+    if rcond is not None:
+        return rcond
+    return (
+        _ROUNDINGS * float(np.finfo(float).eps) * array_namespace(rows).maximum(columns, rows**0.5)
+    )
+
+
+def numerical_rank(matrix: Float[np.ndarray, "rows columns"], rcond: float | None = None) -> int:
+    """The rank of a matrix by the rule of all least-squares fits.
+
+    >>> import numpy as np
+    >>> matrix = np.array([[1.0, 2e9], [3.0, 6e9], [5.0, 1e10]])  # proportional, in other units
+    >>> numerical_rank(matrix), numerical_rank(matrix + np.diag([1.0, 1e9], 0)[[0, 1, 1]])
+    (1, 2)
+    """
+    lengths = np.linalg.norm(matrix, axis=0)
+    scaled = matrix / np.where(lengths > 0.0, lengths, 1.0)
+    singular = np.linalg.svd(scaled, compute_uv=False)
+    if not singular.size:
+        return 0
+    tolerance = rank_tolerance(matrix.shape[1], np.float64(max(matrix.shape[0], 1)), rcond)
+    return int(np.sum(singular > tolerance * singular[0]))
