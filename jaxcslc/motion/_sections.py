@@ -120,8 +120,11 @@ def _fitted(
         return float(0.5 * (time[first] + time[last])), float(np.median(at_rest))
 
     low, high = max(first - window, 0), min(last + window + 1, time.size)
-    near, values = time[low:high], position[low:high]
-    scale = near[-1] - near[0]
+    # The search's tolerance grows with its argument: counted from here, time stamps since 1970 are
+    # as good as any.
+    origin = time[low]
+    near, values = time[low:high] - origin, position[low:high]
+    scale = near[-1]
 
     def fit(instant: float) -> tuple[float, float]:
         ahead = (near - instant) / scale
@@ -136,8 +139,8 @@ def _fitted(
 
     best = scipy.optimize.minimize_scalar(
         lambda instant: fit(instant)[0],
-        bounds=(time[first], time[last]) if first < last else (near[0], near[-1]),
+        bounds=(time[first] - origin, time[last] - origin) if first < last else (0.0, scale),
         method="bounded",
         options={"xatol": 1e-3 * scale / near.size},
     )
-    return float(best.x), extreme + fit(float(best.x))[1]
+    return float(origin + best.x), extreme + fit(float(best.x))[1]

@@ -158,6 +158,18 @@ def test_reversals_are_found_to_a_fraction_of_a_sample() -> None:
     assert np.sqrt(np.mean(errors**2)) < 0.1 * INTERVAL
 
 
+def test_the_origin_of_time_does_not_matter() -> None:
+    """Stamps since 1970, of a clock whose periods a float64 holds exactly."""
+    time = np.arange(600) / 512.0
+    position = np.stack([quantised(np.sin(9 * time)), quantised(np.cos(5 * time))], axis=1)
+    smoothed = AveragedSplines(9).smooth(time, position)
+    stamped = AveragedSplines(9).smooth(time + 2.0**31, position)
+    for values, expected, name in zip(stamped, smoothed, ("q", "qd", "qdd"), strict=True):
+        # A stamp's rounding of 2.4e-7 s moves a reversal by as much.
+        scale = np.max(np.abs(expected))
+        np.testing.assert_allclose(values, expected, rtol=0, atol=1e-4 * scale, err_msg=name)
+
+
 def test_accelerations_may_jump_between_sections() -> None:
     # From the middle of a section to the middle of another.
     time = np.arange(75, 1270) * INTERVAL
