@@ -27,7 +27,7 @@ def run(*arguments: str | Path) -> "Result":
     """Runs the command `jaxcslc` with these arguments."""
     from typer.testing import CliRunner
 
-    from jaxcslc.cli import app
+    from jaxcslc.cli._app import app
 
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 

@@ -18,9 +18,11 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 
+# What every folder may import: modules beside the folders, which import nothing of ours.
+COMMON = {"_environment", "_field_types", "_rank"}
+
 # Who may import whom, by folder of `jaxcslc`. What a folder may import, whoever imports that folder
-# may import too. A folder that is not named here fails the test: decide where it stands. Every
-# folder may import `_environment` and `_rank`, which import nothing of ours.
+# may import too. A folder that is not named here fails the test: decide where it stands.
 LAYERS = {
     "manipulator": set[str](),
     "derivation": {"manipulator"},
@@ -77,7 +79,7 @@ def forbidden_imports(source: str, package: str) -> list[str]:
         climbs = (
             bool(folder)
             and top_package == top == "jaxcslc"
-            and second not in {*below(folder), "_environment", "_rank"}
+            and second not in {*below(folder), *COMMON}
         )
         return top in outside or climbs
 

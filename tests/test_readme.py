@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import typer
 
-from jaxcslc.cli import app
+from jaxcslc.cli._app import app
 
 
 ROOT = Path(__file__).parents[1]

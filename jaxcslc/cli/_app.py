@@ -1,4 +1,5 @@
 import os
+import warnings
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -24,8 +25,10 @@ app.command("export")(export_command)
 app.command("payload")(payload_command)
 
 
-def main() -> None:
-    """Run the command; wrong input ends it with one line and exit code 2."""
+def run() -> None:
+    """Run the command in this process, whose settings of JAX it changes."""
+    # Overflow inside a computation is no news for a user: the report judges what comes out.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
     jax.config.update("jax_enable_x64", True)  # identification is float64 work
     cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "jaxcslc" / "jax"))

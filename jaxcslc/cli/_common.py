@@ -77,8 +77,8 @@ def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | N
     pairs: list[tuple[int | float, ...]] = []
     for text in coupled or []:
         try:
-            first, second, *ratio = (float(number) for number in text.split(","))
-            pairs.append((int(first), int(second), *ratio))
+            first, second, *ratio = text.split(",")
+            pairs.append((int(first), int(second), *map(float, ratio)))
         except ValueError:
             raise RobotError(
                 f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got {text!r}"

@@ -2,6 +2,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from .._field_types import check_field_types
 from ..motion import (
     Patterns,
     Preparation,
@@ -239,6 +240,8 @@ def settings_from(document: Mapping[str, Any]) -> Settings:
     }
     if "smoothing" in options:
         options["smoothing"] = smoothing_from(options["smoothing"])
+    for kind in (Preparation, LeastSquares):
+        check_field_types(kind, options, "settings")
     try:
         return dataclasses.replace(
             Settings().with_options(**options),
@@ -248,10 +251,14 @@ def settings_from(document: Mapping[str, Any]) -> Settings:
         raise ValueError(f"settings: {error}") from None
 
 
-def _sampling(document: Mapping[str, Any]) -> Sampling:
+def _sampling(document: Any) -> Sampling:
+    if not isinstance(document, Mapping):
+        raise ValueError(f"settings, chosen_on: expected entries, got {document!r}")
     entries: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in document.items()
+        str(name): tuple(value) if isinstance(value, list) else value
+        for name, value in document.items()
     }
+    check_field_types(Sampling, entries, "settings, chosen_on")
     return Sampling(**entries)
 
 

@@ -84,7 +84,7 @@ def parse_angle(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise RobotError(f"{where}: expected an angle in rad or a multiple of pi, got {value!r}")
     if not isinstance(value, str):
-        angle = float(value)
+        angle = finite_number(value)
     elif match := _PI_MULTIPLE.match(value):
         angle = math.pi * float(match["factor"] or 1) / int(match["divisor"] or 1)
         angle = -angle if match["sign"] == "-" else angle
@@ -96,7 +96,7 @@ def parse_angle(value: object, where: str) -> float:
                 f"{where}: expected an angle in rad or a multiple of pi such as '-pi/2',"
                 f" got {value!r}"
             ) from None
-    if not math.isfinite(angle):
+    if angle is None or not math.isfinite(angle):
         raise RobotError(f"{where}: expected a finite angle, got {value!r}")
     return angle
 
@@ -119,9 +119,20 @@ def parse_length(value: object, lengths: dict[str, float], where: str) -> Length
                 f"{where}: expected a length in m or the name of one such as 'a2', got {value!r}"
             )
         return Length(lengths.get(value), value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    number = finite_number(value)
+    if number is None:
         raise RobotError(f"{where}: expected a finite length in m or its name, got {value!r}")
-    return Length(float(value), None)
+    return Length(number, None)
+
+
+def finite_number(value: object) -> float | None:
+    """The number as a float, or None for anything else, and for what no float64 holds."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:  # an integer of 309 digits and more
+        return None
 
 
 def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
@@ -136,12 +147,13 @@ def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
         parse_length(symbol, {}, where)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise RobotError(f"{where}, {symbol}: expected a length in m, got {value!r}")
-        if not math.isfinite(value) or value == 0:
+        number = finite_number(value)
+        if not number:
             raise RobotError(
                 f"{where}, {symbol}: expected a finite length in m other than zero, got {value!r};"
                 " where a length vanishes, write 0 instead of a name"
             )
-        table[symbol] = float(value)
+        table[symbol] = number
     return table
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ._errors import RobotError
 from ._friction import STATIC_SLOPE, Coupling, couplings
 from ._inertia import LinkInertia
-from ._joint import Joint, length_table, parse_angle, parse_length, unused_lengths
+from ._joint import Joint, finite_number, length_table, parse_angle, parse_length, unused_lengths
 from ._link_parameters import LinkParameters
 from ._manipulator import Manipulator
 from ._numbering import Numbering, Subnumbering
@@ -352,9 +352,10 @@ def _check_keys(table: Mapping[str, Any], allowed: set[str], at: str) -> None:
 
 
 def _number(value: Any, at: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    number = finite_number(value)
+    if number is None:
         raise RobotError(f"{at}: expected a finite number, got {value!r}")
-    return float(value)
+    return number
 
 
 def _strings(value: Any, at: str) -> list[str]:

@@ -10,6 +10,9 @@ from ._errors import RobotError
 # Robots nest their bodies a few dozen deep (every joint of a chain is two levels in MJCF), and
 # their files have thousands of elements; MuJoCo's own parser overflows the stack far beyond that.
 _DEEPEST, _MOST_ELEMENTS = 256, 200_000
+# Where bodies and joints are: MuJoCo computes with any number, and poses become NaN without a word.
+_PLACEMENT = {"xyz", "rpy", "pos", "axis", "quat", "euler", "axisangle", "xyaxes", "zaxis"}
+_LARGEST = 1e9
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
 
@@ -67,6 +70,10 @@ def parse_xml(text: bytes, where: str) -> Element:
             # MuJoCo would write a log file into the current folder.
             if "nan" in value.lower().split():
                 raise RobotError(f"{line()}: {name} of {tag} is {value!r}; expected numbers")
+            if name in _PLACEMENT and not all(map(_is_moderate, value.split())):
+                raise RobotError(
+                    f"{line()}: {name} of {tag} is {value!r}; expected numbers up to {_LARGEST:g}"
+                )
         element = Element(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex)
         stack[-1].children.append(element)
         stack.append(element)
@@ -98,3 +105,10 @@ def parse_xml(text: bytes, where: str) -> Element:
         raise RobotError(f"{where}: not valid XML: {error}") from None
     (root,) = top.children
     return root
+
+
+def _is_moderate(text: str) -> bool:
+    try:
+        return abs(float(text)) <= _LARGEST
+    except ValueError:
+        return True  # not a number: MuJoCo says so

@@ -11,6 +11,10 @@ MINIMUM_SAMPLES = 5
 """Fewest samples a recording may hold: two central differences (Eqn 7.2-2) span five."""
 
 
+LARGEST_VALUE = 1e30
+"""No clock and no joint shows more, in any unit; products of such numbers do not overflow."""
+
+
 class RecordingError(ValueError):
     """A recording, or the file that should hold one, that cannot be used.
 
@@ -56,11 +60,16 @@ def first_fault(
     time = columns["time"]
     fault: Fault | None = None
     for name, values in columns.items():
-        bad = ~np.isfinite(values)
+        bad = ~(np.abs(values) <= LARGEST_VALUE)
         if bad.any():
             row = int(np.argmax(bad))
             if fault is None or fault.row is None or row < fault.row:
-                fault = Fault(row, name, f"{values[row]} where a finite number was expected")
+                expected = (
+                    f"a number up to {LARGEST_VALUE:g}"
+                    if np.isfinite(values[row])
+                    else "a finite number"
+                )
+                fault = Fault(row, name, f"{values[row]} where {expected} was expected")
 
     earlier, first = (time[:-1], 1) if before is None else (np.append(before["time"], time[:-1]), 0)
     with np.errstate(invalid="ignore"):

@@ -7,6 +7,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._field_types import check_field_types
+
 
 Derivatives: TypeAlias = tuple[
     Float[np.ndarray, "samples joints"],
@@ -191,7 +193,8 @@ def smoothing_from(document: Any) -> AbstractSmoothing:
     >>> smoothing_from({"method": "averaged_splines", "spacing": [9, 17]}).spacing
     (9, 17)
     """
-    if not isinstance(document, Mapping) or document.get("method") not in _REGISTERED:
+    method = document.get("method") if isinstance(document, Mapping) else None
+    if not isinstance(method, str) or method not in _REGISTERED:
         raise ValueError(
             f"settings, smoothing: expected a method out of {', '.join(_REGISTERED)},"
             f" got {document!r}"
@@ -201,8 +204,9 @@ def smoothing_from(document: Any) -> AbstractSmoothing:
         for name, value in document.items()
         if name != "method"
     }
+    check_field_types(_REGISTERED[method], fields, "settings, smoothing")
     try:
-        return _REGISTERED[document["method"]](**fields)
+        return _REGISTERED[method](**fields)
     except TypeError as error:
         raise ValueError(f"settings, smoothing: {error}") from None
 

@@ -32,7 +32,7 @@ URDF = """<robot name="arm">
 
 
 def run(*arguments: str | Path) -> Result:
-    from jaxcslc.cli import app
+    from jaxcslc.cli._app import app
 
     return CliRunner().invoke(app, ["export", *(str(argument) for argument in arguments)])
 

@@ -66,6 +66,17 @@ def test_flat_documents_of_earlier_versions_are_read():
         ({"preparation": {"cut": 8.0}}, "unknown entry 'cut'"),
         ({"solver": 3}, "settings, solver: expected entries"),
         ({"smoothing": {"method": "magic"}}, "expected a method out of"),
+        ({"smoothing": {"method": ["butterworth"]}}, "expected a method out of"),
+        (
+            {"smoothing": {"method": "averaged_splines", "spacing": "9"}},
+            "settings, smoothing, spacing: expected a whole number or a list of numbers, got '9'",
+        ),
+        ({"trim": "x"}, "settings, trim: expected a whole number or nothing, got 'x'"),
+        ({"torque_lag": [0]}, r"settings, torque_lag: expected a number, got \[0\]"),
+        ({"loss": ["huber"]}, "settings, loss: expected 'squared' or 'huber' or 'bisquare'"),
+        ({"backlash": 1}, "settings, backlash: expected true or false, got 1"),
+        ({"chosen_on": 3}, "settings, chosen_on: expected entries, got 3"),
+        ({"chosen_on": {"interval": "x"}}, "settings, chosen_on, interval: expected a number"),
     ):
         with pytest.raises(ValueError, match=message):
             settings_from(entries)

@@ -53,6 +53,18 @@ REFUSED = {
         urdf(link("a"), link("b", "nan"), ARM[2]),
         "line 1: value of mass is 'nan'; expected numbers",
     ),
+    "huge origin": (
+        urdf(*ARM[:2], joint("j", "a", "b", more='<origin xyz="1e300 0 0.1"/>')),
+        r"line 1: xyz of origin is '1e300 0 0.1'; expected numbers up to 1e\+09",
+    ),
+    "infinite position": (
+        mjcf('<body pos="inf 0 0"><joint/><geom size="0.1"/></body>'),
+        "line 1: pos of body is 'inf 0 0'; expected numbers up to",
+    ),
+    "huge axis": (
+        mjcf('<body><joint axis="0 0 1e300"/><geom size="0.1"/></body>'),
+        "line 1: axis of joint is '0 0 1e300'; expected numbers up to",
+    ),
     "word": (urdf(link("a"), link("b", "heavy"), ARM[2]), "heavy|mass|number"),
     "negative moment": (
         urdf(link("a"), link("b", moments=(0.1, -0.1, 0.1)), ARM[2]),
@@ -254,7 +266,7 @@ def test_elements_know_where_they_stand() -> None:
 def test_the_command_ends_with_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
-    from jaxcslc.cli import app
+    from jaxcslc.cli._app import app
 
     path = tmp_path / "arm.urdf"
     path.write_text(REFUSED["negative mass"][0])

@@ -72,6 +72,7 @@ MISTAKES = [
     ("viscous = 1.5\n", "", ": viscous is given for 1 of 2 joints"),
     ("viscous = 1.5", "viscous = 1.5\ndry = 1", ": dry is given for 1 of 2 joints"),
     ("viscous = 1.5", "viscous = 'a'", ", joint 1, viscous: expected a finite number, got 'a'"),
+    ("viscous = 1.5", f"viscous = {10**400}", ", joint 1, viscous: expected a finite number"),
     ("viscous = 1.5", "viscous = true", ", joint 1, viscous: expected a finite number, got True"),
     ("[joint.link]\nzero", "link = 3\nzeros", ", joint 1: unknown key"),
 ]

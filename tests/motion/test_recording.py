@@ -68,6 +68,15 @@ def test_too_few_samples() -> None:
         Recording(**arrays(samples=4))
 
 
+def test_values_that_no_joint_shows() -> None:
+    """Their squares would overflow, and a fit's error be NaN or zero."""
+    position = np.ones((8, 2))
+    position[2, 1] = -1e160
+    message = r"sample 3, position_2: -1e\+160 where a number up to 1e\+30 was expected"
+    with pytest.raises(RecordingError, match=message):
+        Recording(**{**arrays(), "position": position})
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("quantity", ["time", "position", "torque", "velocity", "acceleration"])
 def test_values_that_are_not_finite(quantity: str, value: float) -> None:

@@ -1,8 +1,10 @@
 import contextlib
 import csv
+import glob
 import json
 import math
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Generator, Mapping, Sequence
@@ -14,9 +16,14 @@ from jaxtyping import Array
 
 
 def check_output_folder(folder: Path) -> None:
-    """**Raises** `ValueError` if a file is where the results should go."""
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder}: expected a folder for the results, this is a file")
+    """**Raises** `ValueError` if the results cannot go there: a file, or no right to write."""
+    for path in (folder, *folder.absolute().parents):
+        if path.exists():
+            if not path.is_dir():
+                raise ValueError(f"{path}: expected a folder for the results, this is a file")
+            if not os.access(path, os.W_OK | os.X_OK):
+                raise ValueError(f"{path}: expected a folder that can be written to")
+            return
 
 
 @contextlib.contextmanager
@@ -24,12 +31,18 @@ def all_or_nothing(folder: Path) -> Generator[Path]:
     """A scratch folder whose files move into `folder` when all of them are written.
 
     If writing fails, the files of `folder` stay as they were. Files of other names are not touched.
+    What a process that was killed left behind is removed.
 
     **Raises** as `check_output_folder`.
     """
     check_output_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    prefix = f".{folder.name}-{platform.node()}-"
+    for left in folder.parent.glob(f"{glob.escape(prefix)}*-*"):
+        process = left.name.removeprefix(prefix).partition("-")[0]
+        if process.isdecimal() and not _is_running(int(process)):
+            shutil.rmtree(left, ignore_errors=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f"{prefix}{os.getpid()}-", dir=folder.parent))
     try:
         yield scratch
         folder.mkdir(exist_ok=True)
@@ -37,6 +50,18 @@ def all_or_nothing(folder: Path) -> Generator[Path]:
             os.replace(path, folder / path.name)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _is_running(process: int) -> bool:
+    if os.name != "posix":  # where the call below would interrupt the process
+        return True
+    try:
+        os.kill(process, 0)  # sends nothing
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's, or a number that no process has
+        pass
+    return True
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

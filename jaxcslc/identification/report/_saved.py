@@ -77,7 +77,7 @@ def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
     """
     path = Path(path)
     document = _document(path, "identification")
-    network = derive(_with_friction(robot, document, path), lengths=document.get("lengths", "auto"))
+    network = derive(_with_friction(robot, document, path), lengths=_lengths(document, path))
     network = _with_slopes(network, document, path)
     fit = _fit(path)
     if difference := _difference(network, document, fit.names):
@@ -130,6 +130,14 @@ def _document(path: Path, kind: str) -> dict[str, Any]:
 
 def _settings(document: dict[str, Any], path: Path) -> Settings | None:
     return load_settings(path) if "settings" in document else None
+
+
+def _lengths(document: dict[str, Any], path: Path) -> Any:
+    lengths = document.get("lengths", "auto")
+    names = lengths if isinstance(lengths, list) else [lengths]
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{path}: lengths: expected a text or a list of names, got {lengths!r}")
+    return lengths
 
 
 def _with_friction(robot: Manipulator, document: dict[str, Any], path: Path) -> Manipulator:
