@@ -34,10 +34,11 @@ LAYERS = {
     "identification": {"network", "motion", "inertia", "plotting"},
     "training": {"adaptive"},
     "assessment": {"identification"},
+    "systems": {"identification", "training"},
     "control": {"network"},
     "export": {"identification"},
     "payload": {"identification", "control"},
-    "cli": {"assessment", "training", "control", "export", "payload", "plotting"},
+    "cli": {"assessment", "training", "control", "export", "payload", "plotting", "systems"},
 }
 
 

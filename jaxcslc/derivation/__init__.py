@@ -6,6 +6,7 @@ from ._algebra import (
 )
 from ._chain import Chain as Chain, link_twists as link_twists
 from ._coefficient import Addend as Addend, Coefficient as Coefficient
+from ._exact import exact_cos_sin as exact_cos_sin, exact_number as exact_number
 from ._identifiability import (
     StructuralIdentifiability as StructuralIdentifiability,
     structural_identifiability as structural_identifiability,
@@ -22,4 +23,5 @@ from ._newton_euler import (
     link_frames as link_frames,
 )
 from ._polynomials import PositionRing as PositionRing
+from ._span import Basis as Basis
 from ._tables import Link as Link, Table as Table

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from .._environment import require
 from ..motion import Patterns
-from ..network import CSLC
+from ..network import AbstractLinearNetwork
 from ._settings import Settings
 from .solver import (
     Identification,
@@ -94,7 +94,7 @@ lack a term
 
 
 def held_out_error(
-    network: CSLC, fit: Identification, training: Patterns, validation: Patterns
+    network: AbstractLinearNetwork, fit: Identification, training: Patterns, validation: Patterns
 ) -> HeldOut:
     """How a fit does on a recording that it was not made from, beside its own.
 
@@ -130,20 +130,20 @@ def held_out_error(
     """
     errors: list[np.ndarray] = []
     for patterns in (training, validation):
-        if patterns.q.shape[-1] != network.joint_count:
+        if patterns.joints != network.joint_count:
             raise ValueError(
-                f"patterns have {patterns.q.shape[-1]} joints, {network.robot.name!r} has"
+                f"patterns have {patterns.joints} joints, {network.name!r} has"
                 f" {network.joint_count}"
             )
         predicted = np.asarray(regressor_of(network, patterns) @ fit.k)
         errors.append(np.asarray(patterns.torque) - predicted)
     masks = np.asarray(training.mask), np.asarray(validation.mask)
     held_out = _judged(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
-    return dataclasses.replace(held_out, units=network.robot.torque_units)
+    return dataclasses.replace(held_out, units=network.output_units)
 
 
 def cross_validated_error(
-    network: CSLC,
+    network: AbstractLinearNetwork,
     patterns: Patterns,
     settings: Settings | None = None,
     *,
@@ -193,7 +193,7 @@ def cross_validated_error(
         fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
     judged = _judged(training, mask, held_out, mask, int(fit.rank))
-    return dataclasses.replace(judged, source="cross-validation", units=network.robot.torque_units)
+    return dataclasses.replace(judged, source="cross-validation", units=network.output_units)
 
 
 def _judged(

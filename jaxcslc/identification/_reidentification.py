@@ -1,12 +1,12 @@
 from collections.abc import Sequence
 
 from ..motion import Patterns
-from ..network import CSLC
+from ..network import AbstractLinearNetwork
 from .solver import Fixed, Identification, LeastSquares, Previous
 
 
 def reidentify(
-    network: CSLC,
+    network: AbstractLinearNetwork,
     patterns: Patterns,
     previous: Previous,
     *,

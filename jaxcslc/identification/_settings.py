@@ -12,7 +12,7 @@ from ..motion import (
     smoothing_from,
     uniform_interval,
 )
-from ..network import CSLC
+from ..network import CSLC, AbstractLinearNetwork
 from ._reidentification import reidentify
 from .solver import Identification, LeastSquares, Previous
 
@@ -107,7 +107,7 @@ of top speed, filtered alike at 15 Hz, joints weighted by residual
         """
         return self.preparation.patterns(recording)
 
-    def fit(self, network: CSLC, patterns: Patterns) -> Identification:
+    def fit(self, network: AbstractLinearNetwork, patterns: Patterns) -> Identification:
         """The direct solve under these settings.
 
         **Raises**
@@ -117,7 +117,11 @@ of top speed, filtered alike at 15 Hz, joints weighted by residual
         return self.solver.fit(network, patterns)
 
     def reidentify(
-        self, network: CSLC, patterns: Patterns, previous: Previous, groups: Sequence[str]
+        self,
+        network: AbstractLinearNetwork,
+        patterns: Patterns,
+        previous: Previous,
+        groups: Sequence[str],
     ) -> Identification:
         """A part of the coefficients under these settings.
 

@@ -57,12 +57,14 @@ from ._smoothing import (
     register_smoothing as register_smoothing,
     smoothing_document as smoothing_document,
     smoothing_from as smoothing_from,
+    without_rounding as without_rounding,
 )
 from ._spacing import choose_spacing as choose_spacing, left_out_error as left_out_error
 from ._splines import AveragedSplines as AveragedSplines
 from .files import (
     RecordingChunk as RecordingChunk,
     iterate_recording as iterate_recording,
+    load_columns as load_columns,
     load_recording as load_recording,
     save_recording as save_recording,
 )

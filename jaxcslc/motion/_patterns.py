@@ -13,8 +13,9 @@ class Patterns(eqx.Module):
     **Attributes**
 
     - `time`: instants of the samples, shape `(samples,)` [s].
-    - `q`, `qd`, `qdd`: positions, velocities and accelerations, shape `(samples, joints)`
-        [rad, rad/s, rad/s² or m, m/s, m/s²].
+    - `q`, `qd`, `qdd`: positions, velocities and accelerations, shape `(samples, motion)`
+        [rad, rad/s, rad/s² or m, m/s, m/s²]; of a robot, a column a joint. Other systems
+        (`jaxcslc.systems`) may have more or fewer columns of motion than equations.
     - `torque`: the torques that drove that motion, shape `(samples, joints)` [N m or N].
     - `backlash_mask`: True where the joint is not possibly in backlash (Eqn 2.5-7), shape
         `(samples, joints)`.
@@ -33,9 +34,9 @@ class Patterns(eqx.Module):
     """
 
     time: Float[np.ndarray | jax.Array, " samples"]
-    q: Float[np.ndarray | jax.Array, "samples joints"]
-    qd: Float[np.ndarray | jax.Array, "samples joints"]
-    qdd: Float[np.ndarray | jax.Array, "samples joints"]
+    q: Float[np.ndarray | jax.Array, "samples motion"]
+    qd: Float[np.ndarray | jax.Array, "samples motion"]
+    qdd: Float[np.ndarray | jax.Array, "samples motion"]
     torque: Float[np.ndarray | jax.Array, "samples joints"]
     backlash_mask: Bool[np.ndarray | jax.Array, "samples joints"]
     friction_mask: Bool[np.ndarray | jax.Array, "samples joints"]
@@ -52,8 +53,8 @@ class Patterns(eqx.Module):
 
     @property
     def joints(self) -> int:
-        """How many joints there are."""
-        return self.q.shape[1]
+        """How many joints there are: columns of torque."""
+        return self.torque.shape[1]
 
     def between(self, start: float, end: float) -> "Patterns":
         """The patterns of a stretch of time, as for a fit on one part and a test on another.

@@ -168,7 +168,7 @@ class Preparation:
             )
         inside = slice(trim, samples - trim)
         q, qd, qdd = (values[inside] for values in derivatives)
-        torque = self._torque(recording)[inside]
+        torque = self.aligned(recording.time, recording.torque)[inside]
         fraction = self.threshold_fraction
         thresholds = self.thresholds
         if thresholds is None:
@@ -200,12 +200,21 @@ class Preparation:
 
         The number of samples: `trim`, or as far as smoothing or torque lag reach.
         """
+        return self.trimmed_of(recording.time, recording.joints)
+
+    def trimmed_of(self, time: Float[np.ndarray, " samples"], columns: int) -> int:
+        """The same for so many columns of positions, sampled at `time`.
+
+        >>> import numpy as np, jaxcslc as jc
+        >>> jc.Preparation(jc.AveragedSplines(9)).trimmed_of(np.arange(100) * 0.01, 1)
+        9
+        """
         if self.trim is not None:
             return self.trim
-        interval = float(np.median(np.diff(recording.time)))
+        interval = float(np.median(np.diff(time)))
         # Beyond the ends there is no torque to read.
         lag = int(np.ceil(abs(self.torque_lag) / interval))
-        return max(self.smoothing.reach(interval, recording.joints), lag)
+        return max(self.smoothing.reach(interval, columns), lag)
 
     def with_static_friction(self, joints: Sequence[bool]) -> "Preparation":
         """The preparation for a network that has terms of static friction.
@@ -331,13 +340,30 @@ reach over 36 ms to either side in place of 18 ms',)
     def __str__(self) -> str:
         return self.description
 
-    def _torque(self, recording: Recording) -> Float[np.ndarray, "samples joints"]:
-        torque = recording.torque
+    def aligned(
+        self, time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
+    ) -> Float[np.ndarray, "samples joints"]:
+        """Torques, or other inputs, of the instants of the samples: lag, alignment, smoothing.
+
+        **Arguments**
+
+        - `time`: of the samples [s].
+        - `torque`: as recorded.
+
+        **Returns**
+
+        The torques that belong to the samples.
+
+        >>> import numpy as np, jaxcslc as jc
+        >>> torque = np.array([0.0, 1.0, 2.0])[:, None]
+        >>> jc.Preparation(torque_alignment="mean").aligned(np.arange(3.0), torque)[:, 0].tolist()
+        [0.0, 0.5, 1.5]
+        """
         if self.torque_lag:
-            at = recording.time + self.torque_lag
-            torque = np.stack([np.interp(at, recording.time, x) for x in torque.T], axis=1)
+            at = time + self.torque_lag
+            torque = np.stack([np.interp(at, time, x) for x in torque.T], axis=1)
         torque = align_torque(torque, self.torque_alignment)
-        return self.smoothing.low_pass(recording.time, torque) if self.smooth_torque else torque
+        return self.smoothing.low_pass(time, torque) if self.smooth_torque else torque
 
 
 def prepare(recording: Recording, **options: Any) -> Patterns:

@@ -1,6 +1,7 @@
 from ._cslc import CSLC as CSLC
 from ._derive import derive as derive
 from ._layout import Layout as Layout
+from ._linear_network import AbstractLinearNetwork as AbstractLinearNetwork
 from ._term_sum import AbstractTermSum as AbstractTermSum
 from .terms import (
     JAX_FUNCTIONS as JAX_FUNCTIONS,
@@ -8,6 +9,7 @@ from .terms import (
     AbstractFunctions as AbstractFunctions,
     AbstractInputTerm as AbstractInputTerm,
     AbstractJointLaw as AbstractJointLaw,
+    AbstractManipulatorTerm as AbstractManipulatorTerm,
     AbstractTerm as AbstractTerm,
     JointTerm as JointTerm,
     LawProperties as LawProperties,

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ..derivation import Algebra, Coefficient, InertialTerm, constant_values
 from ..manipulator import LinkParameters
-from .terms import AbstractInputTerm, AbstractTerm
+from .terms import AbstractInputTerm, AbstractManipulatorTerm
 
 
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -19,7 +19,7 @@ _NO_BODY = LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
 
 def coefficient_values(
     algebra: Algebra,
-    terms: Sequence[AbstractTerm],
+    terms: Sequence[AbstractManipulatorTerm],
     links: Sequence[LinkParameters],
     friction: Mapping[str, Any],
     payload: LinkParameters | None,

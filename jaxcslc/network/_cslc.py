@@ -12,7 +12,7 @@ from ._counts import counts_of, order_per_joint
 from ._term_sum import AbstractTermSum
 from .terms import (
     AbstractInputTerm,
-    AbstractTerm,
+    AbstractManipulatorTerm,
     JointTerm,
     RigidBodyRecursion,
     RigidBodyTables,
@@ -43,7 +43,7 @@ class CSLC(AbstractTermSum):
     """
 
     algebra: Algebra = eqx.field(static=True)
-    terms: tuple[AbstractTerm, ...]
+    terms: tuple[AbstractManipulatorTerm, ...]
 
     @property
     def robot(self) -> Manipulator:

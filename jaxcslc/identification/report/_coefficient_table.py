@@ -3,7 +3,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ..solver import Identification
 from ._excitation import Excitation
 from ._output import text_table
@@ -14,7 +14,7 @@ _LONGEST_EXPRESSION = 60
 
 
 def coefficient_rows(
-    network: CSLC,
+    network: AbstractLinearNetwork,
     fit: Identification | None = None,
     reference: Mapping[str, Float[Array | np.ndarray, " _"]] | None = None,
     *,

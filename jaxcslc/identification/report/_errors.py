@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..._environment import require
 from ...motion import Patterns
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ..solver import filled_up
 from ._output import text_table
 
@@ -110,7 +110,9 @@ class ErrorTable(eqx.Module):
 
 
 def compare(
-    network: CSLC, patterns: Patterns, vectors: Mapping[str, Float[Array | np.ndarray, " k"]]
+    network: AbstractLinearNetwork,
+    patterns: Patterns,
+    vectors: Mapping[str, Float[Array | np.ndarray, " k"]],
 ) -> ErrorTable:
     """Compares how well several coefficient vectors predict the torque of the same patterns.
 
@@ -145,7 +147,7 @@ def compare(
         epsilon,
         rms_all_samples=jnp.sqrt(jnp.mean(errors**2, axis=1)),
         share_judged=jnp.mean(mask, axis=0, dtype=errors.dtype),
-        unit=" or ".join(sorted(set(network.robot.torque_units), key=len, reverse=True)),
+        unit=" or ".join(sorted(set(network.output_units), key=len, reverse=True)),
     )
 
 
@@ -169,14 +171,14 @@ def _over_judged(
 
 
 def torque_errors(
-    network: CSLC, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
+    network: AbstractLinearNetwork, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
 ) -> Float[Array, "samples joints"]:
     """Measured minus predicted torque of every pair (samples, n) [N m]."""
     return jnp.asarray(patterns.torque) - predicted_torque(network, patterns, k)
 
 
 def predicted_torque(
-    network: CSLC, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
+    network: AbstractLinearNetwork, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
 ) -> Float[Array, "samples joints"]:
     """The network's torque for the patterns' motion (samples, n) [N m]."""
     motion = (patterns.q, patterns.qd, patterns.qdd)
@@ -185,5 +187,5 @@ def predicted_torque(
 
 
 @eqx.filter_jit
-def _torque(network: CSLC, k: Array, q: Array, qd: Array, qdd: Array) -> Array:
+def _torque(network: AbstractLinearNetwork, k: Array, q: Array, qd: Array, qdd: Array) -> Array:
     return network.torque(k, q, qd, qdd)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..._environment import require
 from ..._rank import rank_tolerance
 from ...motion import Patterns
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ..solver import Unknowns, factorise, filled_up
 
 
@@ -97,7 +97,7 @@ class Excitation(eqx.Module):
         )
 
 
-def degree_of_excitation(network: CSLC, patterns: Patterns) -> Excitation:
+def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> Excitation:
     """How exciting a recording is for a network (Section 7.4.1; Craig 1986, Armstrong 1989).
 
     Measured as in Armstrong, 'On finding exciting trajectories for identification experiments

@@ -3,7 +3,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ..solver import Identification
 from ._excitation import Excitation
 
@@ -48,7 +48,7 @@ class Verdict:
 
 
 def verdicts(
-    network: CSLC,
+    network: AbstractLinearNetwork,
     fit: Identification,
     excitation: Excitation | None = None,
     *,

@@ -3,13 +3,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...motion import Recording
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ..solver import MEANINGLESS_CONDITION, Identification
 from ._errors import ErrorTable
 
 
 def fit_warnings(
-    network: CSLC, recording: Recording, fit: Identification, errors: ErrorTable
+    network: AbstractLinearNetwork, recording: Recording, fit: Identification, errors: ErrorTable
 ) -> Iterator[str]:
     """Warnings about a fit, its training recording and how it explains the recorded torque.
 
@@ -36,7 +36,7 @@ def fit_warnings(
             " determined"
         )
     deviation = np.std(recording.torque, axis=0)
-    rows = zip(np.asarray(errors.rms[0]), deviation, network.robot.torque_units, strict=True)
+    rows = zip(np.asarray(errors.rms[0]), deviation, network.output_units, strict=True)
     for joint, (rms, size, unit) in enumerate(rows, 1):
         if size == 0:
             yield f"joint {joint}: the measured torque is constant"

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...motion import Patterns
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 
 
 # Tracing a network takes longer than computing this many patterns with it.
@@ -25,12 +25,14 @@ def filled_up(
     return np.pad(x, widths) if isinstance(x, np.ndarray) else jnp.pad(x, widths)
 
 
-def regressor_of(network: CSLC, patterns: Patterns) -> Float[Array, "samples joints coefficients"]:
+def regressor_of(
+    network: AbstractLinearNetwork, patterns: Patterns
+) -> Float[Array, "samples joints coefficients"]:
     """The regressor of patterns; compiled once for all recordings of similar lengths."""
     q, qd, qdd = (filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
     return _regressor(network, jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd))[: len(patterns.q)]
 
 
 @eqx.filter_jit
-def _regressor(network: CSLC, q: Array, qd: Array, qdd: Array) -> Array:
+def _regressor(network: AbstractLinearNetwork, q: Array, qd: Array, qdd: Array) -> Array:
     return network.regressor(q, qd, qdd)

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...motion import Patterns, parallel_filter, uniform_interval
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ._compiled import regressor_of
 from ._factors import JointFactors, Unknowns
 
@@ -108,7 +108,7 @@ class Equations(eqx.Module):
 
 
 def equations_of(
-    network: CSLC,
+    network: AbstractLinearNetwork,
     patterns: Patterns,
     cutoff: float | None,
     regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,

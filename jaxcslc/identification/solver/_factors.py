@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 
 
 # Patterns that are expanded into regressor rows at once: their intermediates fit a core's cache.
@@ -34,7 +34,7 @@ class Unknowns:
     support: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def of(cls, network: CSLC) -> "Unknowns":
+    def of(cls, network: AbstractLinearNetwork) -> "Unknowns":
         """Of a network."""
         return cls(network.names, network.support)
 
@@ -65,7 +65,7 @@ class JointFactors(eqx.Module):
     counts: Float[Array | np.ndarray, "*batch joints"]
 
     @classmethod
-    def empty(cls, network: CSLC) -> "JointFactors":
+    def empty(cls, network: AbstractLinearNetwork) -> "JointFactors":
         """The factors of no patterns."""
         sizes = [len(support) + 1 for support in network.support]
         return cls(tuple(jnp.zeros((size, size)) for size in sizes), jnp.zeros(network.joint_count))
@@ -119,10 +119,10 @@ class JointFactors(eqx.Module):
 
 
 def factorise(
-    network: CSLC,
-    q: Float[Array, "samples joints"],
-    qd: Float[Array, "samples joints"],
-    qdd: Float[Array, "samples joints"],
+    network: AbstractLinearNetwork,
+    q: Float[Array, "samples motion"],
+    qd: Float[Array, "samples motion"],
+    qdd: Float[Array, "samples motion"],
     torque: Float[Array, "samples joints"],
     weight: Float[Array, "samples joints"],
     *,
@@ -133,15 +133,15 @@ def factorise(
     `weight` multiplies both sides of each joint's equation: 0 leaves a pair out, 1 takes it.
     Pure, and its memory beyond the arguments is one block of patterns.
     """
-    samples, n = q.shape
+    samples = len(q)
     size = min(_BLOCK, -(-samples // _ROWS) * _ROWS)
     blocks = -(-samples // size)
     padding = blocks * size - samples
 
     def blocked(x: Array) -> Array:
-        """(samples, joints) to (blocks, joints, size), zeros behind the end."""
+        """(samples, columns) to (blocks, columns, size), zeros behind the end."""
         x = jnp.pad(x, ((0, padding), (0, 0)))
-        return jnp.swapaxes(x.reshape(blocks, size, n), 1, 2)
+        return jnp.swapaxes(x.reshape(blocks, size, x.shape[1]), 1, 2)
 
     def step(
         triangles: tuple[Array, ...], block: tuple[Array, ...]

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ._identification import Identification
 
 
@@ -33,7 +33,9 @@ class Fixed(eqx.Module):
     degrees_of_freedom: Float[Array, ""]
 
     @classmethod
-    def except_for(cls, network: CSLC, previous: Previous, groups: Sequence[str]) -> "Fixed":
+    def except_for(
+        cls, network: AbstractLinearNetwork, previous: Previous, groups: Sequence[str]
+    ) -> "Fixed":
         """All but `groups` keep their values of `previous`, which may end before the last ones if
         those are all fitted.
 
@@ -49,7 +51,7 @@ class Fixed(eqx.Module):
                 raise ValueError(
                     f"previous: its coefficients are {previous.names[0]} to {previous.names[-1]}"
                     f" ({size});"
-                    f" {network.robot.name!r} has {network.names[0]} to {network.names[-1]}"
+                    f" {network.name!r} has {network.names[0]} to {network.names[-1]}"
                     f" ({network.size})"
                 )
             covariances = previous.covariance, previous.independent_covariance
@@ -71,7 +73,7 @@ class Fixed(eqx.Module):
         return np.setdiff1d(np.arange(len(self.k)), self.free)
 
 
-def _indices(network: CSLC, groups: Sequence[str]) -> tuple[int, ...]:
+def _indices(network: AbstractLinearNetwork, groups: Sequence[str]) -> tuple[int, ...]:
     """Indices of the coefficients of groups or of names, ascending."""
     names = (groups,) if isinstance(groups, str) else tuple(groups)
     there = dict.fromkeys(coefficient.group for coefficient in network.coefficients)

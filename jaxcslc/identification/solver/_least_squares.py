@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._environment import require_float64
 from ...motion import Patterns
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ._compiled import filled_up, regressor_of
 from ._equations import Equations, equations_of
 from ._factors import JointFactors, Unknowns, factorise
@@ -107,7 +107,7 @@ class LeastSquares:
 
     def fit(
         self,
-        network: CSLC,
+        network: AbstractLinearNetwork,
         patterns: Patterns,
         fixed: Fixed | None = None,
         throw: bool = True,
@@ -135,7 +135,7 @@ class LeastSquares:
 
     def fit_stream(
         self,
-        network: CSLC,
+        network: AbstractLinearNetwork,
         chunks: Iterable[Patterns],
         fixed: Fixed | None = None,
         throw: bool = True,
@@ -181,7 +181,7 @@ class LeastSquares:
 
     def fit_factors(
         self,
-        network: CSLC,
+        network: AbstractLinearNetwork,
         factors: JointFactors,
         fixed: Fixed | None = None,
         throw: bool = True,
@@ -198,14 +198,14 @@ class LeastSquares:
         rows = KeptRows.from_equations(equations, samples) if self._passes_twice else None
         return checked(self._fit_rows(equations.unknowns, equations.factors(), rows, fixed), throw)
 
-    def equations(self, network: CSLC, patterns: Patterns) -> Equations:
+    def equations(self, network: AbstractLinearNetwork, patterns: Patterns) -> Equations:
         """The equations that `fit` solves, one for each pair of the mask, or those that the
         parallel filter makes of them; on the host."""
         check_patterns(network, patterns)
         return equations_of(network, patterns, self.cutoff)
 
     def fit_folds(
-        self, network: CSLC, patterns: Patterns, fold: Int[np.ndarray, " samples"]
+        self, network: AbstractLinearNetwork, patterns: Patterns, fold: Int[np.ndarray, " samples"]
     ) -> Float[np.ndarray, "folds coefficients"]:
         """The coefficients fitted to all folds but one, for each one left out; on the host.
 
@@ -215,7 +215,7 @@ class LeastSquares:
 
     def held_out_errors(
         self,
-        network: CSLC,
+        network: AbstractLinearNetwork,
         patterns: Patterns,
         fold: Int[np.ndarray, " samples"],
         regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
@@ -235,7 +235,7 @@ class LeastSquares:
 
     def _fit_folds(
         self,
-        network: CSLC,
+        network: AbstractLinearNetwork,
         patterns: Patterns,
         regressor: Float[np.ndarray, "samples joints coefficients"],
         fold: Int[np.ndarray, " samples"],
@@ -273,7 +273,7 @@ class LeastSquares:
         return self.loss != "squared" or self.errors != "independent"
 
     def _fit_patterns(
-        self, network: CSLC, patterns: Patterns, fixed: Fixed | None
+        self, network: AbstractLinearNetwork, patterns: Patterns, fixed: Fixed | None
     ) -> Identification:
         check_patterns(network, patterns)
         if self.cutoff is not None:
@@ -347,7 +347,7 @@ def checked(fit: Identification, throw: bool) -> Identification:
     return fit.result.error_if(fit, failed)
 
 
-def _host_regressor(network: CSLC, patterns: Patterns) -> np.ndarray:
+def _host_regressor(network: AbstractLinearNetwork, patterns: Patterns) -> np.ndarray:
     check_patterns(network, patterns)
     return np.asarray(regressor_of(network, patterns))
 
@@ -370,11 +370,15 @@ def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
         raise ValueError(f"{name} is {value!r}; expected {' or '.join(map(repr, choices))}")
 
 
-def check_patterns(network: CSLC, patterns: Patterns) -> None:
-    """**Raises** `ValueError` for another robot's patterns, and for others than float64."""
-    if patterns.q.shape[-1] != network.joint_count:
+def check_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> None:
+    """**Raises** `ValueError` for patterns of another size, and for others than float64."""
+    if patterns.joints != network.joint_count:
         raise ValueError(
-            f"patterns have {patterns.q.shape[-1]} joints, {network.robot.name!r} has"
-            f" {network.joint_count}"
+            f"patterns have {patterns.joints} joints, {network.name!r} has {network.joint_count}"
+        )
+    if patterns.q.shape[-1] != network.motion_count:
+        raise ValueError(
+            f"patterns have {patterns.q.shape[-1]} columns of motion, {network.name!r} has"
+            f" {network.motion_count}"
         )
     require_float64(patterns.q, patterns.qd, patterns.qdd, patterns.torque)

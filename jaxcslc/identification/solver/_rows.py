@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ._equations import Equations
 from ._factors import JointFactors, Unknowns, factorise, join_rows
 
@@ -112,10 +112,10 @@ class CosineSums(NamedTuple):
 class PatternRows(AbstractRows):
     """Equations as recorded: their regressor is computed block by block in each pass."""
 
-    network: CSLC
-    q: Float[Array, "instants joints"]
-    qd: Float[Array, "instants joints"]
-    qdd: Float[Array, "instants joints"]
+    network: AbstractLinearNetwork
+    q: Float[Array, "instants motion"]
+    qd: Float[Array, "instants motion"]
+    qdd: Float[Array, "instants motion"]
     torque: Float[Array, "instants joints"]
     counts: Float[Array, "instants joints"]
     phase: Float[Array, " instants"]

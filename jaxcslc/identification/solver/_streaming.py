@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...motion import Patterns
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ._factors import JointFactors, factorise
 
 
@@ -18,7 +18,7 @@ _CHUNK = 65_536
 
 
 def factors_of_stream(
-    network: CSLC, chunks: Iterable[Patterns], workers: int | None
+    network: AbstractLinearNetwork, chunks: Iterable[Patterns], workers: int | None
 ) -> JointFactors:
     """The factors of all patterns of a stream.
 
@@ -39,10 +39,10 @@ def factors_of_stream(
     return total
 
 
-_Piece = tuple[Float[np.ndarray, "samples joints"], ...]
+_Piece = tuple[Float[np.ndarray, "samples _"], ...]
 
 
-def _regular(network: CSLC, chunks: Iterable[Patterns]) -> Iterator[_Piece]:
+def _regular(network: AbstractLinearNetwork, chunks: Iterable[Patterns]) -> Iterator[_Piece]:
     """The same patterns in pieces of one size, so that one compiled function serves all.
 
     The last piece is filled up with patterns of weight zero.
@@ -50,10 +50,9 @@ def _regular(network: CSLC, chunks: Iterable[Patterns]) -> Iterator[_Piece]:
     waiting: list[_Piece] = []
     size = 0
     for chunk in chunks:
-        if chunk.q.shape[-1] != network.joint_count:
+        if chunk.joints != network.joint_count:
             raise ValueError(
-                f"patterns have {chunk.q.shape[-1]} joints, {network.robot.name!r} has"
-                f" {network.joint_count}"
+                f"patterns have {chunk.joints} joints, {network.name!r} has {network.joint_count}"
             )
         weight = np.asarray(chunk.mask, dtype=float)
         arrays = (chunk.q, chunk.qd, chunk.qdd, chunk.torque)
@@ -69,12 +68,14 @@ def _regular(network: CSLC, chunks: Iterable[Patterns]) -> Iterator[_Piece]:
         yield tuple(np.pad(x, ((0, _CHUNK - size), (0, 0))) for x in joined)
 
 
-def _factors_of(network: CSLC, piece: _Piece) -> JointFactors:
+def _factors_of(network: AbstractLinearNetwork, piece: _Piece) -> JointFactors:
     return jax.block_until_ready(_factorise(network, *(jnp.asarray(x) for x in piece)))
 
 
 @eqx.filter_jit
-def _factorise(network: CSLC, q: Array, qd: Array, qdd: Array, torque: Array, weight: Array):
+def _factorise(
+    network: AbstractLinearNetwork, q: Array, qd: Array, qdd: Array, torque: Array, weight: Array
+):
     return factorise(network, q, qd, qdd, torque, weight)
 
 

@@ -1,3 +1,4 @@
+from ._named_columns import load_columns as load_columns
 from ._recording_files import (
     RecordingChunk as RecordingChunk,
     iterate_recording as iterate_recording,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
+from ._recording_columns import checked_columns
 
 
 class RecordingChunk(eqx.Module):
@@ -72,7 +73,7 @@ def load_recording(path: str | os.PathLike[str], joints: int | None = None) -> R
     from ._recording_tables import open_table  # loads Arrow, which others need not wait for
 
     path = Path(path)
-    columns, pieces = open_table(path)
+    columns, pieces = open_table(path, checked_columns)
     _check_joints(path, columns.joints, joints)
     tables = list(pieces)
     table = {
@@ -126,7 +127,7 @@ def iterate_recording(
     from ._recording_tables import open_table  # loads Arrow, which others need not wait for
 
     path = Path(path)
-    columns, pieces = open_table(path)
+    columns, pieces = open_table(path, checked_columns)
     _check_joints(path, columns.joints, joints)
 
     def chunks() -> Iterator[RecordingChunk]:

@@ -1,7 +1,8 @@
 import csv
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -10,7 +11,6 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from .. import Fault, RecordingError, first_fault
-from ._recording_columns import Columns, checked_columns
 
 
 READ_BYTES = 1 << 20
@@ -20,12 +20,28 @@ ROW_GROUP = 1 << 16
 """Rows of a Parquet row group: what its readers must be able to hold at a time."""
 
 
-def open_table(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
+@runtime_checkable
+class TableColumns(Protocol):
+    """Which columns of a file are read."""
+
+    @property
+    def names(self) -> list[str]: ...
+
+
+C = TypeVar("C", bound=TableColumns)
+Check = Callable[[str, Sequence[str]], C]
+
+
+def open_table(
+    path: Path, check: Check[C]
+) -> tuple[C, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
     """Opens a recording file, and reads it piece by piece.
 
     **Arguments**
 
     - `path`: of a `.csv` or `.parquet` file.
+    - `check`: from the file's name and its header to the columns that are read, as
+      `checked_columns`; raises `RecordingError` for wrong ones.
 
     **Returns**
 
@@ -50,7 +66,9 @@ def open_table(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray
             raise RecordingError(
                 f"{path}: the file is empty; expected a header and rows of samples"
             )
-        columns, pieces = (_open_csv if path.suffix.lower() == ".csv" else _open_parquet)(path)
+        columns, pieces = (_open_csv if path.suffix.lower() == ".csv" else _open_parquet)(
+            path, check
+        )
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {_one_line(error)}") from error
     return columns, _checked(path, pieces)
@@ -97,17 +115,19 @@ def _writer(unfinished: Path, schema: pa.Schema) -> pq.ParquetWriter | pacsv.CSV
     )
 
 
-def _open_csv(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
+def _open_csv(
+    path: Path, check: Check[C]
+) -> tuple[C, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             header = next((row for row in csv.reader(file) if row), [])
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{path}: is no CSV text in UTF-8: {_one_line(error)}") from error
-    columns = checked_columns(str(path), header)
+    columns = check(str(path), header)
     return columns, _read_csv(path, columns)
 
 
-def _read_csv(path: Path, columns: Columns) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
+def _read_csv(path: Path, columns: TableColumns) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
     options = pacsv.ConvertOptions(
         column_types={name: pa.float64() for name in columns.names}, null_values=[]
     )
@@ -122,11 +142,16 @@ def _read_csv(path: Path, columns: Columns) -> Iterator[dict[str, Float[np.ndarr
                 yield _as_numpy(batch, columns)
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
         # Arrow names the cell of some faults only, and not its line: look again, slowly.
-        raise _faulty_cell(path) or RecordingError(f"{path}: {_one_line(error)}") from error
+        raise _faulty_cell(path, columns.names) or RecordingError(
+            f"{path}: {_one_line(error)}"
+        ) from error
 
 
-def _faulty_cell(path: Path) -> RecordingError | None:
-    """Looks for the first cell of a CSV file that is no number, or row of a wrong length."""
+def _faulty_cell(path: Path, columns: Sequence[str]) -> RecordingError | None:
+    """Looks for the first cell of a CSV file that is no number, or row of a wrong length.
+
+    - `columns`: that are to hold numbers.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
@@ -139,7 +164,7 @@ def _faulty_cell(path: Path) -> RecordingError | None:
                         f"{where}: {len(cells)} cells; expected {len(header)}, one a column"
                     )
                 for name, cell in zip(header, cells, strict=True):
-                    if not _is_number(cell):
+                    if name in columns and not _is_number(cell):
                         shown = "an empty cell" if not cell.strip() else repr(cell)
                         return RecordingError(f"{where}, column {name}: {shown}; expected a number")
     except (UnicodeDecodeError, csv.Error) as error:
@@ -168,7 +193,9 @@ def _line_of(path: Path, row: int) -> int | None:
     return None
 
 
-def _open_parquet(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
+def _open_parquet(
+    path: Path, check: Check[C]
+) -> tuple[C, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
     try:
         with pq.ParquetFile(path) as file:
             schema = file.schema_arrow
@@ -176,8 +203,8 @@ def _open_parquet(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndar
         if isinstance(error, PermissionError):
             raise
         raise RecordingError(f"{path}: is no readable Parquet file: {_one_line(error)}") from error
-    columns = checked_columns(str(path), schema.names)
-    for field in schema:
+    columns = check(str(path), schema.names)
+    for field in (schema.field(name) for name in columns.names):
         if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
             raise RecordingError(
                 f"{path}: column {field.name} holds {field.type}; expected numbers"
@@ -185,7 +212,9 @@ def _open_parquet(path: Path) -> tuple[Columns, Iterator[dict[str, Float[np.ndar
     return columns, _read_parquet(path, columns)
 
 
-def _read_parquet(path: Path, columns: Columns) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
+def _read_parquet(
+    path: Path, columns: TableColumns
+) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
     row = 0
     try:
         # Buffered reading takes pages as they are needed; a row group may be the whole file.
@@ -204,7 +233,9 @@ def _read_parquet(path: Path, columns: Columns) -> Iterator[dict[str, Float[np.n
         raise RecordingError(f"{path}: is damaged after row {row}: {_one_line(error)}") from error
 
 
-def _as_numpy(batch: pa.RecordBatch, columns: Columns) -> dict[str, Float[np.ndarray, " rows"]]:
+def _as_numpy(
+    batch: pa.RecordBatch, columns: TableColumns
+) -> dict[str, Float[np.ndarray, " rows"]]:
     return {
         name: batch.column(name).to_numpy(zero_copy_only=False).astype(np.float64, copy=False)
         for name in columns.names

@@ -13,4 +13,7 @@ from ._registry import input_terms as input_terms
 from ._rigid_body_recursion import RigidBodyRecursion as RigidBodyRecursion
 from ._rigid_body_tables import RigidBodyTables as RigidBodyTables, input_layer as input_layer
 from ._static_friction import StaticFriction as StaticFriction
-from ._term import AbstractTerm as AbstractTerm
+from ._term import (
+    AbstractManipulatorTerm as AbstractManipulatorTerm,
+    AbstractTerm as AbstractTerm,
+)

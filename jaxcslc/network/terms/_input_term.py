@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._term import AbstractTerm, Coefficients, Joints, Matrices
+from ._term import AbstractManipulatorTerm, Coefficients, Joints, Matrices
 
 
 class AbstractFunctions(abc.ABC):
@@ -92,7 +92,7 @@ JAX_FUNCTIONS = _JaxFunctions()
 """The functions of JAX, elementwise on arrays."""
 
 
-class AbstractInputTerm(AbstractTerm):
+class AbstractInputTerm(AbstractManipulatorTerm):
     """A term whose coefficients multiply inputs that are written in closed form, joint by joint.
 
     All but rigid bodies: friction, torque offsets, springs, coupled joints. Other programs than

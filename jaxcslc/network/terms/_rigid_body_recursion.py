@@ -11,10 +11,10 @@ from ...derivation import BODY, Algebra, Coefficient
 from ...manipulator import Joint
 from ._compilation import in_blocks
 from ._link_motion import LinkMotion, States, cross, link_motion, link_states, paths_of, turning_of
-from ._term import AbstractTerm, Coefficients, Joints, Matrices, Regressor, Rows
+from ._term import AbstractManipulatorTerm, Coefficients, Joints, Matrices, Regressor, Rows
 
 
-class RigidBodyRecursion(AbstractTerm):
+class RigidBodyRecursion(AbstractManipulatorTerm):
     """Newton-Euler over link parameters, for robots whose closed-form tables are large.
 
     Cost grows with the square of the number of joints, not with the number of monomials, and

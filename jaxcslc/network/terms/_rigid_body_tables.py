@@ -8,14 +8,14 @@ from jaxtyping import Array, Float
 from ...derivation import Algebra, Coefficient, PositionRing, Table
 from ._compilation import in_stage
 from ._input_term import by_joint
-from ._term import AbstractTerm, Coefficients, Joints, Matrices, Regressor, Rows
+from ._term import AbstractManipulatorTerm, Coefficients, Joints, Matrices, Regressor, Rows
 
 
 Samples = Float[Array, "*batch"]
 Monomial = tuple[int, ...]
 
 
-class RigidBodyTables(AbstractTerm):
+class RigidBodyTables(AbstractManipulatorTerm):
     """The CSLC as the thesis draws it: preprocessed inputs, links, context-sensitive layers.
 
     Straight-line code over one array a quantity and joint, so that a batch is the only axis

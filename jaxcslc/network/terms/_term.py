@@ -14,12 +14,12 @@ Rows = Float[Array, "joints samples"]
 
 
 class AbstractTerm(eqx.Module):
-    """One addend of the torque, linear in coefficients of its own.
+    """One addend of the outputs of a network, linear in coefficients of its own.
 
     A network is a sum of terms (`CSLC.terms`); `network.layout` says where in `k` each one's
     coefficients are. Every method takes and returns the term's own coefficients only. Positions,
     velocities and accelerations have any leading batch axes, (..., n) in rad (or m), per s and
-    per s². What torque is not linear in is an array leaf of the term.
+    per s². What the outputs are not linear in is an array leaf of the term.
 
     **Attributes**
 
@@ -69,6 +69,10 @@ class AbstractTerm(eqx.Module):
     @abc.abstractmethod
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         """The term's share of the torque, (..., n) [N m or N]."""
+
+
+class AbstractManipulatorTerm(AbstractTerm):
+    """A term of a robot's inverse dynamics, which says what it adds to each part of them."""
 
     @abc.abstractmethod
     def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:

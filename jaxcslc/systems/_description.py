@@ -1,0 +1,160 @@
+import dataclasses
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Literal
+
+from ._errors import DescriptionError
+from ._units import check_unit
+
+
+Kind = Literal["state", "input"]
+Sign = Literal["positive", "negative"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """What is measured, or follows from what is measured: a state, or an input.
+
+    Equations contain it and its first two time derivatives.
+
+    **Attributes**
+
+    - `symbol`: a function of time, as `sympy.physics.mechanics.dynamicsymbols` makes it, or a
+      SymPy symbol if no equation contains a derivative of it.
+    - `unit`: SI.
+    - `column`: of a recording; the name of the symbol if omitted.
+    - `rate`, `second_rate`: columns that hold measured first and second derivatives. What is not
+      measured is obtained by smoothing and differentiating.
+    - `kind`: `"state"`: smoothed and differentiated; `"input"`: taken as recorded, like the torque
+      of a robot. If omitted, a state if equations contain a derivative of it, or if one is
+      measured, and otherwise an input.
+
+    **Raises** `DescriptionError` for a symbol that is none, or a unit that cannot be read.
+
+    >>> from sympy.physics.mechanics import dynamicsymbols
+    >>> from jaxcslc.systems import Variable
+    >>> Variable(dynamicsymbols("theta"), unit="rad").name
+    'theta'
+    """
+
+    symbol: Any
+    unit: str = ""
+    column: str | None = None
+    rate: str | None = None
+    second_rate: str | None = None
+    kind: Kind | None = None
+
+    def __post_init__(self) -> None:
+        check_symbol(self.symbol, "variable", function=True)
+        check_unit(self.unit, f"variable {self.name!r}")
+        if self.kind not in (None, "state", "input"):
+            raise DescriptionError(
+                f"variable {self.name!r}: kind is {self.kind!r}; expected 'state' or 'input'"
+            )
+        if self.rate is None and self.second_rate is not None:
+            raise DescriptionError(
+                f"variable {self.name!r}: second_rate without rate; expected a column of the first"
+                " derivative too"
+            )
+
+    @property
+    def name(self) -> str:
+        """Of the symbol."""
+        return name_of(self.symbol)
+
+    @property
+    def column_name(self) -> str:
+        """The column of a recording that holds it."""
+        return self.name if self.column is None else self.column
+
+
+@dataclasses.dataclass(frozen=True)
+class Constant:
+    """A constant of the equations: unknown, known, or searched.
+
+    **Attributes**
+
+    - `symbol`: a SymPy symbol.
+    - `unit`: SI.
+    - `value`: of a constant that is known; it is put in before anything else.
+    - `sign`: known in advance, `"positive"` or `"negative"`.
+    - `bounds`: for a constant that enters nonlinearly: the range in which it is searched
+      (thesis 8.2.5).
+
+    **Raises** `DescriptionError` for a symbol that is none, a unit that cannot be read, a value
+    that contradicts the sign, or bounds that are not ascending.
+
+    >>> import sympy
+    >>> from jaxcslc.systems import Constant
+    >>> Constant(sympy.Symbol("g"), unit="m/s²", value=9.81).name
+    'g'
+    """
+
+    symbol: Any
+    unit: str = ""
+    value: float | None = None
+    sign: Sign | None = None
+    bounds: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        check_symbol(self.symbol, "constant", function=False)
+        where = f"constant {self.name!r}"
+        check_unit(self.unit, where)
+        if self.sign not in (None, "positive", "negative"):
+            raise DescriptionError(
+                f"{where}: sign is {self.sign!r}; expected 'positive' or 'negative'"
+            )
+        if self.value is not None:
+            if not math.isfinite(self.value):
+                raise DescriptionError(f"{where}: value is {self.value}; expected a finite number")
+            if self.bounds is not None:
+                raise DescriptionError(f"{where}: value and bounds; expected one of them")
+            if self.value * (-1 if self.sign == "negative" else 1) < 0 and self.sign:
+                raise DescriptionError(f"{where}: value is {self.value}, and its sign {self.sign}")
+        if self.bounds is not None:
+            low, high = self.bounds
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                raise DescriptionError(
+                    f"{where}: bounds are {list(self.bounds)}; expected two finite numbers, the"
+                    " lower first"
+                )
+
+    @property
+    def name(self) -> str:
+        """Of the symbol."""
+        return name_of(self.symbol)
+
+
+def name_of(symbol: Any) -> str:
+    """Of a SymPy symbol, or of a function of time."""
+    function = getattr(symbol, "func", None)
+    if getattr(symbol, "is_Function", False) and function is not None:
+        return str(function.__name__)
+    return str(symbol)
+
+
+def check_symbol(symbol: Any, what: str, *, function: bool) -> None:
+    """**Raises** `DescriptionError` unless it is a symbol or, with `function`, one of time."""
+    from sympy import Symbol
+    from sympy.core.function import AppliedUndef
+
+    if isinstance(symbol, Symbol):
+        return
+    if function and isinstance(symbol, AppliedUndef) and len(symbol.args) == 1:
+        return
+    expected = "a SymPy symbol or a function of time" if function else "a SymPy symbol"
+    raise DescriptionError(f"{what}: got {symbol!r}; expected {expected}")
+
+
+def named(entries: tuple[Any, ...], what: str) -> Mapping[str, Any]:
+    """Variables or constants by name.
+
+    **Raises** `DescriptionError` for two of one name.
+    """
+    table: dict[str, Any] = {}
+    for entry in entries:
+        if entry.name in table:
+            raise DescriptionError(f"{what} {entry.name!r} is described twice; expected once")
+        table[entry.name] = entry
+    return MappingProxyType(table)

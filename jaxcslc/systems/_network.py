@@ -1,0 +1,290 @@
+import dataclasses
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..derivation import Coefficient
+from ..network import AbstractLinearNetwork, AbstractTerm
+
+
+if TYPE_CHECKING:
+    from ._system import System
+
+
+Motion = Float[Array | np.ndarray, "... variables"]
+Outputs = Float[Array, "*batch outputs"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Formulas:
+    """SymPy expressions of motion and searched constants as one compiled function.
+
+    **Attributes**
+
+    - `symbols`: (variable, order) of each motion symbol that occurs.
+    - `expressions`: to be evaluated.
+    - `arguments`: the symbols themselves, then those of searched constants.
+    """
+
+    symbols: tuple[tuple[int, int], ...]
+    expressions: tuple[Any, ...]
+    arguments: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, system: "System", expressions: Sequence[Any]) -> "Formulas":
+        """Of expressions in the symbols of a system."""
+        used = {symbol for expression in expressions for symbol in expression.free_symbols}
+        symbols = {key: x for key, x in system.symbols.motion.items() if x in used}
+        searched = (system.symbols.constants[constant.name] for constant in system.nonlinear)
+        return cls(tuple(symbols), tuple(expressions), (*symbols.values(), *searched))
+
+    @cached_property
+    def _function(self) -> Callable[..., Any]:
+        from sympy import lambdify
+
+        return lambdify(self.arguments, list(self.expressions), modules="jax", cse=True)
+
+    def __call__(
+        self, motion: Sequence[Sequence[Array]], nonlinear: Float[Array, " nonlinear"]
+    ) -> list[Array]:
+        """One array for each expression, of the shape of the motion's.
+
+        - `motion`: by order of the derivative and by variable.
+        """
+        like = motion[0][0]
+        arguments = [motion[order][variable] for variable, order in self.symbols]
+        values = self._function(*arguments, *(x.astype(like.dtype) for x in nonlinear))
+        return [jnp.broadcast_to(jnp.asarray(value, like.dtype), like.shape) for value in values]
+
+
+class SystemTerm(AbstractTerm):
+    """All coefficients of a system, and the functions of the variables that multiply them.
+
+    **Attributes**
+
+    - `nonlinear`: values of the searched constants, in the order of `System.nonlinear`.
+    - `entries`: (equation, coefficient) of each function that is not zero.
+    - `formulas`: these functions.
+    - `output_count`: n.
+    """
+
+    nonlinear: Float[Array, " nonlinear"]
+    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
+    entries: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    formulas: Formulas = eqx.field(static=True)
+    output_count: int = eqx.field(static=True)
+    kind: str = eqx.field(static=True, default="system")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        return tuple(
+            tuple(sorted(j for output, j in self.entries if output == i))
+            for i in range(self.output_count)
+        )
+
+    def inputs(self, q: Sequence[Array], qd: Sequence[Array], qdd: Sequence[Array]) -> list[Array]:
+        """The value of each of `entries`, of motion with an array a variable."""
+        return self.formulas((q, qd, qdd), self.nonlinear)
+
+    def columns(
+        self,
+        q: Float[Array, "variables samples"],
+        qd: Float[Array, "variables samples"],
+        qdd: Float[Array, "variables samples"],
+    ) -> tuple[Float[Array, "_ samples"], ...]:
+        values = dict(zip(self.entries, self.inputs(list(q), list(qd), list(qdd)), strict=True))
+        empty = jnp.zeros((0, q.shape[1]), q.dtype)
+        return tuple(
+            jnp.stack([values[i, j] for j in support]) if support else empty
+            for i, support in enumerate(self.support)
+        )
+
+    def regressor(
+        self,
+        q: Float[Array, "*batch variables"],
+        qd: Float[Array, "*batch variables"],
+        qdd: Float[Array, "*batch variables"],
+    ) -> Float[Array, "*batch outputs coefficients"]:
+        values = dict(zip(self.entries, self.inputs(*map(_by_variable, (q, qd, qdd))), strict=True))
+        zero = jnp.zeros(q.shape[:-1], q.dtype)
+        rows = [
+            jnp.stack([values.get((i, j), zero) for j in range(self.size)], axis=-1)
+            for i in range(self.output_count)
+        ]
+        return jnp.stack(rows, axis=-2)
+
+    def torque(
+        self,
+        k: Float[Array, " coefficients"],
+        q: Float[Array, "*batch variables"],
+        qd: Float[Array, "*batch variables"],
+        qdd: Float[Array, "*batch variables"],
+    ) -> Outputs:
+        totals = [jnp.zeros(q.shape[:-1], q.dtype) for _ in range(self.output_count)]
+        for (i, j), value in zip(
+            self.entries, self.inputs(*map(_by_variable, (q, qd, qdd))), strict=True
+        ):
+            totals[i] = totals[i] + k[j] * value
+        return jnp.stack(totals, axis=-1)
+
+
+class SystemNetwork(AbstractLinearNetwork):
+    """A system as a network of exactly its form: the fourth stage (thesis C.2).
+
+    Inputs are the known variables, weights the minimal set of unknown constants, outputs the known
+    sides of the equations: linear in the weights, so that a sum of squares has a single minimum.
+    Solver, reports and learning rules take it as they take a `CSLC`. Motion has one column a
+    variable of the system, in their order: `q` values, `qd` and `qdd` derivatives; derivatives of
+    inputs are not used.
+
+    Built by `System.network`.
+
+    **Attributes**
+
+    - `system`: what it was made from.
+    - `terms`: one `SystemTerm`.
+    - `known_sides`: what the equations equate the network's outputs to.
+
+    >>> import jax.numpy as jnp, numpy as np, sympy
+    >>> from sympy.physics.mechanics import dynamicsymbols
+    >>> from jaxcslc.systems import Constant, System, Variable
+    >>> x, force = dynamicsymbols("x force")
+    >>> mass, damping = sympy.symbols("mass damping")
+    >>> equation = sympy.Eq(force, mass * x.diff().diff() + damping * x.diff())
+    >>> variables, constants = (Variable(x), Variable(force)), (Constant(mass), Constant(damping))
+    >>> network = System("cart", {"rail": equation}, variables, constants).network
+    >>> network.names
+    ('damping', 'mass')
+    >>> k, q, qd, qdd = np.array([0.5, 2.0]), np.zeros(2), np.array([1.0, 0]), np.array([3.0, 0])
+    >>> float(network.output(k, q, qd, qdd)[0])
+    6.5
+    """
+
+    terms: tuple[SystemTerm]
+    system: "System" = eqx.field(static=True)
+    known_sides: Formulas = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, system: "System") -> "SystemNetwork":
+        """The network of a system."""
+        separation = system.separation
+        entries = tuple(
+            (i, j)
+            for i, row in enumerate(separation.regressor)
+            for j, expression in enumerate(row)
+            if expression != 0
+        )
+        middles = [0.5 * sum(c.bounds) for c in system.nonlinear if c.bounds is not None]
+        term = SystemTerm(
+            nonlinear=jnp.asarray(np.array(middles, float)),
+            coefficients=separation.coefficients,
+            entries=entries,
+            formulas=Formulas.of(system, [separation.regressor[i][j] for i, j in entries]),
+            output_count=len(separation.outputs),
+        )
+        return cls((term,), system, Formulas.of(system, separation.known))
+
+    @property
+    def name(self) -> str:
+        return self.system.name
+
+    @property
+    def output_kind(self) -> str:
+        return "equation"
+
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """Names of the equations."""
+        return self.system.outputs
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        return tuple(self.system.output_units.get(name, "") for name in self.system.outputs)
+
+    @property
+    def motion_count(self) -> int:
+        """One column a variable."""
+        return len(self.system.variables)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables: of the columns of the motion."""
+        return tuple(variable.name for variable in self.system.variables)
+
+    @property
+    def highest(self) -> tuple[int, ...]:
+        """For each variable, the highest derivative of it in the equations: 0, 1 or 2."""
+        used = (*self.terms[0].formulas.symbols, *self.known_sides.symbols)
+        return tuple(
+            max((order for index, order in used if index == variable), default=0)
+            for variable in range(self.motion_count)
+        )
+
+    @property
+    def nonlinear(self) -> Float[Array, " nonlinear"]:
+        """Values of the searched constants, in the order of `System.nonlinear`."""
+        return self.terms[0].nonlinear
+
+    def with_nonlinear(self, values: Float[Array | np.ndarray, " nonlinear"]) -> "SystemNetwork":
+        """The same network with other values of the searched constants.
+
+        Can be jitted, vmapped and differentiated.
+        """
+        if jnp.shape(values) != self.nonlinear.shape:
+            raise ValueError(
+                f"nonlinear: expected shape {self.nonlinear.shape}, got {jnp.shape(values)}"
+            )
+        new = jnp.asarray(values, self.nonlinear.dtype)
+        return eqx.tree_at(lambda network: network.terms[0].nonlinear, self, new)
+
+    def output(
+        self, k: Float[Array | np.ndarray, " coefficients"], q: Motion, qd: Motion, qdd: Motion
+    ) -> Float[Array, "..."]:
+        """The sides of the equations that have coefficients, (..., n): `torque` by another name."""
+        return self.torque(k, q, qd, qdd)
+
+    def known(self, q: Motion, qd: Motion, qdd: Motion) -> Float[Array, "..."]:
+        """The sides of the equations that are known, (..., n): what `output` is fitted to."""
+        _, q, qd, qdd = self._checked(None, q, qd, qdd)
+        values = self.known_sides(
+            (_by_variable(q), _by_variable(qd), _by_variable(qdd)), self.nonlinear
+        )
+        return jnp.stack(values, axis=-1)
+
+    def residual(
+        self, k: Float[Array | np.ndarray, " coefficients"], q: Motion, qd: Motion, qdd: Motion
+    ) -> Float[Array, "..."]:
+        """The error of the equations, (..., n): the known side less the output."""
+        return self.known(q, qd, qdd) - self.torque(k, q, qd, qdd)
+
+    @property
+    def order_per_joint(self) -> tuple[int, ...]:
+        """How many independent combinations of coefficients each equation depends on (5.2.5)."""
+        return self.system.separation.order_per_output
+
+    @property
+    def order(self) -> int:
+        """Network order (4.2): independent patterns needed, at the least, to determine `k`."""
+        return max(self.order_per_joint)
+
+    def __repr__(self) -> str:
+        def counted(number: int, noun: str) -> str:
+            return f"{number} {noun}{'s' * (number != 1)}"
+
+        return (
+            f"SystemNetwork({self.name}: {counted(self.joint_count, 'equation')},"
+            f" {counted(self.motion_count, 'variable')}, {counted(self.size, 'coefficient')})"
+        )
+
+
+def _by_variable(x: Float[Array, "*batch variables"]) -> list[Float[Array, "*batch"]]:
+    return [x[..., index] for index in range(x.shape[-1])]
