@@ -1,0 +1,96 @@
+"""Numbers of the thesis page that long studies measured: copies of their tables lie in results/."""
+
+import csv
+import functools
+import shutil
+from pathlib import Path
+
+
+FOLDER = Path(__file__).parent / "results"
+# Folder, the command that writes it, and the tables that the page reads.
+STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "demo": (
+        "make demo",
+        (
+            "errors_a.csv",
+            "errors_b.csv",
+            "peaks.csv",
+            "thresholds_a.csv",
+            "thresholds_b.csv",
+            "coefficients_a.csv",
+            "coefficients_b.csv",
+            "one_design.csv",
+        ),
+    ),
+}
+
+
+def collect(build: Path, folder: Path = FOLDER) -> list[Path]:
+    """Copies the tables of every study that lies in `build`.
+
+    **Returns** the copies.
+
+    **Raises**
+
+    - `ValueError`: a study's folder lacks one of its tables, or `build` has no study.
+    """
+    copies: list[Path] = []
+    for study, (command, names) in STUDIES.items():
+        if not (build / study).is_dir():
+            continue
+        for name in names:
+            if not (build / study / name).is_file():
+                raise ValueError(
+                    f"{build / study / name}: no such file; expected that of {command}"
+                )
+            (folder / study).mkdir(parents=True, exist_ok=True)
+            copies.append(Path(shutil.copyfile(build / study / name, folder / study / name)))
+    if not copies:
+        raise ValueError(f"{build}: holds none of {', '.join(STUDIES)}")
+    return copies
+
+
+@functools.cache
+def rows(study: str, name: str) -> tuple[dict[str, str], ...]:
+    """A table's rows, as texts."""
+    with (FOLDER / study / name).open(encoding="utf-8", newline="") as file:
+        return tuple(csv.DictReader(file))
+
+
+def comparison_errors(machine: str, model: str) -> list[float]:
+    """Mean error moduli of joints 1 to 6 in the comparison trajectory, and ε [N m]."""
+    table = {row[""]: row[model] for row in rows("demo", f"errors_{machine}.csv")}
+    names = [*(f"mean |e{joint}|" for joint in range(1, 7)), "mean ε"]
+    return [float(table[name]) for name in names]
+
+
+def peak_torques(machine: str) -> list[float]:
+    """Of each joint in the comparison trajectory [N m]."""
+    return [float(row[f"{machine} [N m]"]) for row in rows("demo", "peaks.csv")]
+
+
+def thresholds(machine: str) -> list[float]:
+    """Speeds from which static friction is insignificant, from the residuals [rad/s]."""
+    return [
+        float(row["from residuals [rad/s]"]) for row in rows("demo", f"thresholds_{machine}.csv")
+    ]
+
+
+def dry_sensitivity() -> float:
+    """Mean output sensitivity of PUMA A's dry friction coefficients."""
+    sensitivity = [
+        float(row["sensitivity"])
+        for row in rows("demo", "coefficients_a.csv")
+        if row["group"] == "dry"
+    ]
+    return sum(sensitivity) / len(sensitivity)
+
+
+def variations() -> list[float]:
+    """Largest difference of the coefficients of PUMA A and a machine with its links and PUMA B's
+    friction, times sensitivity, of mass and of gravity coefficients [N m]."""
+    table = rows("demo", "one_design.csv")
+    return [
+        max(float(row["product"]) for row in table if row["group"] == group)
+        for group in ("mass", "gravity")
+    ]
