@@ -27,4 +27,5 @@ from ._rates import (
     FixedRates as FixedRates,
 )
 from ._rules import AbstractRule as AbstractRule
+from ._switching import SwitchWhen as SwitchWhen
 from ._train import train as train, training_steps as training_steps

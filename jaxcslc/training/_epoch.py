@@ -10,6 +10,7 @@ from ._history import OUTCOMES
 from ._normal_equations import NormalEquations
 from ._plan import Plan, Turn
 from ._rules import AbstractRule
+from ._switching import promise
 
 
 class State(eqx.Module):
@@ -96,7 +97,8 @@ def epoch(
     if stop_set is not None:
         (stop_cost,) = stop_set.costs(network, state.weights, plan.cost)
 
-    assessed = _assessed(plan, state, cost, measure, stop_cost, stop_set is not None)
+    preference = _preference(network, plan, training_set, state)
+    assessed = _assessed(plan, state, preference, cost, measure, stop_cost, stop_set is not None)
     weights, rates = _learnt(network, plan, training_set, assessed, assessed.cost)
     moved = eqx.tree_at(
         lambda s: (s.weights, s.rates, s.epoch),
@@ -118,16 +120,54 @@ def epoch(
     return next_state, record
 
 
+def _preference(
+    network: AdaptiveNetwork, plan: Plan, training_set: Examples | NormalEquations, state: State
+) -> tuple[Int[Array, ""], Float[Array, "rules groups"]]:
+    """The rule that the schedule's switch prefers, and rates for it; without one, the present."""
+    switch = plan.schedule.switch
+    if switch is None:
+        return state.turn.rule, state.rates
+    assert isinstance(training_set, Examples), "checked by `train`"
+    learning = plan.learning(network)
+
+    def look() -> tuple[Array, Array]:
+        promised = promise(
+            network, plan.schedule.rules, training_set, state.weights, state.rates, learning
+        )
+        rule = switch.preferred(state.turn.rule, promised.gains)
+        rows = [
+            jnp.where(
+                (rule == number) & (rule != state.turn.rule), rates.taking_over(*pair), pair[0]
+            )
+            for number, (rates, *pair) in enumerate(
+                zip(plan.rates, state.rates, promised.rates, strict=True)
+            )
+        ]
+        return rule, jnp.stack(rows)
+
+    return jax.lax.cond(state.turn.wait == 0, look, lambda: (state.turn.rule, state.rates))
+
+
 def _assessed(
-    plan: Plan, state: State, cost: Array, measure: Array, stop_cost: Array, stop_set: bool
+    plan: Plan,
+    state: State,
+    preference: tuple[Int[Array, ""], Float[Array, "rules groups"]],
+    cost: Array,
+    measure: Array,
+    stop_cost: Array,
+    stop_set: bool,
 ) -> State:
     """The state with the cost of its weights known, whose turn it is, and whether it ended."""
+    rule, rates = preference
     first = state.epoch == 0
     first_cost = jnp.where(first, cost, state.first_cost)
     new_lowest = cost < state.lowest
     since_lowest = jnp.where(new_lowest, 0, state.since_lowest + 1)
-    later = state.turn.next(plan.schedule, cost, state.cost - cost)
-    turn = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.turn, later)
+    if plan.schedule.switch is None:
+        later = state.turn.next(plan.schedule, cost, state.cost - cost)
+        turn = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.turn, later)
+    else:
+        turn = later = state.turn.switched(plan.schedule, rule, state.cost - cost)
     lowest_cost = jnp.where(new_lowest, cost, state.lowest)
     lowest_weights = jnp.where(new_lowest, state.weights, state.lowest_weights)
     # A rule takes over where the best so far was: PERAL, which follows no gradient, may have lost
@@ -147,7 +187,7 @@ def _assessed(
     outcome = OUTCOMES.where(beyond, OUTCOMES.diverged, outcome)
     return State(
         weights=jnp.where(takes_over, lowest_weights, state.weights),
-        rates=state.rates,
+        rates=rates,
         key=state.key,
         epoch=state.epoch,
         turn=turn,

@@ -9,6 +9,7 @@ from ..adaptive import AdaptiveNetwork
 from ._examples import Cost, half_rms
 from ._rates import AbstractRates, AdaptedRates
 from ._rules import AbstractRule
+from ._switching import SwitchWhen
 
 
 class Schedule(eqx.Module):
@@ -26,8 +27,12 @@ class Schedule(eqx.Module):
       ends. 0.001 N m in 7.5. Not before the hand-over, where rates may still be growing; and
       epochs that move nothing, because rates that are too high are coming down, are not counted.
     - `tolerated`: epochs, so that rates have the time to follow; a shorter bout is all of them.
+    - `switch`: in place of hand-over and bouts, an indicator of which rule is to learn, from the
+      first epoch on (8.2.2); `least_reduction` then ends the training once the rule that promises
+      most gains too little.
 
-    **Raises** `ValueError` if there is no rule, or a bout has no epoch, or none is tolerated.
+    **Raises** `ValueError` if there is no rule, or a bout has no epoch, or none is tolerated, or a
+    switch has one rule only or another number of durations.
     """
 
     rules: tuple[AbstractRule, ...]
@@ -35,6 +40,7 @@ class Schedule(eqx.Module):
     bout: int = eqx.field(default=25, static=True)
     least_reduction: Float[Array, "..."] | float = -float("inf")
     tolerated: int = eqx.field(default=5, static=True)
+    switch: SwitchWhen | None = None
 
     def __check_init__(self) -> None:
         if not self.rules:
@@ -43,6 +49,14 @@ class Schedule(eqx.Module):
             raise ValueError(f"schedule: a bout must have an epoch at least, got {self.bout}")
         if self.tolerated < 1:
             raise ValueError(f"schedule: tolerated must be an epoch at least, got {self.tolerated}")
+        number = len(self.rules)
+        if self.switch is not None and number < 2:
+            raise ValueError("schedule: a switch needs two rules or more, got one")
+        durations = None if self.switch is None else self.switch.durations
+        if durations is not None and len(durations) != number:
+            raise ValueError(
+                f"schedule: expected a duration for each of {number} rules, got {len(durations)}"
+            )
 
 
 class Turn(eqx.Module):
@@ -56,6 +70,7 @@ class Turn(eqx.Module):
     - `fruitful`: whether an epoch of the bout gained enough.
     - `spent`: rules in a row that gave their turn away for it.
     - `handed_over`: whether turns have begun.
+    - `wait`, `interval`: epochs to the switch's next look, and from there to the one after.
     """
 
     rule: Int[Array, ""]
@@ -64,11 +79,13 @@ class Turn(eqx.Module):
     fruitful: Bool[Array, ""]
     spent: Int[Array, ""]
     handed_over: Bool[Array, ""]
+    wait: Int[Array, ""]
+    interval: Int[Array, ""]
 
     @classmethod
     def first(cls) -> "Turn":
         zero, no = jnp.zeros((), int), jnp.zeros((), bool)
-        return cls(zero, zero, zero, no, zero, no)
+        return cls(zero, zero, zero, no, zero, no, zero, zero)
 
     def next(
         self, schedule: Schedule, cost: Float[Array, ""], reduction: Float[Array, ""]
@@ -92,7 +109,27 @@ class Turn(eqx.Module):
             fruitful & ~over,
             spent,
             handed_over,
+            self.wait,
+            self.interval,
         )
+
+    def switched(
+        self, schedule: Schedule, rule: Int[Array, ""], reduction: Float[Array, ""]
+    ) -> "Turn":
+        """The turn after an epoch that gained `reduction`, where a switch prefers `rule`."""
+        over = rule != self.rule
+        gained = reduction >= schedule.least_reduction
+        further = jnp.where(reduction == 0, self.little, self.little + 1)
+        little = jnp.where(gained | over, 0, further)
+        spent = jnp.where(little >= schedule.tolerated, len(schedule.rules), 0)
+        epochs = jnp.where(over, 0, self.epochs + 1)
+        assert schedule.switch is not None
+        looked, every = self.wait == 0, schedule.switch.every
+        doubled = jnp.where(over | (self.interval == 0), every, 2 * self.interval)
+        interval = jnp.where(looked, doubled, self.interval)
+        wait = jnp.where(looked, interval, self.wait) - 1
+        yes = jnp.ones((), bool)
+        return Turn(rule, epochs, little, gained & ~over, spent, yes, wait, interval)
 
     def ended(self, schedule: Schedule) -> Bool[Array, ""]:
         """Whether no rule gains enough any more."""

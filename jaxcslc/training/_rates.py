@@ -32,6 +32,14 @@ class AbstractRates(eqx.Module):
         - `costs_after`: from (trials, groups) rates to the (trials,) costs that they would lead to.
         """
 
+    @abstractmethod
+    def taking_over(self, rates: Rates, best: Rates) -> Rates:
+        """The rates of a rule that takes over because it promised most.
+
+        - `rates`: those that it left, or began with.
+        - `best`: those at which the first epoch would gain most.
+        """
+
 
 class FixedRates(AbstractRates):
     """Rates that stay as they are."""
@@ -43,6 +51,10 @@ class FixedRates(AbstractRates):
     ) -> tuple[Rates, Bool[Array, ""]]:
         del before, costs_after
         return rates, jnp.ones((), bool)
+
+    def taking_over(self, rates: Rates, best: Rates) -> Rates:
+        del best
+        return rates
 
 
 class AdaptedRates(AbstractRates):
@@ -62,9 +74,11 @@ class AdaptedRates(AbstractRates):
     once not: an epoch that would raise the cost is not taken at the adapted rates but at the
     present ones, and if these would raise it as well, not at all, while all rates go down by a
     tenth. Without this, two-layer networks and PERAL on a CSLC diverged more often than not. One
-    rate alone moves in any case: rules do not follow the slope of every cost, and where the least
-    of moves raises it, refusing would be to stand still for ever (83 of 100 backpropagations of
-    the ultrasound problem did, by the mean error modulus).
+    rate alone may raise the cost by up to the 8 %: rules do not follow the slope of every cost, and
+    where the least of moves raises it, refusing would be to stand still for ever (83 of 100
+    backpropagations of the ultrasound problem did, by the mean error modulus). Beyond, it only
+    goes down: by a tenth at a time it comes down too late, and backpropagation of a linear layer
+    with correlated inputs diverged in four of four trainings.
 
     **Attributes**
 
@@ -85,13 +99,21 @@ class AdaptedRates(AbstractRates):
     ) -> tuple[Rates, Bool[Array, ""]]:
         after = costs_after(self.trials(rates))
         adapted = self.adapted(rates, before, after)
-        if rates.shape[0] == 1:
-            return adapted, jnp.ones((), bool)
-        (jointly,) = costs_after(adapted[None])
-        # False for a cost that is not finite.
-        good, bearable = jointly <= before, after[0] <= before
         lower = jnp.maximum((1.0 - self.step) * jnp.minimum(rates, adapted), self._least(rates))
+        # Comparisons are false for a cost that is not finite.
+        if rates.shape[0] == 1:
+            trials = self.trials(rates)[:, 0]  # the adapted rate is one: its cost is there
+            moves = after[jnp.argmin(jnp.abs(trials - adapted[0]))] <= (1.0 + self.gain) * before
+            return jnp.where(moves, adapted, lower), moves
+        (jointly,) = costs_after(adapted[None])
+        good, bearable = jointly <= before, after[0] <= before
         return jnp.where(good, adapted, jnp.where(bearable, rates, lower)), good | bearable
+
+    def taking_over(self, rates: Rates, best: Rates) -> Rates:
+        """As high as `choose` would raise them for a cost that is a parabola: 31 % of the best."""
+        step, gain = self.step, self.gain
+        raised = jnp.maximum(2.0 * (step - gain) / (2.0 * step + step**2 - gain), 0.0)
+        return jnp.where(rates > 0, jnp.maximum(raised * best, self._least(rates)), 0.0)
 
     def trials(self, rates: Rates) -> Float[Array, "trials groups"]:
         """Which rates to compare: the present ones, then each higher, lower and at nothing."""

@@ -271,6 +271,8 @@ def _check(
             f"weights: {len(start)} starts, but {training_set.trainings} sets of patterns"
         )
     learning = plan.learning(network)
+    if plan.schedule.switch is not None and not isinstance(training_set, Examples):
+        raise ValueError("a switch looks at every pattern's error: train on `examples`")
     for rule in plan.schedule.rules:
         reason = rule.check_network(network)
         reason = reason or training_set.check_rule(rule, plan.cost, plan.order)
