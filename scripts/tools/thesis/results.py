@@ -2,7 +2,6 @@
 
 import csv
 import functools
-import shutil
 from pathlib import Path
 
 
@@ -44,7 +43,9 @@ def collect(build: Path, folder: Path = FOLDER) -> list[Path]:
                     f"{build / study / name}: no such file; expected that of {command}"
                 )
             (folder / study).mkdir(parents=True, exist_ok=True)
-            copies.append(Path(shutil.copyfile(build / study / name, folder / study / name)))
+            copy = folder / study / name
+            copy.write_text((build / study / name).read_text(encoding="utf-8"), encoding="utf-8")
+            copies.append(copy)
     if not copies:
         raise ValueError(f"{build}: holds none of {', '.join(STUDIES)}")
     return copies
