@@ -158,7 +158,7 @@ def _quantities(quantities: Sequence[Quantity]) -> str:
         cells = [quantity.where, quantity.what, quantity.unit, *values]
         cells[1] += f"<br>*{quantity.note}*" if quantity.note else ""
         rows.append(cells)
-    return _table(["", "", "unit", "thesis", "now"], rows)
+    return _table(["where", "what", "unit", "thesis", "now"], rows)
 
 
 def value_now(quantity: Quantity) -> Any:
