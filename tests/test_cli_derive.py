@@ -55,3 +55,13 @@ def test_a_urdf_with_what_its_file_has_no_words_for(tmp_path: Path) -> None:
         assert f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got '{pair}'" in wrong.stderr
     wrong = run("derive", path, "--coupled", "one,two")
     assert wrong.exit_code == 2
+
+
+def test_a_long_chain_is_derived_without_its_tables(tmp_path: Path) -> None:
+    """Counting the tables of ten parallel axes would take longer than everything else."""
+    path = tmp_path / "long.toml"
+    path.write_text('name = "long"\n' + "[[joint]]\na = 0.1\n" * 10)
+    result = run("derive", path, "--lengths", "numeric", "-o", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "closed-form tables are left out: for more than 9 joints" in result.output
+    assert not (tmp_path / "out" / "tables.json").exists()

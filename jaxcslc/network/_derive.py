@@ -2,7 +2,7 @@ from collections.abc import Sequence
 from typing import Literal, cast
 
 from ..derivation import Algebra, Lengths, derive_algebra
-from ..manipulator import Manipulator
+from ..manipulator import Manipulator, RobotError
 from ._cslc import CSLC
 from .terms import (
     RigidBodyRecursion,
@@ -16,6 +16,9 @@ _LARGEST_TABLES = 1500
 # Beyond this many independent angles tables are large whatever the twists: not worth deriving
 # them to find out. (A Panda, 7 angles: 27,243 velocity links.)
 _MOST_ANGLES = 6
+# Base parameters of 20 joints take 4 s, of 30 joints half a minute, and the time grows with the
+# fourth power.
+_MOST_JOINTS = 40
 
 
 def derive(
@@ -40,7 +43,8 @@ def derive(
 
     **Raises**
 
-    - `RobotError`: if a length that is to be a number has no value, or a name is no length.
+    - `RobotError`: if a length that is to be a number has no value, a name is no length, or
+      there are more than 40 joints.
     - `ValueError`: if `lengths` or `evaluator` is none of these, or for a recursive evaluator
       with symbolic lengths.
 
@@ -48,6 +52,12 @@ def derive(
     >>> jc.derive(jc.puma560())
     CSLC(PUMA 560: 6 joints, 43 coefficients: 26 mass, 5 gravity, 6 viscous, 6 dry; RigidBodyTables)
     """
+    if robot.joint_count > _MOST_JOINTS:
+        raise RobotError(
+            f"robot {robot.name!r} has {robot.joint_count} joints; expected at most"
+            f" {_MOST_JOINTS}: derivation takes minutes beyond. A part of a file is chosen by base"
+            " and tip"
+        )
     if lengths == "auto":
         lengths = "numeric" if _has_many_lengths(robot) else "symbolic"
     if isinstance(lengths, str) and lengths not in ("symbolic", "numeric"):

@@ -103,3 +103,9 @@ def test_a_regressor_of_friction_alone(evaluator: Any) -> None:
     network = jaxcslc.derive(robot, lengths="numeric", evaluator=evaluator)
     qd = np.array([[0.5], [-1.0]])
     assert np.array_equal(network.regressor(0 * qd, qd, 0 * qd), qd[..., None])
+
+
+def test_more_joints_than_can_be_derived() -> None:
+    robot = Manipulator.from_modified_dh([(0, 0.1, 0, 0)] * 41)
+    with pytest.raises(RobotError, match="has 41 joints; expected at most 40"):
+        jaxcslc.derive(robot, lengths="numeric")

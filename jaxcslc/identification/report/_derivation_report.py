@@ -9,9 +9,11 @@ from ._coefficient_table import coefficient_rows, coefficient_text
 from ._output import all_or_nothing, write_csv, write_json
 
 
+# Counting the tables of 12 right-angled joints takes ten times as long as all the rest.
+_MOST_JOINTS = 9
 _NO_TABLES = (
-    "closed-form tables are left out: for twists other than multiples of 90° they have tens of"
-    " thousands of links; torque is computed by recursion"
+    f"closed-form tables are left out: for more than {_MOST_JOINTS} joints, and for twists other"
+    " than multiples of 90°, they have tens of thousands of links; torque is computed by recursion"
 )
 _COUPLED = (
     "  (coupled joints: their shared coefficients are not part of this list, and may replace motor"
@@ -48,9 +50,14 @@ class DerivationReport:
 
     @property
     def has_practical_tables(self) -> bool:
-        """Whether the closed form is short enough to print: all twists are multiples of 90°."""
+        """Whether the closed form is short enough to print.
+
+        Up to nine joints, and all twists are multiples of 90°.
+        """
         links = self.network.algebra.chain.links
-        return all(0 in link.twist and 0 in link.branch for link in links)
+        return len(links) <= _MOST_JOINTS and all(
+            0 in link.twist and 0 in link.branch for link in links
+        )
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Writes `coefficients.csv`, `identifiability.csv` and, of practical size, `tables.json`.
