@@ -7,11 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from ._description import Constant, Variable, named
-from ._errors import DescriptionError
-from ._motion_symbols import MotionSymbols
-from ._separation import Separation, separate
-from ._units import check_unit
+from .algebra import Separation, separate
+from .description import (
+    Constant,
+    DescriptionError,
+    MotionSymbols,
+    Variable,
+    check_unit,
+    lagrange_equations,
+    mechanics_equations,
+    named,
+)
 
 
 if TYPE_CHECKING:
@@ -76,6 +82,62 @@ class System:
                 )
             check_unit(unit, f"units of {output!r}")
         self._check_constants()
+
+    @classmethod
+    def from_lagrangian(
+        cls,
+        name: str,
+        lagrangian: Any,
+        coordinates: Sequence[Any],
+        *,
+        variables: Sequence[Variable],
+        constants: Sequence[Constant],
+        forces: Mapping[Any, Any] | None = None,
+        dissipation: Any = 0,
+        output_units: Mapping[str, str] | None = None,
+    ) -> "System":
+        """A mechanical system from its energies: Lagrange's equations are derived.
+
+        - `lagrangian`, `coordinates`, `forces`, `dissipation`: as of `lagrange_equations`.
+        - the others: as the attributes. Equations are named after the coordinates.
+
+        **Raises** `DescriptionError` as `System` and `lagrange_equations`.
+
+        >>> import sympy
+        >>> from sympy.physics.mechanics import dynamicsymbols
+        >>> from jaxcslc.systems import Constant, System, Variable
+        >>> x, force = dynamicsymbols("x force")
+        >>> mass, stiffness = sympy.symbols("mass stiffness")
+        >>> spring = System.from_lagrangian(
+        ...     "spring", (mass * x.diff() ** 2 - stiffness * x**2) / 2, [x], forces={x: force},
+        ...     variables=[Variable(x, "m"), Variable(force, "N")],
+        ...     constants=[Constant(mass, "kg"), Constant(stiffness, "N/m")],
+        ... )
+        >>> spring.network.names
+        ('mass', 'stiffness')
+        """
+        equations = lagrange_equations(lagrangian, coordinates, forces, dissipation)
+        return cls(name, equations, tuple(variables), tuple(constants), dict(output_units or {}))
+
+    @classmethod
+    def from_mechanics(
+        cls,
+        name: str,
+        method: Any,
+        *,
+        variables: Sequence[Variable],
+        constants: Sequence[Constant],
+        output_units: Mapping[str, str] | None = None,
+    ) -> "System":
+        """A mechanical system from a `LagrangesMethod` or `KanesMethod` of SymPy.
+
+        - `method`: as of `mechanics_equations`.
+        - the others: as the attributes. Equations are named after the coordinates.
+
+        **Raises** `DescriptionError` as `System` and `mechanics_equations`.
+        """
+        equations = mechanics_equations(method)
+        return cls(name, equations, tuple(variables), tuple(constants), dict(output_units or {}))
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -3,8 +3,8 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from math import gcd, lcm
 from typing import Any
 
-from ..derivation import exact_cos_sin
-from ._errors import DescriptionError
+from ...derivation import exact_cos_sin
+from ..description import DescriptionError
 
 
 Terms = dict[Any, Any]  # what is added in the argument of a function: monic term to its rational

@@ -4,12 +4,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from .._rank import numerical_rank
-from ..derivation import Coefficient
+from ..._rank import numerical_rank
+from ...derivation import Coefficient
 
 
 if TYPE_CHECKING:
-    from ._system import System
+    from .._system import System
 
 
 Verdict = Literal["alone", "only in combinations", "not at all"]

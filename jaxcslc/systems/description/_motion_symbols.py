@@ -2,7 +2,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ._description import Constant, Variable, name_of
+from ._entries import Constant, Variable, name_of
 from ._errors import DescriptionError
 
 

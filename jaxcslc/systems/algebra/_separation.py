@@ -7,17 +7,16 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 from jaxtyping import Float
 
-from ..derivation import Basis, Coefficient
-from ..identification.report import text_table
-from ._errors import DescriptionError
+from ...derivation import Basis, Coefficient
+from ...identification.report import text_table
+from ..description import DescriptionError, product_of_units
 from ._fractions import FractionField, Monomial
 from ._generators import Generators
 from ._identifiability import ConstantIdentifiability, identifiability_of, independent
-from ._units import product_of_units
 
 
 if TYPE_CHECKING:
-    from ._system import System
+    from .._system import System
 
 
 Form = dict[Monomial, Any]
