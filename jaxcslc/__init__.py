@@ -63,6 +63,14 @@ if TYPE_CHECKING:
         save_recording as save_recording,
     )
     from .network import CSLC as CSLC, derive as derive
+    from .systems import (
+        System as System,
+        SystemRecording as SystemRecording,
+        SystemReport as SystemReport,
+        identify_system as identify_system,
+        load_system as load_system,
+        load_system_recording as load_system_recording,
+    )
 
     __version__: str
 

@@ -1,5 +1,6 @@
 import contextlib
 import sys
+import tomllib
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +21,14 @@ RobotArgument = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT", help="A robot file (.toml, .urdf, .xml), or puma560, panda or tx40."
+    ),
+]
+RobotOrSystemArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROBOT",
+        help="A robot file (.toml, .urdf, .xml), or puma560, panda or tx40; or a file of another"
+        " system (.toml with [equations], docs/systems.md).",
     ),
 ]
 LengthsOption = Annotated[
@@ -84,6 +93,23 @@ def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | N
                 f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got {text!r}"
             ) from None
     return robot.with_coupling(*pairs) if pairs else robot
+
+
+def is_system(name: str) -> bool:
+    """Whether a file describes a system by its equations, and not a robot."""
+    if name in BUNDLED or Path(name).suffix.lower() != ".toml":
+        return False
+    try:
+        return "equations" in tomllib.loads(Path(name).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError):
+        return False  # whoever reads it as a robot says what is wrong
+
+
+def check_no_robot_options(name: str, **options: object) -> None:
+    """**Raises** `ValueError` for an option of robots in a command on a system."""
+    for option, value in options.items():
+        if value not in (None, "auto") and value != []:
+            raise ValueError(f"--{option} is for robots; {name} describes another system")
 
 
 def robot_named(name: str, base: str | None = None, tip: str | None = None) -> Manipulator:

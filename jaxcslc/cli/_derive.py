@@ -9,8 +9,10 @@ from ._common import (
     CoupledOption,
     FrictionOption,
     LengthsOption,
-    RobotArgument,
+    RobotOrSystemArgument,
     TipOption,
+    check_no_robot_options,
+    is_system,
     network_of,
     one_line_errors,
     robot_named,
@@ -19,7 +21,7 @@ from ._common import (
 
 
 def derive_command(
-    robot: RobotArgument,
+    robot: RobotOrSystemArgument,
     lengths: LengthsOption = "auto",
     base: BaseOption = None,
     tip: TipOption = None,
@@ -29,12 +31,31 @@ def derive_command(
         Path | None, typer.Option("-o", "--output", help="Folder for the tables, as files.")
     ] = None,
 ) -> None:
-    """Derive a robot's inverse dynamics: its inputs, links and named coefficients."""
+    """Derive a robot's inverse dynamics: its inputs, links and named coefficients.
+
+    Or separate the unknown constants of another system from its variables.
+    """
     with one_line_errors():
         if output is not None:
             check_output_folder(output)
+        if is_system(robot):
+            check_no_robot_options(
+                robot, lengths=lengths, base=base, tip=tip, friction=friction, coupled=coupled
+            )
+            _derive_system(robot, output)
+            return
         network = network_of(with_drives(robot_named(robot, base, tip), friction, coupled), lengths)
         report = DerivationReport.of(network)
         typer.echo(report)
         if output is not None:
             typer.echo("\nwrote " + ", ".join(str(path) for path in report.save(output)))
+
+
+def _derive_system(name: str, output: Path | None) -> None:
+    from ..systems import load_system, save_derivation  # robots need not wait for it
+
+    system = load_system(name)
+    typer.echo(system)
+    if output is not None:
+        paths = save_derivation(system, output)
+        typer.echo("\nwrote " + ", ".join(str(path) for path in paths))

@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -11,9 +12,11 @@ from ._common import (
     CoupledOption,
     FrictionOption,
     LengthsOption,
-    RobotArgument,
+    RobotOrSystemArgument,
     SettingsOption,
     TipOption,
+    check_no_robot_options,
+    is_system,
     names_in,
     network_of,
     one_line_errors,
@@ -24,7 +27,7 @@ from ._common import (
 
 
 def identify_command(
-    robot: RobotArgument,
+    robot: RobotOrSystemArgument,
     train: Annotated[Path, typer.Argument(metavar="TRAIN", help="Recording to fit.")],
     validate: Annotated[
         Path | None, typer.Option(help="Recording to judge the fit on; it is not fitted.")
@@ -51,9 +54,26 @@ def identify_command(
         typer.Option(help="The identification.json of a previous run, for --reidentify."),
     ] = None,
 ) -> None:
-    """Identify a robot's coefficients from a recording of positions and torques."""
+    """Identify a robot's coefficients from a recording of positions and torques.
+
+    Or those of another system, from a recording with a column for each of its variables.
+    """
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
+        if is_system(robot):
+            check_no_robot_options(
+                robot,
+                lengths=lengths,
+                base=base,
+                tip=tip,
+                friction=friction,
+                coupled=coupled,
+                reidentify=reidentify,
+                previous=previous,
+            )
+            text = _identify_system(robot, train, validate, output, settings, step)
+            typer.echo(text)
+            return
         if (reidentify is None) != (previous is None):
             raise ValueError("--reidentify and --previous: expected both or neither")
         if previous is not None and (lengths != "auto" or friction is not None or coupled):
@@ -79,3 +99,30 @@ def identify_command(
         step("writing")
         paths = report.save(output)
     typer.echo(f"{report}\n\nwrote " + ", ".join(str(path) for path in paths))
+
+
+def _identify_system(
+    name: str,
+    train: Path,
+    validate: Path | None,
+    output: Path,
+    settings: Path | None,
+    step: Callable[[str], None],
+) -> str:
+    """What is printed of a system's identification."""
+    from ..systems import (  # robots need not wait for it
+        identify_system,
+        load_system,
+        load_system_recording,
+    )
+
+    system = load_system(name)
+    report = identify_system(
+        system,
+        load_system_recording(train, system),
+        None if validate is None else load_system_recording(validate, system),
+        None if settings is None else load_settings(settings),
+        progress=step,
+    )
+    step("writing")
+    return f"{report}\n\nwrote " + ", ".join(str(path) for path in report.save(output))

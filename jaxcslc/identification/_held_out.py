@@ -35,6 +35,7 @@ class HeldOut:
       models all else.
     - `source`: of the held-out data, `"validation"` or `"cross-validation"`.
     - `units`: of each joint's torque; N m if omitted.
+    - `names`: of the joints or equations; `"joint 1"` and so on if omitted.
 
     >>> import numpy as np
     >>> from jaxcslc.identification import HeldOut
@@ -51,6 +52,7 @@ lack a term
     limit: Float[np.ndarray, " joints"]
     source: Literal["validation", "cross-validation"] = "validation"
     units: tuple[str, ...] | None = None
+    names: tuple[str, ...] | None = None
 
     @property
     def ratio(self) -> Float[np.ndarray, " joints"]:
@@ -71,9 +73,11 @@ lack a term
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each joint of `beyond_chance`."""
         units = self.units or ("N m",) * len(self.training)
+        names = self.names or tuple(f"joint {i + 1}" for i in range(len(self.training)))
+        units = tuple(f" {unit}" if unit else "" for unit in units)
         return tuple(
-            f"joint {i + 1}: {self.source} RMS {self.held_out[i]:.3g} {units[i]}, training RMS"
-            f" {self.training[i]:.3g} {units[i]} (ratio {self.ratio[i]:.3g}, limit"
+            f"{names[i]}: {self.source} RMS {self.held_out[i]:.3g}{units[i]}, training RMS"
+            f" {self.training[i]:.3g}{units[i]} (ratio {self.ratio[i]:.3g}, limit"
             f" {self.limit[i]:.3g}): the model may lack a term"
             for i in (joint - 1 for joint in self.beyond_chance)
         )
@@ -139,7 +143,7 @@ def held_out_error(
         errors.append(np.asarray(patterns.torque) - predicted)
     masks = np.asarray(training.mask), np.asarray(validation.mask)
     held_out = _judged(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
-    return dataclasses.replace(held_out, units=network.output_units)
+    return dataclasses.replace(held_out, units=network.output_units, names=network.output_names)
 
 
 def cross_validated_error(
@@ -193,7 +197,12 @@ def cross_validated_error(
         fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
     judged = _judged(training, mask, held_out, mask, int(fit.rank))
-    return dataclasses.replace(judged, source="cross-validation", units=network.output_units)
+    return dataclasses.replace(
+        judged,
+        source="cross-validation",
+        units=network.output_units,
+        names=network.output_names,
+    )
 
 
 def _judged(

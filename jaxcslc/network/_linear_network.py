@@ -47,6 +47,11 @@ class AbstractLinearNetwork(eqx.Module):
 
     @property
     @abc.abstractmethod
+    def output_quantity(self) -> str:
+        """What the outputs are, as a heading says it: `"torque"`, `"equations"`."""
+
+    @property
+    @abc.abstractmethod
     def output_labels(self) -> tuple[str, ...]:
         """What tells the outputs apart: of a robot, the numbers of its joints."""
 

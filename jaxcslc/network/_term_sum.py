@@ -42,6 +42,10 @@ class AbstractTermSum(AbstractLinearNetwork):
         return "joint"
 
     @property
+    def output_quantity(self) -> str:
+        return "torque"
+
+    @property
     def output_labels(self) -> tuple[str, ...]:
         """`"1"` to `"n"`."""
         return tuple(str(joint) for joint in range(1, self.robot.joint_count + 1))

@@ -20,6 +20,7 @@ def torque_picture(
     title: str,
     units: tuple[str, ...],
     mask: Bool[Array | np.ndarray, "samples joints"] | None = None,
+    names: tuple[str, ...] | None = None,
 ) -> "Figure":
     """Measured and predicted torque of every joint against time (Figs. 7.6-1, 7.6-2).
 
@@ -31,6 +32,7 @@ def torque_picture(
     - `units`: of each joint's torque.
     - `mask`: (samples, n), the judged samples: predictions are drawn for these only. By default
       for all.
+    - `names`: of the joints; `"joint 1"` and so on if omitted.
 
     **Returns** a matplotlib figure; `figure.savefig(path)` draws it.
     """
@@ -61,7 +63,8 @@ def torque_picture(
                 lw=1.0,
                 label=name,
             )
-        axis.set_ylabel(f"joint {joint + 1} [{units[joint]}]")
+        name = f"joint {joint + 1}" if names is None else names[joint]
+        axis.set_ylabel(f"{name} [{units[joint]}]" if units[joint] else name)
         axis.grid(alpha=0.25)
         axis.margins(x=0.01)
     for axis in axes[-1]:

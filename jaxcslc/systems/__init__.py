@@ -1,3 +1,4 @@
+from ._identify import identify_system as identify_system, system_settings as system_settings
 from ._learning import SystemInputs as SystemInputs, adaptive_network as adaptive_network
 from ._network import SystemNetwork as SystemNetwork, SystemTerm as SystemTerm
 from ._patterns import system_derivatives as system_derivatives, system_patterns as system_patterns
@@ -5,6 +6,7 @@ from ._recording import (
     SystemRecording as SystemRecording,
     load_system_recording as load_system_recording,
 )
+from ._report import SystemReport as SystemReport, save_derivation as save_derivation
 from ._system import System as System
 from ._toml import load_system as load_system
 from .algebra import ConstantIdentifiability as ConstantIdentifiability, Separation as Separation

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..derivation import Coefficient
@@ -50,7 +51,9 @@ class Formulas:
         return lambdify(self.arguments, list(self.expressions), modules="jax", cse=True)
 
     def __call__(
-        self, motion: Sequence[Sequence[Array]], nonlinear: Float[Array, " nonlinear"]
+        self,
+        motion: Sequence[Sequence[Array]],
+        nonlinear: Float[Array | np.ndarray, " nonlinear"],
     ) -> list[Array]:
         """One array for each expression, of the shape of the motion's.
 
@@ -58,7 +61,7 @@ class Formulas:
         """
         like = motion[0][0]
         arguments = [motion[order][variable] for variable, order in self.symbols]
-        values = self._function(*arguments, *(x.astype(like.dtype) for x in nonlinear))
+        values = self._function(*arguments, *(jnp.asarray(x, like.dtype) for x in nonlinear))
         return [jnp.broadcast_to(jnp.asarray(value, like.dtype), like.shape) for value in values]
 
 
@@ -73,7 +76,7 @@ class SystemTerm(AbstractTerm):
     - `output_count`: n.
     """
 
-    nonlinear: Float[Array, " nonlinear"]
+    nonlinear: Float[Array | np.ndarray, " nonlinear"]
     coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
     entries: tuple[tuple[int, int], ...] = eqx.field(static=True)
     formulas: Formulas = eqx.field(static=True)
@@ -90,6 +93,12 @@ class SystemTerm(AbstractTerm):
             tuple(sorted(j for output, j in self.entries if output == i))
             for i in range(self.output_count)
         )
+
+    # `jax.jit(network.torque)` looks the method up by its hash, and arrays have none.
+    def __hash__(self) -> int:
+        if isinstance(self.nonlinear, Tracer):
+            return id(self.nonlinear)
+        return hash((self.formulas, np.asarray(self.nonlinear).tobytes()))
 
     def inputs(self, q: Sequence[Array], qd: Sequence[Array], qdd: Sequence[Array]) -> list[Array]:
         """The value of each of `entries`, of motion with an array a variable."""
@@ -185,7 +194,7 @@ class SystemNetwork(AbstractLinearNetwork):
         )
         middles = [0.5 * sum(c.bounds) for c in system.nonlinear if c.bounds is not None]
         term = SystemTerm(
-            nonlinear=jnp.asarray(np.array(middles, float)),
+            nonlinear=np.array(middles, float),
             coefficients=separation.coefficients,
             entries=entries,
             formulas=Formulas.of(system, [separation.regressor[i][j] for i, j in entries]),
@@ -200,6 +209,10 @@ class SystemNetwork(AbstractLinearNetwork):
     @property
     def output_kind(self) -> str:
         return "equation"
+
+    @property
+    def output_quantity(self) -> str:
+        return "known sides"
 
     @property
     def output_labels(self) -> tuple[str, ...]:
@@ -230,7 +243,7 @@ class SystemNetwork(AbstractLinearNetwork):
         )
 
     @property
-    def nonlinear(self) -> Float[Array, " nonlinear"]:
+    def nonlinear(self) -> Float[Array | np.ndarray, " nonlinear"]:
         """Values of the searched constants, in the order of `System.nonlinear`."""
         return self.terms[0].nonlinear
 
@@ -243,7 +256,7 @@ class SystemNetwork(AbstractLinearNetwork):
             raise ValueError(
                 f"nonlinear: expected shape {self.nonlinear.shape}, got {jnp.shape(values)}"
             )
-        new = jnp.asarray(values, self.nonlinear.dtype)
+        new = values if isinstance(values, Array) else np.asarray(values, float)
         return eqx.tree_at(lambda network: network.terms[0].nonlinear, self, new)
 
     def output(

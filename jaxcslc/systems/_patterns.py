@@ -71,7 +71,7 @@ def system_patterns(
         raise ValueError("preparation: possible backlash is of joints; expected backlash=False")
     if derivatives is None:
         derivatives = system_derivatives(system, recording, preparation)
-    trim = preparation.trimmed_of(recording.time, len(system.variables))
+    trim = preparation.trimmed_of(recording.time, max(len(system.states), 1))
     if not 0 <= trim < recording.samples / 2:
         raise ValueError(
             f"trim of {trim} samples at both ends leaves nothing of {recording.samples} samples;"
@@ -117,14 +117,21 @@ def system_derivatives(
         position = np.stack([recording.column(system.variables[i].column_name) for i in states], 1)
         smoothed = without_rounding(position, smoothing.smooth(time, position))
         q[:, states], qd[:, states], qdd[:, states] = smoothed
-    for i, variable in enumerate(system.variables):
-        if variable.rate is not None:
-            rate = smoothing.low_pass(time, recording.column(variable.rate)[:, None])
-            qd[:, i] = rate[:, 0]
-            qdd[:, i] = np.gradient(qd[:, i], time, edge_order=2)
-        if variable.second_rate is not None:
-            rate = smoothing.low_pass(time, recording.column(variable.second_rate)[:, None])
-            qdd[:, i] = rate[:, 0]
+    for name, target in (("rate", qd), ("second_rate", qdd)):
+        measured = {i: getattr(system.variables[i], name) for i in states}
+        if not any(measured.values()):
+            continue
+        # All states at once: a smoothing may have a width for each. Unmeasured ones stand in.
+        recorded = [
+            q[:, i] if column is None else recording.column(column)
+            for i, column in measured.items()
+        ]
+        smoothed = smoothing.low_pass(time, np.stack(recorded, axis=1))
+        for column, (i, present) in zip(smoothed.T, measured.items(), strict=True):
+            if present is not None:
+                target[:, i] = column
+                if target is qd:
+                    qdd[:, i] = np.gradient(column, time, edge_order=2)
     return q, qd, qdd
 
 

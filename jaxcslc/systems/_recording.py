@@ -36,7 +36,7 @@ class SystemRecording:
     """
 
     time: Float[np.ndarray, " samples"]
-    columns: Mapping[str, Float[np.ndarray, " samples"]]
+    columns: Mapping[str, Float[np.ndarray, " _"]]
 
     def __post_init__(self) -> None:
         time = np.asarray(self.time, float)

@@ -66,11 +66,6 @@ def load_system(path: str | os.PathLike[str]) -> System:
         raise DescriptionError(f"{path}: {error}") from None
 
 
-def is_system_document(document: Mapping[str, Any]) -> bool:
-    """Whether a TOML document describes a system, and not a robot."""
-    return "equations" in document
-
-
 def system_from(document: Mapping[str, Any], *, default_name: str = "system") -> System:
     """A system from a document as `load_system` reads it.
 

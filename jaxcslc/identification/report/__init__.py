@@ -22,10 +22,15 @@ from ._output import (
 )
 from ._payload_report import PayloadReport as PayloadReport
 from ._report import Report as Report
+from ._report_files import save_report as save_report
+from ._report_text import (
+    determination_lines as determination_lines,
+    held_out_lines as held_out_lines,
+)
 from ._saved import (
     SavedReport as SavedReport,
     load_report as load_report,
     load_settings as load_settings,
 )
 from ._verdicts import Verdict as Verdict, verdicts as verdicts
-from ._warnings import fit_warnings as fit_warnings
+from ._warnings import condition_warning as condition_warning, fit_warnings as fit_warnings

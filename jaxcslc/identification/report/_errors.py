@@ -30,6 +30,8 @@ class ErrorTable(eqx.Module):
       included [N m].
     - `share_judged`: (n,) judged samples of each joint over all samples, from 0 to 1.
     - `unit`: of all errors; for a robot with joints of both kinds `"N m or N"`, joint by joint.
+    - `kind`, `labels`: what the outputs are called, `"joint"` or `"equation"`, and their numbers or
+      names; numbers if omitted.
 
     `print` shows the thesis's table and, below it, RMS errors of judged and of all samples;
     `rows()` and `rms_rows()` return the two as data.
@@ -57,33 +59,43 @@ class ErrorTable(eqx.Module):
     rms_all_samples: Float[Array, "vectors joints"]
     share_judged: Float[Array, " joints"]
     unit: str = eqx.field(static=True, default="N m")
+    kind: str = eqx.field(static=True, default="joint")
+    labels: tuple[str, ...] = eqx.field(static=True, default=())
 
     def rows(self) -> list[dict[str, float | str]]:
         """One row a joint and one for ε, one column a coefficient vector."""
         rows: list[dict[str, float | str]] = []
         for joint in range(self.mean_modulus.shape[1]):
             values = np.asarray(self.mean_modulus[:, joint]).tolist()
-            rows.append({"": f"mean |e{joint + 1}|", **dict(zip(self.names, values, strict=True))})
+            label = self._label(joint)
+            space = "" if label.isdigit() else " "
+            rows.append(
+                {"": f"mean |e{space}{label}|", **dict(zip(self.names, values, strict=True))}
+            )
         mean = np.asarray(self.epsilon).tolist()
         rows.append({"": "mean ε", **dict(zip(self.names, mean, strict=True))})
         return rows
 
-    def rms_rows(self) -> list[dict[str, float | int]]:
-        """One row a joint: the share of judged samples, and each vector's RMS error over them and
-        over all samples."""
+    def rms_rows(self) -> list[dict[str, float | int | str]]:
+        """One row a joint or equation: the share of judged samples, and each vector's RMS error
+        over them and over all samples."""
         share, rms, all_samples = (
             np.asarray(values).tolist()
             for values in (self.share_judged, self.rms, self.rms_all_samples)
         )
         return [
-            {"joint": joint + 1, "share_judged": share[joint]}
+            {self.kind: int(label) if label.isdigit() else label, "share_judged": share[joint]}
             | {f"rms_{name}": row[joint] for name, row in zip(self.names, rms, strict=True)}
             | {
                 f"rms_all_samples_{name}": row[joint]
                 for name, row in zip(self.names, all_samples, strict=True)
             }
             for joint in range(len(share))
+            for label in (self._label(joint),)
         ]
+
+    def _label(self, joint: int) -> str:
+        return self.labels[joint] if self.labels else str(joint + 1)
 
     def to_pandas(self) -> Any:
         """`rows()` as a `pandas.DataFrame`, a column for each coefficient vector [N m]."""
@@ -97,14 +109,18 @@ class ErrorTable(eqx.Module):
 
     def __str__(self) -> str:
         errors = text_table(
-            [f"[{self.unit}]", *self.names],
+            [f"[{self.unit}]" if self.unit else "error", *self.names],
             [[str(row[""]), *(f"{row[name]:.4g}" for name in self.names)] for row in self.rows()],
         )
-        header = ["joint", "judged samples", *(f"RMS {name}" for name in self.names)]
+        header = [self.kind, "judged samples", *(f"RMS {name}" for name in self.names)]
         header += [f"RMS {name}, all samples" for name in self.names]
+        share, rms, all_samples = map(
+            np.asarray, (self.share_judged, self.rms, self.rms_all_samples)
+        )
         cells = [
-            [str(joint), f"{100 * share:.3g} %", *(f"{value:.4g}" for value in values)]
-            for joint, share, *values in (row.values() for row in self.rms_rows())
+            [self._label(joint), f"{100 * share[joint]:.3g} %"]
+            + [f"{value:.4g}" for value in (*rms[:, joint], *all_samples[:, joint])]
+            for joint in range(len(share))
         ]
         return f"{errors}\n\n{text_table(header, cells)}"
 
@@ -147,7 +163,9 @@ def compare(
         epsilon,
         rms_all_samples=jnp.sqrt(jnp.mean(errors**2, axis=1)),
         share_judged=jnp.mean(mask, axis=0, dtype=errors.dtype),
-        unit=" or ".join(sorted(set(network.output_units), key=len, reverse=True)),
+        unit=" or ".join(sorted({*network.output_units} - {""}, key=len, reverse=True)),
+        kind=network.output_kind,
+        labels=network.output_labels,
     )
 
 

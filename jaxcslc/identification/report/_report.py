@@ -15,8 +15,8 @@ from ..solver import Identification
 from ._coefficient_table import coefficient_rows, coefficient_text
 from ._errors import ErrorTable
 from ._excitation import Excitation
-from ._output import all_or_nothing
-from ._report_files import RECORDINGS, recording_files, write_report
+from ._report_files import report_document, save_report
+from ._report_text import determination_lines, held_out_lines
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -107,14 +107,7 @@ class Report:
           registered and has no name in a file.
         - `OSError`: the folder cannot be written.
         """
-        folder = Path(folder)
-        with all_or_nothing(folder) as scratch:
-            names = [path.name for path in write_report(scratch, self, pictures=pictures)]
-        for recording in RECORDINGS:
-            for path in recording_files(folder, recording):
-                if path.name not in names:
-                    path.unlink(missing_ok=True)
-        return tuple(folder / name for name in names)
+        return save_report(Path(folder), self, report_document(self), pictures=pictures)
 
     def __repr__(self) -> str:
         return f"Report({self.network.robot.name}; {self.fit!r})"
@@ -135,31 +128,15 @@ class Report:
         yield self._determination()
         for name, table in self.errors.items():
             yield [f"torque error, {name} recording", str(table)]
-        yield self._held_out()
+        yield held_out_lines(self.held_out)
         yield [f"warning: {warning}" for warning in self.warnings]
 
     def _determination(self) -> list[str]:
-        fit = self.fit
-        lines = [
-            f"low and high: 95 % intervals for {fit.errors} errors,"
-            f" {float(fit.degrees_of_freedom):.0f} degrees of freedom",
-            *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
-        ]
         fitted = sum(
             self.groups is None or c.group in self.groups or c.name in self.groups
             for c in self.network.coefficients
         )
-        text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"
-        if self.excitation is not None:
-            text += f"; least determined: {self.excitation.worst_combination}"
-        return [*lines, text]
-
-    def _held_out(self) -> list[str]:
-        if self.held_out is None:
-            return []
-        kind = "validation" if "validation" in self.patterns else "cross-validation"
-        ratios = ", ".join(f"{ratio:.3g}" for ratio in self.held_out.ratio)
-        return [f"{kind} RMS over training RMS, joint by joint: {ratios}"]
+        return determination_lines(self.fit, fitted, self.excitation)
 
 
 def _slopes(fit: SlopeFit) -> str:

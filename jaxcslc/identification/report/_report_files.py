@@ -1,16 +1,19 @@
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from ...motion import Patterns
-from ...network import CSLC
+from ...network import AbstractLinearNetwork
 from ...plotting import save_picture, torque_picture
 from .._held_out import HeldOut
 from .._settings import settings_document
+from ..solver import Identification
 from ._coefficient_table import coefficient_rows
 from ._errors import ErrorTable, predicted_torque
-from ._output import write_csv, write_json
+from ._excitation import Excitation
+from ._output import all_or_nothing, write_csv, write_json
 
 
 if TYPE_CHECKING:
@@ -22,27 +25,69 @@ RECORDINGS = ("training", "validation")
 _STATES = 100
 
 
-def write_report(folder: Path, report: "Report", *, pictures: bool) -> list[Path]:
+@runtime_checkable
+class WritableReport(Protocol):
+    """What a report has, of a robot or of another system, that files are written from."""
+
+    @property
+    def network(self) -> AbstractLinearNetwork: ...
+
+    @property
+    def fit(self) -> Identification: ...
+
+    @property
+    def excitation(self) -> Excitation | None: ...
+
+    @property
+    def patterns(self) -> Mapping[str, Patterns]: ...
+
+    @property
+    def errors(self) -> Mapping[str, ErrorTable]: ...
+
+
+def write_report(
+    folder: Path, report: WritableReport, document: Mapping[str, Any], *, pictures: bool
+) -> list[Path]:
     """Writes the files of a report into a folder that exists.
+
+    - `document`: what `identification.json` holds.
 
     **Returns** the files: `coefficients.csv`, `identification.json`, and for every recording
     `errors_NAME.csv`, `torque_NAME.csv` and, with `pictures`, `torque_NAME.png`.
     """
     network = report.network
-    coefficients, document = folder / "coefficients.csv", folder / "identification.json"
+    coefficients, identification = folder / "coefficients.csv", folder / "identification.json"
     write_csv(coefficients, coefficient_rows(network, report.fit, excitation=report.excitation))
-    write_json(document, report_document(report))
-    written = [coefficients, document]
+    write_json(identification, document)
+    written = [coefficients, identification]
     for name, patterns in report.patterns.items():
         errors, torque, picture = recording_files(folder, name)
         predicted = np.asarray(predicted_torque(network, patterns, report.fit.k))
         write_csv(errors, _error_rows(patterns, report.errors[name]))
-        _write_torque(torque, patterns, predicted)
+        _write_torque(torque, network, patterns, predicted)
         written += [errors, torque]
         if pictures:
             _draw_torque(picture, name, network, patterns, predicted)
             written.append(picture)
     return written
+
+
+def save_report(
+    folder: Path, report: WritableReport, document: Mapping[str, Any], *, pictures: bool
+) -> tuple[Path, ...]:
+    """Writes a report into a folder: all of its files or, if writing fails, none.
+
+    Files of these names that an earlier report left and this one does not have are removed.
+
+    **Returns** the files. **Raises** as `Report.save`.
+    """
+    with all_or_nothing(folder) as scratch:
+        names = [path.name for path in write_report(scratch, report, document, pictures=pictures)]
+    for recording in RECORDINGS:
+        for path in recording_files(folder, recording):
+            if path.name not in names:
+                path.unlink(missing_ok=True)
+    return tuple(folder / name for name in names)
 
 
 def recording_files(folder: Path, name: str) -> tuple[Path, Path, Path]:
@@ -104,11 +149,11 @@ def _held_out(held_out: HeldOut) -> dict[str, Any]:
     }
 
 
-def _error_rows(patterns: Patterns, errors: ErrorTable) -> list[dict[str, float | int]]:
+def _error_rows(patterns: Patterns, errors: ErrorTable) -> list[dict[str, float | int | str]]:
     judged = np.sum(np.asarray(patterns.mask), axis=0)
     return [
         {
-            "joint": joint + 1,
+            errors.kind: errors.labels[joint],
             "rms": float(errors.rms[0, joint]),
             "mean_modulus": float(errors.mean_modulus[0, joint]),
             "judged_samples": int(judged[joint]),
@@ -120,27 +165,34 @@ def _error_rows(patterns: Patterns, errors: ErrorTable) -> list[dict[str, float 
     ]
 
 
-def _write_torque(path: Path, patterns: Patterns, predicted: np.ndarray) -> None:
+def _write_torque(
+    path: Path, network: AbstractLinearNetwork, patterns: Patterns, predicted: np.ndarray
+) -> None:
     columns = {
         "measured": np.asarray(patterns.torque),
         "predicted": predicted,
         "mask": np.asarray(patterns.mask, float),
     }
-    header = [f"{name}_{joint + 1}" for name in columns for joint in range(patterns.joints)]
+    header = [f"{name}_{label}" for name in columns for label in network.output_labels]
     table = np.concatenate([np.asarray(patterns.time)[:, None], *columns.values()], axis=1)
     text = ",".join(["time", *header])
     np.savetxt(path, table, delimiter=",", header=text, comments="", fmt="%.10g")
 
 
 def _draw_torque(
-    path: Path, name: str, network: CSLC, patterns: Patterns, predicted: np.ndarray
+    path: Path,
+    name: str,
+    network: AbstractLinearNetwork,
+    patterns: Patterns,
+    predicted: np.ndarray,
 ) -> None:
     figure = torque_picture(
         np.asarray(patterns.time),
         np.asarray(patterns.torque),
         {"predicted": predicted},
-        title=f"{network.robot.name}: torque of the {name} recording",
-        units=network.robot.torque_units,
+        title=f"{network.name}: {network.output_quantity} of the {name} recording",
+        units=network.output_units,
+        names=network.output_names,
         mask=np.asarray(patterns.mask),
     )
     save_picture(figure, path)

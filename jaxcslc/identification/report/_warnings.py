@@ -24,12 +24,7 @@ def fit_warnings(
     not move, whose torque is constant, or of whose torque's variance the fit explains less than
     half, as with a wrong unit.
     """
-    if not bool(fit.meaningful):
-        yield (
-            f"condition number {float(fit.condition):.2g} exceeds {MEANINGLESS_CONDITION:.0g}: no"
-            " coefficient is well determined, whatever its standard error; use a motion that"
-            " excites more, or fewer terms"
-        )
+    yield from condition_warning(fit)
     for joint in np.flatnonzero(np.ptp(recording.position, axis=0) == 0) + 1:
         yield (
             f"joint {joint} does not move: coefficients that only its motion shows are not"
@@ -46,3 +41,13 @@ def fit_warnings(
                 f" {size:.3g} {unit}: the model explains less than half of the variance; check"
                 " units (rad, N m) and the signs of positions and torques"
             )
+
+
+def condition_warning(fit: Identification) -> Iterator[str]:
+    """A sentence about a condition number that makes every coefficient meaningless."""
+    if not bool(fit.meaningful):
+        yield (
+            f"condition number {float(fit.condition):.2g} exceeds {MEANINGLESS_CONDITION:.0g}: no"
+            " coefficient is well determined, whatever its standard error; use a motion that"
+            " excites more, or fewer terms"
+        )

@@ -1,0 +1,32 @@
+from .._held_out import HeldOut
+from ..solver import Identification
+from ._excitation import Excitation
+
+
+def determination_lines(
+    fit: Identification, fitted: int, excitation: Excitation | None
+) -> list[str]:
+    """What the intervals of a fit allow for, and what its patterns determine.
+
+    - `fitted`: how many coefficients were fitted.
+    """
+    lines = [
+        f"low and high: 95 % intervals for {fit.errors} errors,"
+        f" {float(fit.degrees_of_freedom):.0f} degrees of freedom",
+        *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
+    ]
+    text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"
+    if excitation is not None:
+        text += f"; least determined: {excitation.worst_combination}"
+    return [*lines, text]
+
+
+def held_out_lines(held_out: HeldOut | None, outputs: str = "joint by joint") -> list[str]:
+    """Held-out errors over training errors.
+
+    - `outputs`: how the ratios are listed.
+    """
+    if held_out is None:
+        return []
+    ratios = ", ".join(f"{ratio:.3g}" for ratio in held_out.ratio)
+    return [f"{held_out.source} RMS over training RMS, {outputs}: {ratios}"]

@@ -1,0 +1,172 @@
+from collections.abc import Callable, Iterator
+from types import MappingProxyType
+
+import numpy as np
+
+from ..identification import (
+    ErrorTable,
+    Identification,
+    Settings,
+    compare,
+    cross_validated_error,
+    degree_of_excitation,
+    held_out_error,
+)
+from ..identification.report import condition_warning
+from ..motion import AveragedSplines, Patterns, Preparation, choose_spacing
+from ._network import SystemNetwork
+from ._patterns import system_patterns
+from ._recording import SystemRecording
+from ._report import SystemReport
+from ._system import System
+
+
+# Spacings of splines that are tried, as by `choose_spacing`, and those for finer sampling.
+_SPACINGS = (5, 7, 9, 11, 13, 15, 17, 21, 25, 29, 35, 41, 49, 69, 97)
+# Splines need some twenty knots.
+_KNOTS = 20
+
+
+def identify_system(
+    system: System,
+    training: SystemRecording,
+    validation: SystemRecording | None = None,
+    settings: Settings | None = None,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> SystemReport:
+    """Identifies a system's coefficients from a recording, and judges the result (thesis C.2).
+
+    **Arguments**
+
+    - `system`: n equations, p coefficients.
+    - `training`: the recording to fit.
+    - `validation`: a recording to judge the fit on; no coefficient depends on it.
+    - `settings`: of preparation and fit; by default those of `system_settings` for the training
+      recording.
+    - `progress`: is called with a few words at the start of each step.
+
+    **Returns** a `SystemReport`.
+
+    **Raises**
+
+    - `DescriptionError`: a system that cannot be separated.
+    - `ValueError`: a recording that cannot be used, named as training or validation recording.
+    - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
+
+    >>> import numpy as np, sympy
+    >>> from sympy.physics.mechanics import dynamicsymbols
+    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, identify_system
+    >>> level, inflow = dynamicsymbols("level inflow")
+    >>> area, outlet = sympy.symbols("area outlet")
+    >>> balance = sympy.Eq(inflow, area * level.diff() + outlet * sympy.sqrt(level))
+    >>> tank = System(
+    ...     "tank", {"volume": balance}, (Variable(level, "m"), Variable(inflow, "m³/s")),
+    ...     (Constant(area, "m²", sign="positive"), Constant(outlet)),
+    ... )
+    >>> time = np.arange(1000) * 0.05
+    >>> level, rate = 2 + np.sin(time), np.cos(time)
+    >>> columns = {"level": level, "inflow": 3 * rate + 0.5 * np.sqrt(level)}
+    >>> report = identify_system(tank, SystemRecording(time, columns))
+    >>> np.round(report.k, 4).tolist(), report.network.names
+    ([3.0, 0.5], ('area', 'outlet'))
+    """
+    step = progress or _without_progress
+    step("separating constants")
+    network = system.network
+    recordings = {"training": training} | ({} if validation is None else {"validation": validation})
+    step("preparing patterns")
+    patterns: dict[str, Patterns] = {}
+    for name, recording in recordings.items():
+        try:
+            if settings is None:
+                settings = system_settings(system, recording)
+            patterns[name] = system_patterns(system, recording, settings.preparation)
+        except ValueError as error:
+            raise ValueError(f"{name} recording: {error}") from None
+    assert settings is not None
+    step("fitting coefficients")
+    fit = settings.fit(network, patterns["training"])
+    step("computing errors")
+    errors = {name: compare(network, values, {"fit": fit.k}) for name, values in patterns.items()}
+    if validation is None:
+        held_out = cross_validated_error(network, patterns["training"], settings, fit=fit)
+    else:
+        held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
+    return SystemReport(
+        network,
+        settings,
+        fit,
+        MappingProxyType(patterns),
+        MappingProxyType(errors),
+        degree_of_excitation(network, patterns["training"]),
+        held_out,
+        (
+            *held_out.warnings,
+            *_warnings(network, fit, patterns["training"], errors["training"]),
+        ),
+    )
+
+
+def system_settings(system: System, recording: SystemRecording) -> Settings:
+    """Settings with a smoothing that suits a recording of a system.
+
+    Averaged splines of the widest spacing that takes next to nothing from the states, each by
+    itself, as `choose_spacing` finds it from how well splines predict samples that they leave out.
+    They are divided where velocities change sign only if an equation contains a sign, as of dry
+    friction: without one, accelerations do not jump.
+
+    (A robot's settings are chosen by the torque that they predict. A known side that is zero, or
+    made of derivatives, shrinks with smoothing, and would speak for ever more of it.)
+
+    **Arguments**
+
+    - `system`: whose states are smoothed.
+    - `recording`: of all its states.
+
+    **Returns** the settings; the defaults of a system without states.
+
+    **Raises** `RecordingError` for a column that is missing.
+
+    >>> import numpy as np, sympy
+    >>> from sympy.physics.mechanics import dynamicsymbols
+    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, system_settings
+    >>> level, inflow = dynamicsymbols("level inflow")
+    >>> area = sympy.Symbol("area")
+    >>> equations = {"volume": sympy.Eq(inflow, area * level.diff())}
+    >>> tank = System("tank", equations, (Variable(level), Variable(inflow)), (Constant(area),))
+    >>> time = np.arange(400) * 0.1
+    >>> recording = SystemRecording(time, {"level": np.sin(time), "inflow": np.cos(time)})
+    >>> print(system_settings(tank, recording).preparation.smoothing.description)
+    averaged splines of (5,) samples
+    """
+    if not system.states:
+        return Settings()
+    names = [system.variables[index].column_name for index in system.states]
+    position = np.stack([recording.column(name) for name in names], axis=1)
+    longest = max(recording.samples // _KNOTS, _SPACINGS[0])
+    candidates = [spacing for spacing in _SPACINGS if spacing <= longest]
+    sections = any(system.signs)
+    spacing = choose_spacing(recording.time, position, candidates=candidates, sections=sections)
+    return Settings(Preparation(AveragedSplines(spacing, sections)))
+
+
+def _warnings(
+    network: SystemNetwork, fit: Identification, patterns: Patterns, errors: ErrorTable
+) -> Iterator[str]:
+    """One sentence for a meaningless condition, and one for each equation of whose known side's
+    variance the fit explains less than half."""
+    yield from condition_warning(fit)
+    deviation = np.std(np.asarray(patterns.torque), axis=0)
+    for name, rms, size in zip(
+        network.output_names, np.asarray(errors.rms[0]), deviation, strict=True
+    ):
+        if size > 0.0 and rms > np.sqrt(0.5) * size:
+            yield (
+                f"{name}: training RMS {rms:.3g}, standard deviation of its known side {size:.3g}:"
+                " the model explains less than half of the variance; check units and signs"
+            )
+
+
+def _without_progress(step: str) -> None:
+    del step
