@@ -34,7 +34,7 @@ LAYERS = {
     "identification": {"network", "motion", "inertia", "plotting"},
     "training": {"adaptive"},
     "assessment": {"identification"},
-    "systems": {"identification", "training"},
+    "systems": {"identification"},
     "control": {"network"},
     "export": {"identification"},
     "payload": {"identification", "control"},

@@ -12,6 +12,10 @@ from ._inverse_dynamics import (
     inverse_dynamics as inverse_dynamics,
 )
 from ._layers import ContextLayer as ContextLayer, Layer as Layer
+from ._linear_combiner import (
+    RegressorInputs as RegressorInputs,
+    linear_combiner as linear_combiner,
+)
 from ._links import Links as Links
 from ._network import (
     AdaptiveNetwork as AdaptiveNetwork,

@@ -1,5 +1,4 @@
 from ._identify import identify_system as identify_system, system_settings as system_settings
-from ._learning import SystemInputs as SystemInputs, adaptive_network as adaptive_network
 from ._network import SystemNetwork as SystemNetwork, SystemTerm as SystemTerm
 from ._patterns import system_derivatives as system_derivatives, system_patterns as system_patterns
 from ._recording import (

@@ -31,7 +31,7 @@ class System:
     The five stages of C.2 are its properties and what is done with them: the symbolic form
     (`equations`), numbers in place of what is known (`numeric`), unknown constants apart from
     known variables (`separation`), the network (`network`), and training (`identify_system`,
-    `LeastSquares`, or any rule of `jaxcslc.training` on `adaptive_network`).
+    `LeastSquares`, or any rule of `jaxcslc.training` on `jaxcslc.adaptive.linear_combiner`).
 
     **Attributes**
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.adaptive import linear_combiner
 from jaxcslc.motion import RecordingError
 from jaxcslc.systems import (
     System,
     SystemRecording,
     SystemReport,
-    adaptive_network,
     identify_system,
     load_system_recording,
     system_derivatives,
@@ -119,7 +119,7 @@ def test_columns_are_the_regressor_without_zeros(cart: System, rng: np.random.Ge
 def test_learning_rules_end_where_the_direct_solve_does(
     cart: System, patterns: "Patterns", report: SystemReport, rule: AbstractRule
 ) -> None:
-    network = adaptive_network(cart.network)
+    network = linear_combiner(cart.network)
     training_set = examples(network, patterns, patterns.torque, patterns.mask)
     start = 0.5 * jnp.asarray(truth(cart))  # PERAL cannot start from zeros
     training = train(network, training_set, start, rule, epochs=300, throw=False)
