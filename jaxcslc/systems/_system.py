@@ -170,7 +170,7 @@ class System:
 
         `dot(x)` and `ddot(x)` stand for derivatives.
         """
-        return MappingProxyType({name: self._sides(name, ()) for name in self.equations})
+        return MappingProxyType({name: self._sides(name) for name in self.equations})
 
     @cached_property
     def numeric(self) -> Mapping[str, tuple[Any, Any]]:
@@ -178,8 +178,18 @@ class System:
 
         An equation whose left side alone has unknown constants is turned round.
         """
+        from sympy import Rational
+
         unknown = {self.symbols.constants[constant.name] for constant in self.unknown}
-        sides = {name: self._sides(name) for name in self.equations}
+        values = {
+            self.symbols.constants[c.name]: Rational(repr(float(c.value)))
+            for c in self.known
+            if c.value is not None
+        }
+        sides = {
+            name: (left.xreplace(values), right.xreplace(values))
+            for name, (left, right) in self.symbolic.items()
+        }
         return MappingProxyType(
             {
                 name: (right, left)
@@ -310,11 +320,8 @@ class System:
         derivatives = {self.symbols.motion[index, 1], self.symbols.motion[index, 2]}
         return variable.rate is not None or bool(used & derivatives)
 
-    def _sides(self, name: str, constants: tuple[Constant, ...] | None = None) -> tuple[Any, Any]:
-        """Of an equation in plain symbols.
-
-        - `constants`: whose values are put in; those of the system if omitted.
-        """
+    def _sides(self, name: str) -> tuple[Any, Any]:
+        """Of an equation in plain symbols."""
         from sympy import Eq, Integer
 
         equation = self.equations[name]
@@ -324,8 +331,7 @@ class System:
                 " constants on its sides"
             )
         sides: Sequence[Any] = equation.args if isinstance(equation, Eq) else (equation, Integer(0))
-        where, constants = f"equation {name!r}", self.constants if constants is None else constants
-        left, right = (self.symbols.plain(side, where, constants) for side in sides)
+        left, right = (self.symbols.plain(side, f"equation {name!r}") for side in sides)
         return left, right
 
     def _check_constants(self) -> None:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 Verdict = Literal["alone", "only in combinations", "not at all"]
 
 
+_STEP = 1e-30
+
+
 @dataclasses.dataclass(frozen=True)
 class ConstantIdentifiability:
     """Whether an unknown constant follows from the coefficients, which are all that is determined.
@@ -59,13 +62,14 @@ def identifiability_of(
 
     names = list(symbols)
     draw = np.random.default_rng(0)
-    point = [
-        float(draw.uniform(0.5, 1.5)) * (-1 if symbols[name].is_negative else 1) for name in names
-    ]
-    derivatives = [[formula.diff(symbols[name]) for name in names] for formula in formulas]
-    gradient = np.array(
-        lambdify(list(symbols.values()), derivatives, modules="numpy")(*point), float
-    ).reshape(len(formulas), len(names))
+    point = np.array(
+        [draw.uniform(0.5, 1.5) * (-1 if symbols[name].is_negative else 1) for name in names]
+    )
+    function = lambdify(list(symbols.values()), list(formulas), modules="numpy", cse=True)
+    # Complex steps: derivatives of analytic functions to rounding, without their expressions.
+    steps = point[:, None] + 1j * _STEP * np.eye(len(names))
+    values = [np.broadcast_to(value, len(names)) for value in function(*steps)]
+    gradient = np.imag(np.array(values, complex)) / _STEP
     rank = numerical_rank(gradient.T)
     rows: list[ConstantIdentifiability] = []
     for index, name in enumerate(names):

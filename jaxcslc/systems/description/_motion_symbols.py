@@ -48,18 +48,20 @@ class MotionSymbols:
             {c.name: Symbol(c.name, **signs[c.sign]) for c in constants},
         )
 
-    def plain(self, expression: Any, where: str, constants: Sequence[Constant]) -> Any:
-        """An expression in these symbols alone, with known values put in.
+    def plain(self, expression: Any, where: str) -> Any:
+        """An expression in these symbols alone.
 
         Names decide, whatever assumptions SymPy's symbols carry.
 
         **Raises** `DescriptionError` for names that are neither variable nor constant, and for
         third derivatives.
         """
-        from sympy import Derivative, Rational, sympify
+        from sympy import Derivative, sympify
         from sympy.core.function import AppliedUndef
 
-        expression = sympify(expression).doit()
+        expression = sympify(expression)
+        if any(not isinstance(d.expr, AppliedUndef) for d in expression.atoms(Derivative)):
+            expression = expression.doit()
         index_of = {variable.name: index for index, variable in enumerate(self.variables)}
         replaced: dict[Any, Any] = {}
         for derivative in sorted(expression.atoms(Derivative), key=str):
@@ -92,12 +94,7 @@ class MotionSymbols:
                         f" ({', '.join(self.constants) or 'there are none'})"
                     )
             expression = expression.xreplace(replaced)
-        values = {
-            self.constants[c.name]: Rational(repr(float(c.value)))
-            for c in constants
-            if c.value is not None
-        }
-        return exact(expression.xreplace(values))
+        return exact(expression)
 
     @property
     def _listed(self) -> str:
