@@ -33,6 +33,7 @@ CHECKED = [
     "jaxcslc/network",
     "jaxcslc/payload",
     "jaxcslc/plotting",
+    "jaxcslc/systems",
     "jaxcslc/training",
     "scripts/benchmarks",
     "scripts/studies",
@@ -45,6 +46,7 @@ CHECKED = [
     "tests/motion",
     "tests/payload",
     "tests/plotting",
+    "tests/systems",
     "tests/training",
 ]
 

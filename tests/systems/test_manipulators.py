@@ -129,7 +129,7 @@ def network_values(network: jc.CSLC, values: dict[str, float]) -> np.ndarray:
         )
         for i in range(1, network.joint_count + 1)
     ]
-    friction = {
+    friction: dict[str, Any] = {
         kind: [values[f"{symbol}{i}"] for i in range(1, network.joint_count + 1)]
         for kind, symbol in (("viscous", "kv"), ("dry", "kd"))
     }

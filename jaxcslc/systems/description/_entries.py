@@ -2,14 +2,10 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 from ._errors import DescriptionError
 from ._units import check_unit
-
-
-Kind = Literal["state", "input"]
-Sign = Literal["positive", "negative"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +39,7 @@ class Variable:
     column: str | None = None
     rate: str | None = None
     second_rate: str | None = None
-    kind: Kind | None = None
+    kind: str | None = None
 
     def __post_init__(self) -> None:
         check_symbol(self.symbol, "variable", function=True)
@@ -94,7 +90,7 @@ class Constant:
     symbol: Any
     unit: str = ""
     value: float | None = None
-    sign: Sign | None = None
+    sign: str | None = None
     bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:

@@ -115,6 +115,7 @@ class _Reader:
 
     def _called(self, name: str, arguments: list[ast.expr]) -> Any:
         import sympy
+        from sympy.logic.boolalg import Boolean
 
         values = [self.read(argument) for argument in arguments]
         if name in _RATES and len(values) == 1:
@@ -132,7 +133,7 @@ class _Reader:
             return getattr(sympy, name.capitalize())(*values)
         if name == "where" and len(values) == 3:
             condition, then, otherwise = values
-            if not getattr(condition, "is_Boolean", False):
+            if not isinstance(condition, Boolean):
                 raise DescriptionError(
                     "where: expected a comparison first, as in where(x > 0, A, B)"
                 )

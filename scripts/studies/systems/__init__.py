@@ -1,0 +1,1 @@
+"""Identification of systems that are not manipulators: worked examples with their truth."""

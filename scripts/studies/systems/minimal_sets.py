@@ -1,0 +1,148 @@
+"""Are the coefficients of random systems as few as their equations need?
+
+For each system: the number of coefficients that exact separation finds; the numeric rank of their
+regressor at random states; and how many coefficients the equations need, as a rank that knows
+nothing of separation: what the equations say at random states, for many random sets of constants.
+All three are to be the same. Takes half a minute for 100 systems.
+
+    .venv/bin/python -m scripts.studies.systems.minimal_sets
+"""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import sympy as sp
+from sympy.physics.mechanics import dynamicsymbols
+
+from jaxcslc._rank import numerical_rank
+from jaxcslc.systems import Constant, System, Variable
+
+
+_VARIABLES = dynamicsymbols("x y theta u")
+_CONSTANTS = sp.symbols("a b c d e f")
+# States and sets of constants that the ranks are taken over.
+_DRAWS = 60
+
+
+@dataclasses.dataclass(frozen=True)
+class Ranks:
+    """Of one system.
+
+    **Attributes**
+
+    - `coefficients`: how many separation finds.
+    - `regressor`: numeric rank of what multiplies them.
+    - `needed`: numeric rank of the equations over states and constants.
+    """
+
+    coefficients: int
+    regressor: int
+    needed: int
+
+    @property
+    def agree(self) -> bool:
+        """Whether the set is minimal."""
+        return self.coefficients == self.regressor == self.needed
+
+
+def random_system(rng: np.random.Generator) -> System:
+    """One to three equations: sums of products of constants times products of functions.
+
+    Products recur, alone and in sums, with other multiples, and angles as sums and multiples.
+    """
+    x, y, theta, u = _VARIABLES
+    rate = theta.diff()
+    functions = [
+        *(x, y, x.diff(), y.diff(), rate, rate.diff(), sp.Integer(1), u),
+        *(sp.sin(theta), sp.cos(theta), sp.sin(2 * theta), sp.cos(theta + x), sp.sin(theta - x)),
+        *(sp.sign(rate), sp.Abs(x), sp.sqrt(x**2 + 1), sp.exp(-y), sp.tanh(y), sp.Max(x, 0)),
+    ]
+    symbols = _CONSTANTS[: rng.integers(3, len(_CONSTANTS) + 1)]
+
+    def product(factors: Sequence[Any], most: int) -> Any:
+        indices = rng.choice(len(factors), rng.integers(1, most + 1))
+        return sp.Mul(*(factors[i] for i in indices))
+
+    def group() -> Any:
+        """A sum of products of constants."""
+        terms = (
+            sp.Rational(int(rng.integers(-3, 4)), int(rng.integers(1, 4))) * product(symbols, 3)
+            for _ in range(rng.integers(1, 4))
+        )
+        return sum(terms) + (int(rng.integers(1, 4)) if rng.random() < 0.2 else 0)
+
+    groups = [group() for _ in range(rng.integers(2, 6))]
+    inputs = [product(functions, 3) for _ in range(rng.integers(2, 7))]
+    equations: dict[str, Any] = {}
+    for number in range(1, rng.integers(1, 4) + 1):
+        addends = [
+            int(rng.integers(1, 4))
+            * groups[rng.integers(len(groups))]
+            * inputs[rng.integers(len(inputs))]
+            for _ in range(rng.integers(2, 7))
+        ]
+        equations[str(number)] = sp.Eq(u, sum(addends) + group() * x, evaluate=False)
+    everything = sp.Tuple(*equations.values())
+    return System(
+        "random",
+        equations,
+        tuple(Variable(v) for v in _VARIABLES if everything.has(v)),
+        tuple(Constant(s) for s in _CONSTANTS if s in everything.free_symbols),
+    )
+
+
+def ranks_of(system: System, rng: np.random.Generator) -> Ranks:
+    """The three numbers that are to be the same."""
+    motion = list(system.symbols.motion.values())
+    states = rng.uniform(-2.0, 2.0, (len(motion), _DRAWS))
+    separation = system.separation
+    columns = _evaluated(motion, [x for row in separation.regressor for x in row], states)
+    regressor = columns.reshape(len(system.outputs), -1, _DRAWS).transpose(0, 2, 1)
+    constants = [system.symbols.constants[constant.name] for constant in system.unknown]
+    residuals = [left - right for left, right in system.numeric.values()]
+    function = sp.lambdify([*motion, *constants], residuals, modules="numpy")
+    values = rng.uniform(0.5, 1.5, (len(constants), 1, _DRAWS))
+    rows = function(*states[:, :, None], *values)
+    said = np.concatenate([np.broadcast_to(row, (_DRAWS, _DRAWS)) for row in rows])
+    return Ranks(
+        len(separation.coefficients),
+        numerical_rank(regressor.reshape(-1, regressor.shape[-1])),
+        numerical_rank(said - said[:, :1]),
+    )
+
+
+def _evaluated(motion: Sequence[Any], expressions: Sequence[Any], states: np.ndarray) -> np.ndarray:
+    values = sp.lambdify(motion, list(expressions), modules="numpy")(*states)
+    return np.stack([np.broadcast_to(np.asarray(x, float), _DRAWS) for x in values])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints a line for each system whose numbers differ, and how many agree."""
+    from scripts.studies.command import new_parser, require_least
+
+    parser = new_parser(__doc__, "systems")
+    parser.add_argument("--systems", type=int, default=100, help="how many are drawn")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    require_least(parser, options, systems=1)
+    rng = np.random.default_rng(options.seed)
+    agreeing, coefficients = 0, []
+    for number in range(1, options.systems + 1):
+        system = random_system(rng)
+        ranks = ranks_of(system, rng)
+        agreeing += ranks.agree
+        coefficients.append(ranks.coefficients)
+        if not ranks.agree:
+            print(f"system {number}: {ranks}\n{system}")
+    print(
+        f"{agreeing} of {options.systems} systems: as many coefficients as the equations need;"
+        f" {min(coefficients)} to {max(coefficients)} of them"
+    )
+    return 0 if agreeing == options.systems else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
