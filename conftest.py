@@ -4,10 +4,16 @@ Fixtures are in `tests/conftest.py`.
 """
 
 import ctypes
+import functools
 import gc
+import inspect
 import os
+from collections import Counter
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
+from types import CodeType
+from typing import Any
 
 
 # Read once, when the libraries below are loaded, and inherited by the workers of `pytest -n`. One
@@ -26,6 +32,7 @@ if version("jaxlib").startswith("0.10."):
 
 import hypothesis
 import jax
+import jaxtyping
 import pytest
 
 
@@ -45,6 +52,47 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 # The same examples in every run, however slow the machine.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("repeatable")
+
+# Annotations are checked at run time by jaxtyping's import hook. A check takes 60 µs, a simulated
+# sample had forty of them, and a local function was prepared for its checks (1 ms) whenever the
+# function around it ran: two thirds of the time of a recording. In each test, every function's
+# first calls are checked, and of the later ones some.
+_ALL_CHECKED = 20
+_CHECKED_LATER = 100  # one in so many
+
+_calls: Counter[CodeType] = Counter()
+_check_annotations: Any = jaxtyping.jaxtyped
+
+
+def _checked_at_first(function: Any = None, *, typechecker: Any) -> Any:
+    """In place of `jaxtyping.jaxtyped`, which the import hook puts on functions and classes."""
+    if function is None:
+        return functools.partial(_checked_at_first, typechecker=typechecker)
+    if not inspect.isfunction(function):
+        return _check_annotations(function, typechecker=typechecker)
+    code = function.__code__
+    checked: Callable[..., Any] | None = None
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal checked
+        _calls[code] = count = _calls[code] + 1
+        if count > _ALL_CHECKED and count % _CHECKED_LATER:
+            return function(*args, **kwargs)
+        checked = checked or _check_annotations(function, typechecker=typechecker)
+        assert checked is not None
+        return checked(*args, **kwargs)
+
+    return call
+
+
+jaxtyping.jaxtyped = _checked_at_first
+
+
+def pytest_runtest_setup() -> None:
+    """Each test's first calls are checked."""
+    _calls.clear()
+
 
 # A compiled program takes 1.3 MB and some memory maps, of which Linux allows a process 65,530: with
 # every program of the suite, a worker would take 10 GB, or end when it loads one too many.
