@@ -134,7 +134,7 @@ def test_report_is_printed_and_saved(report: SystemReport, tmp_path: Path) -> No
     assert {path.name for path in files} == {
         "coefficients.csv",
         "identification.json",
-        *(f"{stem}_{name}.csv" for stem in ("errors", "torque") for name in report.patterns),
+        *(f"{stem}_{name}.csv" for stem in ("errors", "known_sides") for name in report.patterns),
     }
     document = json.loads((tmp_path / "results" / "identification.json").read_text("utf-8"))
     assert set(document["separated"]["rail"]["regressor"]) == {"mass", "damping", "dry"}

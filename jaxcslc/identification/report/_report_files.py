@@ -53,7 +53,8 @@ def write_report(
     - `document`: what `identification.json` holds.
 
     **Returns** the files: `coefficients.csv`, `identification.json`, and for every recording
-    `errors_NAME.csv`, `torque_NAME.csv` and, with `pictures`, `torque_NAME.png`.
+    `errors_NAME.csv`, `torque_NAME.csv` and, with `pictures`, `torque_NAME.png`; of another system
+    than a robot, its known sides in place of torques.
     """
     network = report.network
     coefficients, identification = folder / "coefficients.csv", folder / "identification.json"
@@ -61,7 +62,7 @@ def write_report(
     write_json(identification, document)
     written = [coefficients, identification]
     for name, patterns in report.patterns.items():
-        errors, torque, picture = recording_files(folder, name)
+        errors, torque, picture = recording_files(folder, name, network.output_quantity)
         predicted = np.asarray(predicted_torque(network, patterns, report.fit.k))
         write_csv(errors, _error_rows(patterns, report.errors[name]))
         _write_torque(torque, network, patterns, predicted)
@@ -84,15 +85,16 @@ def save_report(
     with all_or_nothing(folder) as scratch:
         names = [path.name for path in write_report(scratch, report, document, pictures=pictures)]
     for recording in RECORDINGS:
-        for path in recording_files(folder, recording):
+        for path in recording_files(folder, recording, report.network.output_quantity):
             if path.name not in names:
                 path.unlink(missing_ok=True)
     return tuple(folder / name for name in names)
 
 
-def recording_files(folder: Path, name: str) -> tuple[Path, Path, Path]:
-    """The files about one recording: its errors, its torques and their picture."""
-    stems = (f"errors_{name}.csv", f"torque_{name}.csv", f"torque_{name}.png")
+def recording_files(folder: Path, name: str, quantity: str) -> tuple[Path, Path, Path]:
+    """The files about one recording: its errors, its torques or known sides, and their picture."""
+    stem = quantity.replace(" ", "_")
+    stems = (f"errors_{name}.csv", f"{stem}_{name}.csv", f"{stem}_{name}.png")
     errors, torque, picture = (folder / stem for stem in stems)
     return errors, torque, picture
 
