@@ -79,14 +79,15 @@ def system_patterns(
         )
     inside = slice(trim, recording.samples - trim)
     q, qd, qdd = (values[inside] for values in derivatives)
-    known = system.evaluate(system.separation.known, q, qd, qdd)
+    separation = system.separation
+    known = system.evaluate(separation.known, q, qd, qdd)
     for name, values in zip(system.outputs, known.T, strict=True):
-        if not np.all(np.isfinite(values)):
-            sample = int(np.argmin(np.isfinite(values))) + trim + 1
-            raise ValueError(
-                f"equation {name!r}: {values[sample - trim - 1]} at sample {sample}; expected"
-                " measurements for which its known side is a finite number"
-            )
+        _check_finite(values, f"equation {name!r}, its known side", trim)
+    for name, row in zip(system.outputs, separation.regressor, strict=True):
+        for coefficient, values in zip(
+            separation.names, system.evaluate(row, q, qd, qdd).T, strict=True
+        ):
+            _check_finite(values, f"equation {name!r}, what multiplies {coefficient}", trim)
     mask = _mask(system, preparation, (q, qd, qdd))
     if not np.any(mask):
         raise ValueError(
@@ -133,6 +134,17 @@ def system_derivatives(
                 if target is qd:
                     qdd[:, i] = np.gradient(column, time, edge_order=2)
     return q, qd, qdd
+
+
+def _check_finite(values: Float[np.ndarray, " samples"], what: str, trim: int) -> None:
+    """**Raises** `ValueError` naming the first sample that is not finite, counted from 1."""
+    finite = np.isfinite(values)
+    if not np.all(finite):
+        first = int(np.argmin(finite))
+        raise ValueError(
+            f"{what}: {values[first]} at sample {first + trim + 1}; expected measurements for which"
+            " it is a finite number"
+        )
 
 
 def _mask(

@@ -81,7 +81,7 @@ class System:
                     f"units: no equation {output!r}; expected some of {', '.join(self.equations)}"
                 )
             check_unit(unit, f"units of {output!r}")
-        self._check_constants()
+        self._check_use()
 
     @classmethod
     def from_lagrangian(
@@ -334,12 +334,18 @@ class System:
         left, right = (self.symbols.plain(side, f"equation {name!r}") for side in sides)
         return left, right
 
-    def _check_constants(self) -> None:
-        """**Raises** `DescriptionError` for a constant that is in no equation."""
+    def _check_use(self) -> None:
+        """**Raises** `DescriptionError` for a constant or variable that is in no equation."""
         used = {x for sides in self.symbolic.values() for side in sides for x in side.free_symbols}
-        for constant in self.constants:
-            if self.symbols.constants[constant.name] not in used:
+        symbols = {
+            f"constant {constant.name!r}": {self.symbols.constants[constant.name]}
+            for constant in self.constants
+        } | {
+            f"variable {variable.name!r}": {self.symbols.motion[i, order] for order in range(3)}
+            for i, variable in enumerate(self.variables)
+        }
+        for name, alternatives in symbols.items():
+            if not alternatives & used:
                 raise DescriptionError(
-                    f"constant {constant.name!r} is in no equation; expected it in one, or not at"
-                    " all"
+                    f"{name} is in no equation; expected it in one, or not at all"
                 )

@@ -1,3 +1,4 @@
+import keyword
 import os
 import tomllib
 from collections.abc import Collection, Mapping
@@ -5,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ._system import System
-from .description import Constant, DescriptionError, Variable, parse_equation
+from .description import RESERVED, Constant, DescriptionError, Variable, parse_equation
 
 
 _KEYS = {"name", "about", "variables", "constants", "equations", "units"}
@@ -132,9 +133,10 @@ def _is_number(value: Any) -> bool:
 
 
 def _identifier(name: str) -> str:
-    if not name.isidentifier() or name in ("pi", "time", "dot", "ddot"):
+    if not name.isidentifier() or keyword.iskeyword(name) or name in RESERVED:
         raise DescriptionError(
-            f"name {name!r}: expected letters, digits and _, and none of time, pi"
+            f"name {name!r}: expected letters, digits and _, and neither a word of Python nor one"
+            f" of {', '.join(RESERVED)}"
         )
     return name
 

@@ -199,3 +199,14 @@ def test_a_file_may_have_other_columns(cart: System, tmp_path: Path) -> None:
 def test_options_of_joints_are_refused(cart: System) -> None:
     with pytest.raises(ValueError, match="expected backlash=False"):
         system_patterns(cart, cart_motion(0.0), jc.Preparation(backlash=True))
+
+
+def test_states_outside_of_a_function_are_named() -> None:
+    tank = load_from(
+        'name = "tank"\nvariables = { h = {}, u = {} }\nconstants = { a = {}, c = {} }\n'
+        'equations = { volume = "u = a*dot(h) + c*sqrt(h)" }'
+    )
+    time = np.arange(100) * 0.1
+    recording = SystemRecording(time, {"h": 1.95 - time, "u": time})
+    with pytest.raises(ValueError, match="'volume', what multiplies c: nan at sample 21"):
+        system_patterns(tank, recording)

@@ -132,6 +132,11 @@ WRONG_FILES = {
         CART.replace("[equations]", "drag = {}\n[equations]"),
         "constant 'drag' is in no equation",
     ),
+    "variable in no equation": (
+        CART.replace("[constants]", "speed = {}\n[constants]"),
+        "variable 'speed' is in no equation",
+    ),
+    "name": (CART.replace("dry", "lambda"), "name 'lambda': expected letters"),
     "unit": (CART.replace('"kg"', '"k(g)"'), "constant 'mass': unit 'k(g)': cannot read 'k(g)'"),
     "value": (
         CART.replace('unit = "kg"', 'value = "2"'),

@@ -14,6 +14,8 @@ _FUNCTIONS = {
     "abs": "Abs",
 }
 _RATES = {"dot": 1, "ddot": 2}
+RESERVED = ("pi", "min", "max", "where", *_RATES, *_FUNCTIONS)
+"""Names that formulas give a meaning."""
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
     ast.Add: lambda x, y: x + y,
     ast.Sub: lambda x, y: x - y,
