@@ -15,10 +15,13 @@ from ..identification import (
 from ..identification.report import condition_warning
 from ..motion import AveragedSplines, Patterns, Preparation, choose_spacing
 from ._network import SystemNetwork
+from ._nonlinear import search_constants
 from ._patterns import system_patterns
 from ._recording import SystemRecording
 from ._report import SystemReport
+from ._simulation import Simulation, simulate_system
 from ._system import System
+from .description import DescriptionError
 
 
 # Spacings of splines that are tried, as by `choose_spacing`, and those for finer sampling.
@@ -36,6 +39,10 @@ def identify_system(
     progress: Callable[[str], None] | None = None,
 ) -> SystemReport:
     """Identifies a system's coefficients from a recording, and judges the result (thesis C.2).
+
+    Constants that enter nonlinearly are searched, as by `search_constants`. The identified system
+    is simulated from the first sample of the validation recording, if its equations can be solved
+    for the highest derivatives: see `simulate_system`.
 
     **Arguments**
 
@@ -85,8 +92,19 @@ def identify_system(
         except ValueError as error:
             raise ValueError(f"{name} recording: {error}") from None
     assert settings is not None
-    step("fitting coefficients")
-    fit = settings.fit(network, patterns["training"])
+    search = None
+    if system.nonlinear:
+        step("searching constants")
+        search = search_constants(system, patterns["training"], settings.solver)
+        patterns = {name: search.with_known_sides(values) for name, values in patterns.items()}
+        network, fit = search.network, search.coefficients
+    else:
+        step("fitting coefficients")
+        fit = settings.fit(network, patterns["training"])
+    simulation = None
+    if validation is not None:
+        step("simulating")
+        simulation = _simulation(system, network, fit, patterns["validation"])
     step("computing errors")
     errors = {name: compare(network, values, {"fit": fit.k}) for name, values in patterns.items()}
     if validation is None:
@@ -105,6 +123,8 @@ def identify_system(
             *held_out.warnings,
             *_warnings(network, fit, patterns["training"], errors["training"]),
         ),
+        search,
+        simulation,
     )
 
 
@@ -149,6 +169,16 @@ def system_settings(system: System, recording: SystemRecording) -> Settings:
     sections = any(system.signs)
     spacing = choose_spacing(recording.time, position, candidates=candidates, sections=sections)
     return Settings(Preparation(AveragedSplines(spacing, sections)))
+
+
+def _simulation(
+    system: System, network: SystemNetwork, fit: Identification, patterns: Patterns
+) -> Simulation | str:
+    """The motion of the identified system, or why it cannot be simulated."""
+    try:
+        return simulate_system(system, fit.k, patterns, network=network)
+    except DescriptionError as error:
+        return str(error)
 
 
 def _warnings(

@@ -27,6 +27,8 @@ from ..identification.report import (
 )
 from ..motion import Patterns
 from ._network import SystemNetwork
+from ._search_result import ConstantSearch
+from ._simulation import Simulation
 from ._system import System
 
 
@@ -48,6 +50,9 @@ class SystemReport:
     - `held_out`: errors of the validation recording beside those of the training recording; without
       a validation recording by cross-validation.
     - `warnings`: one sentence each.
+    - `search`: of the constants that enter nonlinearly; None without any.
+    - `simulation`: of the identified system from the first sample of the validation recording, or
+      why it cannot be simulated; None without a validation recording.
 
     >>> import numpy as np, sympy
     >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, identify_system
@@ -71,6 +76,8 @@ class SystemReport:
     excitation: Excitation
     held_out: HeldOut
     warnings: tuple[str, ...] = ()
+    search: ConstantSearch | None = None
+    simulation: Simulation | str | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -119,6 +126,7 @@ class SystemReport:
         separation = self.network.system.separation
         yield [str(self.network), f"settings: {self.settings}"]
         yield [coefficient_text(self.rows())]
+        yield [] if self.search is None else ["searched constants", str(self.search)]
         yield [
             *(str(row) for row in separation.identifiability if row.verdict != "alone"),
             *separation.notes,
@@ -127,7 +135,15 @@ class SystemReport:
         for name, table in self.errors.items():
             yield [f"equation error, {name} recording", str(table)]
         yield held_out_lines(self.held_out, "equation by equation")
+        yield self._simulation_lines()
         yield [f"warning: {warning}" for warning in self.warnings]
+
+    def _simulation_lines(self) -> list[str]:
+        if self.simulation is None:
+            return []
+        if isinstance(self.simulation, str):
+            return [f"not simulated: {self.simulation}"]
+        return ["simulation, validation recording", str(self.simulation)]
 
 
 def save_derivation(system: System, folder: str | Path) -> tuple[Path, ...]:
@@ -195,6 +211,8 @@ def _document(report: SystemReport) -> dict[str, Any]:
         "expressions": [coefficient.expression for coefficient in network.coefficients],
         "units": [coefficient.unit for coefficient in network.coefficients],
         "searched": {constant.name: value for constant, value in nonlinear},
+        "minima": _minima(report.search),
+        "simulation": _simulation_document(report.simulation),
         "unidentifiable": report.fit.unidentifiable,
         **report.fit.document(),
         "least_determined": report.excitation.worst_combination,
@@ -207,4 +225,34 @@ def _document(report: SystemReport) -> dict[str, Any]:
         "equation_error_rms": {name: table.rms[0] for name, table in errors.items()},
         "share_judged": {name: table.share_judged for name, table in errors.items()},
         "warnings": report.warnings,
+    }
+
+
+def _minima(search: ConstantSearch | None) -> list[dict[str, Any]]:
+    """Of the error over the searched constants, the best first."""
+    if search is None:
+        return []
+    return [
+        {
+            "constants": dict(zip(search.names, minimum.values.tolist(), strict=True)),
+            "equation_error_rms": minimum.error.tolist(),
+            "starts": minimum.starts,
+        }
+        for minimum in search.minima
+    ]
+
+
+def _simulation_document(simulation: Simulation | str | None) -> dict[str, Any] | None:
+    if simulation is None:
+        return None
+    if isinstance(simulation, str):
+        return {"not_simulated": simulation}
+    rms = np.where(np.isfinite(simulation.error), simulation.error, np.nan)
+    return {
+        "seconds": float(simulation.time[-1] - simulation.time[0]),
+        "rms": {
+            name: None if np.isnan(value) else float(value)
+            for name, value in zip(simulation.names, rms, strict=True)
+        },
+        "horizon": simulation.horizon(),
     }

@@ -1,0 +1,287 @@
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._environment import require_float64
+from ..identification import Identification, LeastSquares
+from ..identification.solver import Equations, Unknowns
+from ..motion import Patterns
+from ._network import SystemNetwork
+from ._projected_error import JudgedError, ProjectedError
+from ._search_result import ConstantSearch, Minimum
+from ._system import System
+from .description import DescriptionError
+
+
+# Samples that a search looks at: more would only repeat what smoothing has made alike. The final
+# fit looks at all.
+_SAMPLES = 1500
+_BATCH = 16  # candidates at once
+_STEPS = 60  # of a local search
+_ROUNDS = 3  # local search, then new weights of outputs
+_TOLERANCE = 1e-7
+_REFINED = 8  # candidates that local searches start from
+# Minima no further apart than this part of the bounds are one.
+_SAME = 1e-4
+_AT_BOUND = 1e-5
+_FINAL_STEPS = 8
+# Of a standard error: steps that are smaller end the final fit.
+_SMALL_STEP = 0.02
+
+
+def search_constants(
+    system: System,
+    patterns: Patterns,
+    solver: LeastSquares | None = None,
+    *,
+    starts: int = 32,
+    candidates: int = 512,
+    seed: int = 0,
+) -> ConstantSearch:
+    """Searches the constants that enter nonlinearly, and fits the coefficients that belong to them.
+
+    The extension that thesis 8.2.5 ends with: an equation that is not linear in all its constants.
+    For any values of those that enter nonlinearly, the coefficients are the solution of the direct
+    solve, so that only the former are searched (variable projection: Golub and Pereyra, SIAM J.
+    Numer. Anal. 10, 1973; derivatives after Kaufman, BIT 15, 1975), by Levenberg and Marquardt's
+    method of optimistix, within their bounds. A last fit of both together gives standard errors.
+
+    What is lost is the single minimum. Searches start from points spread evenly within the bounds,
+    and from the best candidates whose error is less than that of their neighbours (Törn and
+    Viitanen's topographical search); the result lists all minima.
+
+    **Arguments**
+
+    - `patterns`: a prepared recording, as by `system_patterns`.
+    - `solver`: of the direct solve, with its weights; loss and cutoff count in the last fit.
+    - `starts`: evenly spread; `candidates`: evenly spread points at which the error is evaluated.
+      More candidates see narrower minima.
+    - `seed`: of the points.
+
+    **Returns** values, coefficients, and all minima.
+
+    **Raises**
+
+    - `DescriptionError`: no constant of the system is to be searched.
+    - `ValueError`: fewer than one start or candidate.
+    - `RuntimeError`: the error is finite for no candidate.
+
+    >>> import numpy as np, sympy
+    >>> from jaxcslc.systems import (
+    ...     Constant, System, SystemRecording, Variable, search_constants, system_patterns
+    ... )
+    >>> x, y, a, n = sympy.symbols("x y a n")
+    >>> power = System(
+    ...     "power law", {"y": sympy.Eq(y, a * x**n)}, (Variable(x), Variable(y)),
+    ...     (Constant(a), Constant(n, bounds=(0.2, 2.0))),
+    ... )
+    >>> t = np.linspace(0, 2, 201)
+    >>> recording = SystemRecording(t, {"x": 1 + t, "y": 3 * (1 + t) ** 0.7})
+    >>> search = search_constants(power, system_patterns(power, recording), starts=2, candidates=8)
+    >>> round(search.values["n"], 6)
+    0.7
+    """
+    if not system.nonlinear:
+        raise DescriptionError(
+            f"{system.name}: no constant is to be searched; expected some with bounds, as in"
+            " Constant(n, bounds=(0.2, 1.0))"
+        )
+    if starts < 1 or candidates < 1:
+        raise ValueError(
+            f"starts is {starts} and candidates {candidates}; expected 1 or more of both"
+        )
+    solver = LeastSquares() if solver is None else solver
+    require_float64(patterns.q, patterns.qd, patterns.qdd, patterns.torque)
+    low, high = np.array([constant.bounds for constant in system.nonlinear], float).T
+    problem = ProjectedError.of(system.network, patterns, solver, low, high, _SAMPLES)
+    spread = _spread(starts, len(low), seed)
+    points = np.concatenate([spread, _candidates(problem, candidates, seed)])
+    ends = [_local_search(problem, point) for point in points]
+    minima = _different(problem, ends, starts)
+    values, fit = _together(system.network, patterns, solver, minima[0].values, (low, high))
+    at_bound = _at_bound(values, low, high)
+    return ConstantSearch(
+        tuple(constant.name for constant in system.nonlinear),
+        fit,
+        system.network.with_nonlinear(jnp.asarray(values)),
+        minima,
+        starts,
+        tuple(
+            constant.name
+            for constant, ends_there in zip(system.nonlinear, at_bound, strict=True)
+            if ends_there
+        ),
+    )
+
+
+class _End(NamedTuple):
+    """Where a local search ended; an objective that is not finite if it failed."""
+
+    values: Float[np.ndarray, " constants"]
+    objective: float
+    error: Float[np.ndarray, " outputs"]
+
+
+def _spread(count: int, constants: int, seed: int) -> Float[np.ndarray, "points constants"]:
+    """Evenly spread coordinates of the search, by Sobol's sequence, even in the constants."""
+    from scipy.stats import qmc  # takes a second to import
+
+    power = max(count - 1, 0).bit_length()
+    part = qmc.Sobol(constants, rng=np.random.default_rng(seed)).random_base2(power)[:count]
+    return np.arcsin(2.0 * part - 1.0)
+
+
+def _candidates(
+    problem: ProjectedError, count: int, seed: int
+) -> Float[np.ndarray, "points constants"]:
+    """The best points whose error is less than that of all their neighbours."""
+    points = _spread(count, len(problem.low), seed + 1)
+    objective = np.asarray(_objectives(problem, jnp.asarray(points)))
+    objective = np.where(np.isfinite(objective), objective, np.inf)
+    if not np.any(np.isfinite(objective)):
+        raise RuntimeError(
+            "the error is finite for no values of the searched constants; expected bounds within"
+            " which the equations can be evaluated"
+        )
+    at = np.sin(points)
+    neighbours = min(2 * at.shape[1] + 1, count)  # with the point itself
+    distance = np.sum((at[:, None] - at[None]) ** 2, axis=-1)
+    nearest = np.argsort(distance, axis=1)[:, :neighbours]
+    lowest = np.flatnonzero(objective <= np.min(objective[nearest], axis=1))
+    return points[lowest[np.argsort(objective[lowest])][:_REFINED]]
+
+
+@eqx.filter_jit
+def _objectives(problem: ProjectedError, points: Array) -> Array:
+    return jax.lax.map(
+        lambda point: problem.judged(problem.values(point)).objective, points, batch_size=_BATCH
+    )
+
+
+def _local_search(problem: ProjectedError, point: Float[np.ndarray, " constants"]) -> _End:
+    values, judged = _descended(problem, jnp.asarray(point))
+    return _End(np.asarray(values), float(judged.objective), np.asarray(judged.error))
+
+
+@eqx.filter_jit
+def _descended(problem: ProjectedError, point: Array) -> tuple[Array, JudgedError]:
+    import optimistix  # with its own dependencies, half a second
+
+    solver = optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
+    reweighted = problem.joint_weights == "residual" and len(problem.network.support) > 1
+
+    def one_round(point: Array, _: None) -> tuple[Array, None]:
+        weights = problem.judged(problem.values(point)).weights
+        solution = optimistix.least_squares(
+            lambda point, problem: problem.residual(point, weights),
+            solver,
+            point,
+            args=problem,
+            max_steps=_STEPS,
+            throw=False,
+        )
+        return solution.value, None
+
+    point, _ = jax.lax.scan(one_round, point, None, length=_ROUNDS if reweighted else 1)
+    values = problem.values(point)
+    return values, problem.judged(values)
+
+
+def _different(problem: ProjectedError, ends: list[_End], starts: int) -> tuple[Minimum, ...]:
+    """The minima that local searches ended in, the best first.
+
+    - `starts`: how many of the first searches count as evenly spread.
+    """
+    size = np.asarray(problem.high - problem.low)
+    order = sorted(
+        (index for index, end in enumerate(ends) if np.isfinite(end.objective)),
+        key=lambda index: ends[index].objective,
+    )
+    if not order:
+        raise RuntimeError("no local search ended in a finite error; expected other bounds")
+    groups: list[list[int]] = []
+    for index in order:
+        for group in groups:
+            off = np.abs(ends[index].values - ends[group[0]].values) / size
+            if np.all(off < _SAME):
+                group.append(index)
+                break
+        else:
+            groups.append([index])
+    best = ends[groups[0][0]].objective
+    return tuple(
+        Minimum(
+            ends[group[0]].values,
+            ends[group[0]].error,
+            float(np.exp(ends[group[0]].objective - best)),
+            sum(index < starts for index in group),
+        )
+        for group in groups
+    )
+
+
+def _at_bound(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    margin = _AT_BOUND * (high - low)
+    return (values < low + margin) | (values > high - margin)
+
+
+def _together(
+    network: SystemNetwork,
+    patterns: Patterns,
+    solver: LeastSquares,
+    values: Float[np.ndarray, " constants"],
+    bounds: tuple[np.ndarray, np.ndarray],
+) -> tuple[Float[np.ndarray, " constants"], Identification]:
+    """Coefficients and constants that minimise the solver's loss, by Gauss and Newton's method:
+    all patterns, and the solver's filter, loss and errors. Constants at a bound stay there."""
+    free = np.flatnonzero(~_at_bound(values, *bounds))
+    names = [constant.name for constant in network.system.nonlinear]
+    unknowns = Unknowns(
+        (*network.names, *(names[index] for index in free)),
+        tuple(
+            (*support, *range(network.size, network.size + len(free)))
+            for support in network.support
+        ),
+    )
+    problem = ProjectedError.of(network, patterns, solver, *bounds)
+    fit = solver.fit(network.with_nonlinear(jnp.asarray(values)), patterns)
+    for _ in range(_FINAL_STEPS):
+        rows, torque, slope = _linearised(problem, jnp.asarray(values), fit.k[: network.size])
+        columns = np.asarray(slope)[..., free]
+        equations = Equations.of(
+            unknowns,
+            np.concatenate([np.asarray(rows), columns], axis=-1),
+            np.asarray(torque) + columns @ values[free],
+            np.asarray(patterns.mask),
+            time=np.asarray(patterns.time),
+            cutoff=solver.cutoff,
+        )
+        fit = solver.fit_equations(equations, patterns.samples)
+        after = values.copy()
+        after[free] = np.clip(np.asarray(fit.k)[network.size :], *(x[free] for x in bounds))
+        step = np.abs(after - values)[free] / np.asarray(fit.standard_error)[network.size :]
+        values = after
+        if np.all(step < _SMALL_STEP):
+            break
+    return values, fit
+
+
+@eqx.filter_jit
+def _linearised(problem: ProjectedError, values: Array, k: Array) -> tuple[Array, Array, Array]:
+    """Regressor, torque, and derivatives by the constants of what coefficients predict beyond the
+    torque, (samples, outputs, s)."""
+
+    def excess(values: Array) -> Array:
+        network = problem.network.with_nonlinear(values)
+        motion = (problem.q, problem.qd, problem.qdd)
+        torque = problem.torque + network.known(*motion) - problem.network.known(*motion)
+        return network.regressor(*motion) @ k - torque
+
+    network = problem.network.with_nonlinear(values)
+    motion = (problem.q, problem.qd, problem.qdd)
+    rows = network.regressor(*motion)
+    return rows, rows @ k - excess(values), jax.jacfwd(excess)(values)

@@ -1,0 +1,223 @@
+"""Systems that are not manipulators: coefficients against the truth, and simulated motion.
+
+Six systems, each with a simulator of its own as the truth: a cart-pole and a quadrotor (MuJoCo), a
+DC motor with cogging torque and a belt, a vehicle, two coupled tanks, and Lorenz's oscillator
+(SciPy). Each recording has another noise, and there are so many different motions. Each is
+identified, and the identified system is simulated from the first sample of a validation recording
+with its inputs. A line a system:
+
+- **within 2 errors**: of all coefficients of all recordings, those that are within two standard
+  errors of the truth; **in interval**: those within the interval of 95 % by Student's t;
+- **worst coefficient**: the smallest share of a single one; **bias**: the largest mean error of a
+  coefficient in its standard deviations;
+- **equation error**: root mean square on validation recordings over that of training recordings,
+  the largest of all equations (median over recordings);
+- **simulation error**: root mean square over the variable's standard deviation, the largest of all
+  variables (median over recordings); beside it that of the true constants;
+- **follows for**: until a variable is off by half of its standard deviation [s]; the same for the
+  true constants.
+
+Takes about half an hour on two cores; with --quick under a minute once compiled. Finished rows stay
+in the output folder, and an interrupted run goes on from there.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from jaxcslc.identification import Identification
+from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc.motion import Patterns
+from jaxcslc.systems import SystemRecording, simulate_system, system_patterns
+from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
+from scripts.studies.systems.example import Example
+from scripts.studies.systems.examples import (
+    CART_POLE,
+    COUPLED_TANKS,
+    DC_MOTOR,
+    LORENZ,
+    QUADROTOR,
+    VEHICLE,
+)
+
+
+jax.config.update("jax_enable_x64", True)
+
+EXAMPLES = {
+    example.name: example
+    for example in (CART_POLE, QUADROTOR, DC_MOTOR, VEHICLE, COUPLED_TANKS, LORENZ)
+}
+_FOLDER = Path(__file__).parent
+# What rows depend on.
+CODE = [*sorted(_FOLDER.glob("*.py")), *sorted((_FOLDER / "examples").glob("*.*"))]
+
+
+def row_of(
+    example: Example, seed: int, training: SystemRecording, validation: SystemRecording | None
+) -> dict[str, Any]:
+    """Identifies a recording; simulates if there is one to compare with."""
+    settings, system = example.settings, example.system
+    patterns = system_patterns(system, training, settings.preparation)
+    fit = settings.solver.fit(system.network, patterns)
+    low, high = fit.confidence_interval(0.95).T
+    error = np.asarray(fit.k) - example.coefficients
+    row = {
+        "example": example.name,
+        "seed": seed,
+        "k": np.asarray(fit.k).tolist(),
+        "z": (error / np.asarray(fit.standard_error)).tolist(),
+        "in_interval": ((low <= example.coefficients) & (example.coefficients <= high)).tolist(),
+    }
+    if validation is not None:
+        row |= simulation_row(example, fit, patterns, validation)
+    return row
+
+
+def simulation_row(
+    example: Example, fit: Identification, training: Patterns, validation: SystemRecording
+) -> dict[str, Any]:
+    """Equation and simulation errors on a validation recording."""
+    system, preparation = example.system, example.settings.preparation
+    patterns = system_patterns(system, validation, preparation)
+    row: dict[str, Any] = {
+        "equation_ratio": float(
+            np.max(equation_error(example, fit, patterns) / equation_error(example, fit, training))
+        )
+    }
+    for name, k in (("identified", np.asarray(fit.k)), ("true", example.coefficients)):
+        simulation = simulate_system(system, k, patterns, recorded=example.recorded)
+        row |= {
+            f"{name}_error": float(np.max(simulation.relative_error)),
+            f"{name}_horizon": simulation.horizon(),
+            "duration": float(simulation.time[-1] - simulation.time[0]),
+        }
+    return row
+
+
+def equation_error(example: Example, fit: Identification, patterns: Patterns) -> np.ndarray:
+    """Root mean square of each equation on the samples of the mask."""
+    motion = (np.asarray(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+    residual = np.asarray(patterns.torque - example.system.network.torque(fit.k, *motion))
+    mask = np.asarray(patterns.mask)
+    return np.sqrt(np.sum(residual**2 * mask, axis=0) / np.sum(mask, axis=0))
+
+
+def compute(options: argparse.Namespace, rows: Rows) -> None:
+    """Adds the rows that are missing."""
+    for name in options.examples:
+        example = EXAMPLES[name]
+        missing = [s for s in range(options.recordings) if (name, s) not in rows]
+        if not missing:
+            continue
+        training = example.recordings(missing, motions=options.motions)
+        simulated = [seed for seed in missing if seed < options.simulations]
+        validation = dict(
+            zip(simulated, example.recordings(simulated, validation=True), strict=True)
+            if simulated
+            else ()
+        )
+        pairs = zip(missing, training, strict=True)
+        for seed, recording in tqdm(pairs, desc=name, total=len(missing), disable=None):
+            rows.add(row_of(example, seed, recording, validation.get(seed)))
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The line of one example."""
+    z = np.array([row["z"] for row in rows])
+    within = np.abs(z) <= 2.0
+    held = np.array([row["in_interval"] for row in rows])
+    k = np.array([row["k"] for row in rows])
+    truth = EXAMPLES[rows[0]["example"]].coefficients
+    spread = np.std(k, axis=0, ddof=1) if len(k) > 1 else np.full(k.shape[1], np.nan)
+    bias = (np.mean(k, axis=0) - truth) / spread
+    worst = int(np.argmax(np.abs(bias)))
+    names = EXAMPLES[rows[0]["example"]].system.network.names
+    simulated = [row for row in rows if "duration" in row]
+    middle = lambda name: float(np.median([row[name] for row in simulated]))
+    return [
+        rows[0]["example"],
+        f"{len(rows)} x {z.shape[1]}",
+        f"{100 * np.mean(within):.1f} %",
+        f"{100 * np.mean(held):.1f} %",
+        f"{100 * np.min(np.mean(within, axis=0)):.1f} %",
+        f"{bias[worst]:.2f} ({names[worst]})",
+        *(
+            [
+                f"{middle('equation_ratio'):.2f}",
+                f"{100 * middle('identified_error'):.3g} / {100 * middle('true_error'):.3g} %",
+                f"{middle('identified_horizon'):.3g} / {middle('true_horizon'):.3g}"
+                f" of {middle('duration'):.3g}",
+            ]
+            if simulated
+            else ["-", "-", "-"]
+        ),
+    ]
+
+
+def coefficient_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each coefficient of one example."""
+    example = EXAMPLES[rows[0]["example"]]
+    z = np.array([row["z"] for row in rows])
+    k = np.array([row["k"] for row in rows])
+    return [
+        {
+            "example": example.name,
+            "coefficient": coefficient.name,
+            "expression": coefficient.expression,
+            "unit": coefficient.unit,
+            "true value": example.coefficients[i],
+            "mean": np.mean(k[:, i]),
+            "standard deviation": np.std(k[:, i], ddof=1) if len(k) > 1 else np.nan,
+            "within two standard errors": np.mean(np.abs(z[:, i]) <= 2.0),
+            "mean error / standard error": np.mean(z[:, i]),
+        }
+        for i, coefficient in enumerate(example.system.network.coefficients)
+    ]
+
+
+def study(options: argparse.Namespace) -> int:
+    """Identifies and simulates, prints the table and writes the files."""
+    path = options.output / "rows.jsonl"
+    rows = Rows(path, ("example", "seed"), made_of({"motions": options.motions}, CODE))
+    compute(options, rows)
+    by_example = [
+        [rows[name, seed] for seed in range(options.recordings)] for name in options.examples
+    ]
+    header = [
+        *("system", "recordings x coefficients", "within 2 errors", "in interval"),
+        *("worst coefficient", "bias", "equation error, validation / training"),
+        *("simulation error, identified / true", "follows for [s], identified / true"),
+    ]
+    print(text_table(header, [summary(group) for group in by_example], left=("system",)))
+    with all_or_nothing(options.output) as folder:
+        write_csv(
+            folder / "coefficients.csv",
+            [row for group in by_example for row in coefficient_rows(group)],
+        )
+    print(f"\nwrote coefficients.csv into {options.output}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "systems_study")
+    parser.add_argument("--recordings", type=int, default=200, help="of each system")
+    parser.add_argument("--motions", type=int, default=20, help="different ones of each system")
+    parser.add_argument("--simulations", type=int, default=20, help="validation recordings of each")
+    parser.add_argument("--examples", nargs="+", default=list(EXAMPLES), metavar="NAME")
+    parser.add_argument("--quick", action="store_true", help="four recordings of two motions")
+    options = parser.parse_args(argv)
+    if options.quick:
+        options.recordings, options.motions, options.simulations = 4, 2, 1
+    command.require_least(parser, options, recordings=1, motions=1, simulations=0)
+    command.require_some_of(parser, "example", options.examples, tuple(EXAMPLES))
+    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
