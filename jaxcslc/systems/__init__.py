@@ -1,3 +1,4 @@
+from ._constants import ConstantEstimate as ConstantEstimate, constants_from as constants_from
 from ._identify import identify_system as identify_system, system_settings as system_settings
 from ._network import SystemNetwork as SystemNetwork, SystemTerm as SystemTerm
 from ._nonlinear import search_constants as search_constants

@@ -1,2 +1,5 @@
-from ._identifiability import ConstantIdentifiability as ConstantIdentifiability
+from ._identifiability import (
+    COMPLEX_STEP as COMPLEX_STEP,
+    ConstantIdentifiability as ConstantIdentifiability,
+)
 from ._separation import Separation as Separation, separate as separate

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 Verdict = Literal["alone", "only in combinations", "not at all"]
 
 
-_STEP = 1e-30
+COMPLEX_STEP = 1e-30
+"""Of derivatives in the complex plane: analytic functions to rounding."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,9 +68,9 @@ def identifiability_of(
     )
     function = lambdify(list(symbols.values()), list(formulas), modules="numpy", cse=True)
     # Complex steps: derivatives of analytic functions to rounding, without their expressions.
-    steps = point[:, None] + 1j * _STEP * np.eye(len(names))
+    steps = point[:, None] + 1j * COMPLEX_STEP * np.eye(len(names))
     values = [np.broadcast_to(value, len(names)) for value in function(*steps)]
-    gradient = np.imag(np.array(values, complex)) / _STEP
+    gradient = np.imag(np.array(values, complex)) / COMPLEX_STEP
     rank = numerical_rank(gradient.T)
     rows: list[ConstantIdentifiability] = []
     for index, name in enumerate(names):

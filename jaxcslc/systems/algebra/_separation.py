@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from flint import fmpq, fmpq_mat
-from jaxtyping import Float
+from jaxtyping import Float, Inexact
 
 from ...derivation import Basis, Coefficient
 from ...identification.report import text_table
@@ -96,8 +96,17 @@ class Separation:
         missing = [name for name in self.symbols if name not in constants]
         if missing:
             raise DescriptionError(f"constants: no value of {', '.join(missing)}")
-        arguments = [float(constants[name]) for name in self.symbols]
-        return np.array([float(x) for x in self._evaluate(*arguments)])
+        return self.evaluate(np.array([float(constants[name]) for name in self.symbols]))
+
+    def evaluate(
+        self, constants: Inexact[np.ndarray, "constants ..."]
+    ) -> Inexact[np.ndarray, "coefficients ..."]:
+        """The coefficients for arrays of the unknown constants, in the order of `symbols`.
+
+        Complex numbers are taken too, for derivatives by complex steps.
+        """
+        shape = constants.shape[1:]
+        return np.stack([np.broadcast_to(x, shape) for x in self._function(*constants)])
 
     def __str__(self) -> str:
         rows = [[c.name, c.unit, c.expression] for c in self.coefficients]
@@ -123,10 +132,11 @@ class Separation:
         return f"{self.outputs[index]}: {_readable(self.known[index])} = {text or 0}"
 
     @cached_property
-    def _evaluate(self) -> Any:
+    def _function(self) -> Any:
         from sympy import lambdify
 
-        return lambdify(list(self.symbols.values()), list(self.formulas), modules="math")
+        symbols = list(self.symbols.values())
+        return lambdify(symbols, list(self.formulas), modules="numpy", cse=True)
 
 
 def separate(system: "System") -> Separation:
