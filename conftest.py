@@ -23,11 +23,16 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MPLBACKEND"] = "Agg"
 
 # Compiling is most of the suite's time. XLA's fusion emitters lower every loop through several
-# dialects of MLIR: without them, programs of this size compile in three quarters of the time. XLA
-# ends the process over a flag that it does not know, and later versions do not know this one.
+# dialects of MLIR: without them, programs of this size compile in three quarters of the time.
+# Splitting a program, so that several threads generate its code, costs more in all. XLA ends the
+# process over a flag that it does not know, and later versions do not know the first one.
 if version("jaxlib").startswith("0.10."):
     os.environ["XLA_FLAGS"] = " ".join(
-        [os.environ.get("XLA_FLAGS", ""), "--xla_cpu_use_fusion_emitters=false"]
+        [
+            os.environ.get("XLA_FLAGS", ""),
+            "--xla_cpu_use_fusion_emitters=false",
+            "--xla_cpu_parallel_codegen_split_count=1",
+        ]
     ).strip()
 
 import hypothesis
@@ -52,6 +57,10 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 # The same examples in every run, however slow the machine.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("repeatable")
+
+# Tracing makes many objects that live long: the default, a collection every 700 objects, spent a
+# twentieth of the suite's time on visiting them.
+gc.set_threshold(50_000, 20, 20)
 
 # Annotations are checked at run time by jaxtyping's import hook. A check takes 60 µs, a simulated
 # sample had forty of them, and a local function was prepared for its checks (1 ms) whenever the

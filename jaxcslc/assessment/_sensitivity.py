@@ -37,9 +37,9 @@ def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coef
     >>> round(float(output_sensitivity(network, patterns)[network.names.index("kd3")]), 4)
     0.1667
     """
-    q, qd, qdd = (jnp.asarray(filled_up(x)).T for x in (patterns.q, patterns.qd, patterns.qdd))
+    q, qd, qdd = (filled_up(x).T for x in (patterns.q, patterns.qd, patterns.qdd))
     # Padding rows are at rest, where gravity acts too: their weight is zero.
-    weight = jnp.asarray(filled_up(np.ones((patterns.samples, 1)))[:, 0])
+    weight = filled_up(np.ones((patterns.samples, 1)))[:, 0]
     return _mean_modulus(network, q, qd, qdd, weight)
 
 

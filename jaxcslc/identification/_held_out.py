@@ -1,7 +1,7 @@
 import dataclasses
 from typing import Any, Literal
 
-import jax.numpy as jnp
+import equinox as eqx
 import numpy as np
 import scipy
 from jaxtyping import Float
@@ -229,5 +229,8 @@ def _root_mean_square(
     kept = np.where(mask, error, 0.0)
     number = counts.sum(axis=0)
     square = (kept**2).sum(axis=0) / np.where(number > 0, number, np.nan)
-    worth = effective_counts(jnp.asarray(filled_up(kept)), jnp.asarray(filled_up(counts)))
+    worth = _effective_counts(filled_up(kept), filled_up(counts))
     return np.sqrt(square), np.asarray(worth)
+
+
+_effective_counts = eqx.filter_jit(effective_counts)

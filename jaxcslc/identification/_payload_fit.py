@@ -106,14 +106,14 @@ class PayloadFit(eqx.Module):
     @property
     def physical_covariance(self) -> Float[Array, "10 10"]:
         """Of `physical`, to first order in the errors (delta method)."""
-        slope = jax.jacfwd(_physical)(self.parameters)
+        slope = _slope(self.parameters)
         return slope @ self.covariance @ slope.T
 
     @property
     def physical_error(self) -> Float[Array, "10"]:
         """Standard deviation of each of `physical`; infinite where something undetermined
         enters."""
-        slope = jnp.abs(jax.jacfwd(_physical)(self.parameters))
+        slope = jnp.abs(_slope(self.parameters))
         enters = slope > _NEGLIGIBLE * jnp.max(slope, axis=1, keepdims=True)
         open_ = jnp.any(enters & ~self.determined[None, :], axis=1)
         error = jnp.sqrt(jnp.diag(self.physical_covariance))
@@ -183,12 +183,16 @@ class PayloadFit(eqx.Module):
         return f"PayloadFit({value[0]:.4g} ± {error[0]:.2g} kg, centre [{centre}] mm)"
 
 
+@jax.jit
 def _physical(body: Float[Array, "10"]) -> Float[Array, "10"]:
     mass, moment = body[9], body[6:9]
     centre = moment / mass
     x, y, z = moment
     shift = jnp.stack([y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z])
     return jnp.concatenate([mass[None], centre, body[:6] - shift / mass])
+
+
+_slope = jax.jit(jax.jacfwd(_physical))
 
 
 def _listed(link: LinkParameters) -> list[float]:

@@ -1,6 +1,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -28,10 +29,13 @@ def coefficient_values(
 
     - `friction`: values by `AbstractInputTerm.keyword`.
     - `payload`: the body; None for an empty gripper.
+
+    Numbers are computed in NumPy: JAX would compile a program for every sum of a few of them.
     """
     n = algebra.robot.joint_count
     if len(links) != n:
         raise ValueError(f"links: expected {n} entries, one a joint, got {len(links)}")
+    links, payload = _as_numpy(list(links)), _as_numpy(payload)
     _check_keywords([term for term in terms if isinstance(term, AbstractInputTerm)], friction)
     parts: list[Any] = []
     for term in terms:
@@ -42,19 +46,28 @@ def coefficient_values(
         else:
             constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}
             parts.append(_expression_values(term.coefficients, links, constants))
-    return jnp.concatenate([jnp.asarray(part, parts[0].dtype) for part in parts])
+    if any(isinstance(part, Tracer) for part in parts):
+        return jnp.concatenate([jnp.asarray(part, jnp.result_type(float)) for part in parts])
+    return jnp.asarray(np.concatenate(parts), jnp.result_type(float))
+
+
+def _as_numpy(values: Any) -> Any:
+    """The same pytree with NumPy's arrays, unless JAX is tracing it."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values)):
+        return values
+    return jax.tree.map(np.asarray, values)
 
 
 def _expression_values(
     coefficients: Sequence[Coefficient],
     links: Sequence[LinkParameters],
     constants: Mapping[str, float],
-) -> Float[Array, " coefficients"]:
+) -> Float[Array | np.ndarray, " coefficients"]:
     """The expressions of inertial coefficients for these links and named constants."""
-    products: dict[InertialTerm, Array] = {}
-    values: list[Array] = []
+    products: dict[InertialTerm, Any] = {}
+    values: list[Any] = []
     for coefficient in coefficients:
-        total = jnp.asarray(0.0)
+        total: Any = np.float64(0.0)
         for addend in coefficient.addends:
             if addend.term not in products:
                 products[addend.term] = _product(addend.term, links)
@@ -63,13 +76,14 @@ def _expression_values(
                 factor *= constants[name] ** power
             total = total + factor * products[addend.term]
         values.append(total)
-    return jnp.stack(values)
+    traced = any(isinstance(value, Tracer) for value in values)
+    return jnp.stack(values) if traced else np.array(values, np.float64)
 
 
-def _product(term: InertialTerm, links: Sequence[LinkParameters]) -> Float[Array, ""]:
+def _product(term: InertialTerm, links: Sequence[LinkParameters]) -> Any:
     """One product of link parameters."""
     link = links[term.link]
-    value = jnp.asarray(1.0)
+    value: Any = np.float64(1.0)
     for factor in term.factors:
         if factor == "motor":
             value = value * link.motor_inertia
@@ -81,6 +95,12 @@ def _product(term: InertialTerm, links: Sequence[LinkParameters]) -> Float[Array
             tensor = link.inertia if term.central else link.inertia_at_frame
             value = value * tensor[_AXES[factor[1]], _AXES[factor[2]]]
     return value
+
+
+def _as_array(values: Any) -> Any:
+    """An array of JAX where JAX is tracing, and one of NumPy where there are numbers."""
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+    return jnp.asarray(values) if traced else np.asarray(values, np.float64)
 
 
 def _check_keywords(terms: Sequence[AbstractInputTerm], values: Mapping[str, Any]) -> None:
@@ -101,7 +121,7 @@ def _input_values(term: AbstractInputTerm, values: Mapping[str, Any]) -> Any:
     """
     keyword, shape = term.keyword, term.value_shape
     array = values.get(keyword)
-    array = np.zeros(shape) if array is None else jnp.asarray(array)
+    array = np.zeros(shape) if array is None else _as_array(array)
     if array.shape != shape:
         raise ValueError(
             f"{keyword}: expected {' by '.join(map(str, shape))} values, {term.value_meaning},"

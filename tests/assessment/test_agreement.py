@@ -27,7 +27,7 @@ def fit_of(puma: jc.CSLC, k: jax.Array, motion: np.ndarray, noise: np.ndarray) -
     return jc.LeastSquares(joint_weights="equal", errors="independent").fit(puma, patterns)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fits(
     puma: jc.CSLC, puma_k: jax.Array, exciting: tuple[np.ndarray, np.ndarray]
 ) -> tuple[jc.Identification, jc.Identification]:

@@ -59,22 +59,27 @@ def blue(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return np.diff(rng.normal(size=(shape[0] + 1, *shape[1:])), axis=0)
 
 
+@eqx.filter_jit
+def fits_of(
+    network: jc.CSLC, patterns: jc.Patterns, torques: jax.Array, errors: Errors
+) -> jc.Identification:
+    """A fit of each recording; compiled once for all tests."""
+
+    def fit(torque: jax.Array) -> jc.Identification:
+        solver = jc.LeastSquares(joint_weights="equal", errors=errors)
+        return solver.fit(network, eqx.tree_at(lambda p: p.torque, patterns, torque), throw=False)
+
+    return eqx.filter_vmap(fit)(torques)
+
+
 def coverage(
     network: jc.CSLC, motion: Motion, noises: list[np.ndarray], errors: Errors
 ) -> tuple[float, float]:
     """How often 95 % intervals held the truth, and mean standard error over true deviation."""
     k = TRUE[: network.size]
-    several = [patterns_of(network, jnp.asarray(k), motion, noise) for noise in noises]
-    torque = jnp.stack([jnp.asarray(p.torque) for p in several])
-    first = jax.tree.map(jnp.asarray, several[0])
-
-    def fit(torque: jax.Array) -> jc.Identification:
-        patterns = eqx.tree_at(lambda p: p.torque, first, torque)
-        return jc.LeastSquares(joint_weights="equal", errors=errors).fit(
-            network, patterns, throw=False
-        )
-
-    fits = eqx.filter_jit(eqx.filter_vmap(fit))(torque)
+    clean = patterns_of(network, jnp.asarray(k), motion)
+    torque = jnp.asarray(np.asarray(clean.torque) + np.stack(noises))
+    fits = fits_of(network, jax.tree.map(jnp.asarray, clean), torque, errors)
     quantile = student.ppf(0.975, np.asarray(fits.degrees_of_freedom))[:, None]
     covered = np.abs(np.asarray(fits.k) - k) <= quantile * np.asarray(fits.standard_error)
     ratio = np.sqrt(np.mean(np.asarray(fits.standard_error) ** 2, axis=0)) / np.std(
@@ -226,9 +231,10 @@ def test_filtered_alike(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) 
     covered: list[np.ndarray] = []
     k = jnp.asarray(TRUE[: arm.size])
     counts = (np.arange(SAMPLES) // 100 % 4 > 0)[:, None] & np.array([True, True])
+    clean = eqx.tree_at(lambda p: p.backlash_mask, patterns_of(arm, k, motion), counts)
     for _ in range(60):
-        patterns = patterns_of(arm, k, motion, red(rng, motion[0].shape))
-        patterns = eqx.tree_at(lambda p: p.backlash_mask, patterns, counts)
+        torque = np.asarray(clean.torque) + red(rng, motion[0].shape)
+        patterns = eqx.tree_at(lambda p: p.torque, clean, torque)
         fit = jc.LeastSquares(joint_weights="equal", errors="correlated", cutoff=8.0).fit(
             arm, patterns
         )

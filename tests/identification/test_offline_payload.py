@@ -17,6 +17,8 @@ from .conftest import ORDINARY
 
 
 _ROUNDING = 1e-9
+# Samples of drawn recordings: tests of the same numbers share compiled programs.
+FEW, MANY = 200, 600
 BODY = jc.LinkParameters(
     1.5,
     np.array([0.02, -0.01, 0.12]),
@@ -55,8 +57,8 @@ class TestKnownArm:
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """Oracle: dense least squares of ten columns, errors of the other 43 spread into them."""
-        arm = ORDINARY.fit(puma, _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 200, 0.5))
-        patterns = _drawn(loaded, loaded_k, rng, 150, 0.3)
+        arm = ORDINARY.fit(puma, _drawn(puma, loaded_k[loaded.layout.unloaded], rng, FEW, 0.5))
+        patterns = _drawn(loaded, loaded_k, rng, FEW, 0.3)
         payload = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
         rows, torque = _rows(loaded, patterns)
         of_arm, of_payload = rows[:, loaded.layout.unloaded], rows[:, loaded.layout.payload]
@@ -74,7 +76,7 @@ class TestKnownArm:
         self, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         solver = jc.LeastSquares(cutoff=10.0, errors="independent")
-        patterns = _drawn(loaded, loaded_k, rng, 300, 0.3)
+        patterns = _drawn(loaded, loaded_k, rng, MANY, 0.3)
         payload = jc.fit_payload(loaded, patterns, previous=loaded_k, solver=solver)
         fit = jc.reidentify(loaded, patterns, loaded_k, groups=("payload",), solver=solver)
         assert_allclose(payload.fit.k, fit.k)
@@ -92,8 +94,8 @@ class TestTwoRecordings:
         rng: np.random.Generator,
     ) -> None:
         """Oracle: all rows of both, zeros for the payload of the unloaded arm."""
-        empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 200, 0.5)
-        patterns = _drawn(loaded, loaded_k, rng, 150, 0.5)
+        empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, FEW, 0.5)
+        patterns = _drawn(loaded, loaded_k, rng, FEW, 0.5)
         solver = jc.LeastSquares(joint_weights="equal", loss="huber" if robust else "squared")
         payload = jc.fit_payload(puma, patterns, empty, solver=solver)
         loaded_rows, torque = _rows(loaded, patterns)
@@ -120,7 +122,7 @@ class TestTwoRecordings:
     ) -> None:
         """The loaded arm's motion is motion of the arm too."""
         empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 60, 0.5)
-        patterns = _drawn(loaded, loaded_k, rng, 600, 0.5)
+        patterns = _drawn(loaded, loaded_k, rng, MANY, 0.5)
         both = jc.fit_payload(puma, patterns, empty, solver=ORDINARY)
         arm = ORDINARY.fit(puma, empty)
         one_by_one = jc.fit_payload(puma, patterns, previous=arm, solver=ORDINARY)
@@ -130,8 +132,8 @@ class TestTwoRecordings:
         self, puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
     ) -> None:
         """Filtering both sides alike loses nothing of what has no noise."""
-        empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, 600, 0.0)
-        patterns = _drawn(loaded, loaded_k, rng, 600, 0.0)
+        empty = _drawn(puma, loaded_k[loaded.layout.unloaded], rng, MANY, 0.0)
+        patterns = _drawn(loaded, loaded_k, rng, MANY, 0.0)
         payload = jc.fit_payload(
             puma, patterns, empty, solver=dataclasses.replace(ORDINARY, cutoff=20.0)
         )
@@ -181,7 +183,7 @@ class TestPhysical:
     ) -> jc.PayloadFit:
         return jc.fit_payload(
             puma,
-            _drawn(loaded, k, rng, 150, noise),
+            _drawn(loaded, k, rng, FEW, noise),
             previous=k[loaded.layout.unloaded],
             solver=ORDINARY,
         )
@@ -293,7 +295,7 @@ def test_on_another_link(puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Genera
     network = puma.with_payload(3)
     k = np.concatenate([np.asarray(puma_k), body_of(BODY)])
     payload = jc.fit_payload(
-        network, _drawn(network, k, rng, 50, 0.0), previous=puma_k, solver=ORDINARY
+        network, _drawn(network, k, rng, FEW, 0.0), previous=puma_k, solver=ORDINARY
     )
     assert_allclose(payload.parameters, body_of(BODY), atol=_ROUNDING)
 
@@ -301,7 +303,7 @@ def test_on_another_link(puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Genera
 def test_failures(
     puma: jc.CSLC, loaded: jc.CSLC, loaded_k: np.ndarray, rng: np.random.Generator
 ) -> None:
-    patterns = _drawn(loaded, loaded_k, rng, 20, 0.0)
+    patterns = _drawn(loaded, loaded_k, rng, FEW, 0.0)
     both: dict[str, Any] = {"unloaded": patterns, "previous": loaded_k}
     with pytest.raises(ValueError, match="cannot tell payload and last link apart"):
         jc.fit_payload(puma, patterns)
@@ -312,7 +314,7 @@ def test_failures(
     arm = jc.derive(jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]), lengths="numeric")
     with pytest.raises(ValueError, match="patterns have 6 joints"):
         jc.fit_payload(arm, patterns, patterns)
-    wrong = dataclasses.replace(patterns, torque=np.full((20, 6), np.nan))
+    wrong = dataclasses.replace(patterns, torque=np.full((FEW, 6), np.nan))
     with pytest.raises(RuntimeError, match="NaN"):
         jc.fit_payload(puma, wrong, previous=loaded_k)
     assert jc.fit_payload(puma, wrong, previous=loaded_k, throw=False).possible is None

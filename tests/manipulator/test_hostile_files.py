@@ -46,7 +46,7 @@ REFUSED = {
     "entities": (BILLION_LAUGHS, "document type declaration"),
     "external entity": (EXTERNAL, "document type declaration"),
     "deep": ("<robot>" + "<a>" * 1_000_000, "line 1: elements nest deeper than 256"),
-    "wide": ("<robot>" + "<a/>" * 1_000_000, "more than 200000 elements"),
+    "wide": ("<robot>" + "<a/>" * 250_000, "more than 200000 elements"),
     "no joint": (urdf(link("a")), "has no joint that moves"),
     "negative mass": (urdf(link("a"), link("b", "-2"), ARM[2]), "body 'b': .*mass.*got -2"),
     "nan": (

@@ -100,6 +100,9 @@ STANFORD = [
 ]
 SKEW = [(0.4, 0.1, 0.2, 0.5), (-1.1, 0.3, -0.2, 1.0), (2.0, -0.2, 0.3, -0.7)]
 TILTED = (1.5, -3.0, -9.0)
+SLIDE = Manipulator.from_modified_dh(
+    SKEW[:2], kinds="PR", gravity=TILTED, friction=("viscous", "dry", "offset")
+)
 
 # Name: robot, treatment of lengths, evaluator.
 NETWORKS: dict[str, tuple[Callable[[], Manipulator], Any, Any]] = {
@@ -117,14 +120,9 @@ NETWORKS: dict[str, tuple[Callable[[], Manipulator], Any, Any]] = {
         "tables",
     ),
     # Two joints: the recursion has operations of its own shape for every link.
-    "prismatic-first-recursive": (
-        lambda: Manipulator.from_modified_dh(
-            SKEW[:2], kinds="PR", gravity=TILTED, friction=("viscous", "dry", "offset")
-        ),
-        "numeric",
-        "recursive",
-    ),
+    "prismatic-first-recursive": (lambda: SLIDE, "numeric", "recursive"),
     "panda": (jaxcslc.panda, "numeric", "recursive"),
+    "prismatic-first-tables": (lambda: SLIDE, "symbolic", "tables"),
 }
 
 

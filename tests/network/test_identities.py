@@ -240,7 +240,7 @@ def test_principal_axes_parallel_to_the_frame(
     """For such bodies the substitution of Eqn. 2.3-20 loses nothing."""
     rows = [(0.0, 0.0, 0.3, 0.0), ("pi/2", 0.1, 0.0, 0.2), (0.7, 0.4, -0.1, 0.0)]
     links = random_links(rng, 3, principal=True)
-    states = rng.uniform(-3, 3, (3, 8, 3))
+    states = rng.uniform(-3, 3, (3, 16, 3))
     torques: list[Any] = []
     for form in ("full", "principal"):
         robot = Manipulator.from_modified_dh(rows, kinds="RRP", inertia=form, friction=())
@@ -276,7 +276,7 @@ def test_what_is_zero_or_equal_may_be_left_out(
         LinkInertia(form, zero=("rx", "rz", *products), equal=equal),
         LinkInertia(form),
     ]
-    states = rng.uniform(-3, 3, (3, 8, 3))
+    states = rng.uniform(-3, 3, (3, 16, 3))
     networks = [
         jaxcslc.derive(
             Manipulator.from_modified_dh(rows, inertia=inertia, friction=()), lengths="numeric"
@@ -308,7 +308,7 @@ def test_friction_is_each_joints_own(rng: np.random.Generator) -> None:
     k = network.coefficients_from(
         nothing, viscous=viscous.tolist(), dry=dry.tolist(), offset=offset.tolist()
     )
-    qd = rng.uniform(-3, 3, (9, 2))
+    qd = rng.uniform(-3, 3, (16, 2))
     qd[0] = 0.0
     # Eqn. 2.5-3; no dry friction at rest, where its sign is unknown.
     expected = viscous * qd + dry * np.sign(qd) + offset
@@ -365,7 +365,7 @@ def test_an_offset_is_a_shift_of_the_joint_variable(
         for (alpha, a, d, theta), kind in zip(rows, kinds, strict=True)
     ]
     rng = np.random.default_rng(7)
-    q, qd, qdd = rng.uniform(-2, 2, (3, 5, len(rows)))
+    q, qd, qdd = rng.uniform(-2, 2, (3, 16, len(rows)))
     body = LinkParameters(2.0, np.array([0.1, -0.2, 0.15]), np.diag([0.3, 0.4, 0.5]), 0.1)
     torques: list[Any] = []
     cases: list[tuple[Any, float, Any]] = [(rows, offset, "tables"), (moved, 0.0, "recursive")]

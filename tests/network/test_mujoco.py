@@ -13,6 +13,8 @@ from jaxcslc.manipulator import LinkParameters, Manipulator
 
 # Of the largest torque among a robot's samples. Both sides round at 1e-15 per operation.
 AGREEMENT = 1e-9
+# Of every chain: robots of as many joints and samples share compiled programs.
+SAMPLES = 16
 
 # Craig's rows with Armstrong's lengths, written out so that the robot file is tested as well.
 PUMA = [
@@ -128,7 +130,7 @@ def test_a_hundred_random_chains(
         robot = Manipulator.from_modified_dh(rows, kinds=kinds, gravity=gravity)
         links = random_links(rng, joints)
         torque = frictionless(robot, links, "numeric", "recursive")
-        states = rng.uniform(-3, 3, (3, 20, joints))
+        states = rng.uniform(-3, 3, (3, SAMPLES, joints))
         expected = mujoco_torque(rows, kinds, gravity, links)(*states)
         assert disagreement(torque(*states), expected) < AGREEMENT, (rows, kinds, gravity)
 
@@ -147,7 +149,7 @@ def test_tables_of_short_random_chains(
     robot = Manipulator.from_modified_dh(rows, kinds=kinds, gravity=gravity)
     links = random_links(rng, n)
     torque = frictionless(robot, links, lengths, "tables")
-    states = rng.uniform(-3, 3, (3, 20, n))
+    states = rng.uniform(-3, 3, (3, SAMPLES, n))
     expected = mujoco_torque(rows, kinds, gravity, links)(*states)
     assert disagreement(torque(*states), expected) < AGREEMENT, (rows, kinds, gravity)
 
@@ -187,7 +189,7 @@ def test_singular_chains(
     rows, kinds = SINGULAR[name]
     links = random_links(rng, len(kinds))
     robot = Manipulator.from_modified_dh(rows, kinds=kinds, gravity=gravity)
-    states = rng.uniform(-3, 3, (3, 10, len(kinds)))
+    states = rng.uniform(-3, 3, (3, SAMPLES, len(kinds)))
     expected = mujoco_torque(rows, kinds, gravity, links)(*states)
     for evaluator in ("tables", "recursive"):
         torque = frictionless(robot, links, "numeric", evaluator)
@@ -215,6 +217,6 @@ def test_many_joints(
     robot = Manipulator.from_modified_dh(rows)
     links = random_links(rng, 10)
     torque = frictionless(robot, links, "numeric", "auto")
-    states = rng.uniform(-3, 3, (3, 20, 10))
+    states = rng.uniform(-3, 3, (3, SAMPLES, 10))
     expected = mujoco_torque(rows, "R" * 10, DOWN, links)(*states)
     assert disagreement(torque(*states), expected) < AGREEMENT

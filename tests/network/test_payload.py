@@ -32,8 +32,9 @@ def loaded_k(loaded: jc.CSLC) -> Array:
     return loaded.coefficients_from(LINKS, viscous=robot.viscous, dry=robot.dry, payload=BALL)
 
 
-def _motion(rng: np.random.Generator, samples: int, joints: int = 6):
-    return tuple(rng.uniform(-2, 2, (samples, joints)) for _ in range(3))
+def _motion(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Random q, qd and qdd of six joints, of one number of samples: tests share programs."""
+    return tuple(rng.uniform(-2, 2, (16, 6)) for _ in range(3))
 
 
 def test_torque_is_mujocos_of_an_arm_whose_last_link_holds_the_body(
@@ -45,11 +46,13 @@ def test_torque_is_mujocos_of_an_arm_whose_last_link_holds_the_body(
     model = mujoco.MjModel.from_xml_string(sim.mjcf(robot, fused))
     data = mujoco.MjData(model)
     viscous, dry = np.array(robot.viscous), np.array(robot.dry)
-    for q, qd, qdd in zip(*_motion(rng, 20), strict=True):
+    motion = _motion(rng)
+    expected: list[np.ndarray] = []
+    for q, qd, qdd in zip(*motion, strict=True):
         data.qpos, data.qvel, data.qacc = q, qd, qdd
         mujoco.mj_inverse(model, data)
-        expected = data.qfrc_inverse + viscous * qd + dry * np.sign(qd)
-        np.testing.assert_allclose(loaded.torque(loaded_k, q, qd, qdd), expected, rtol=0, atol=1e-9)
+        expected.append(data.qfrc_inverse + viscous * qd + dry * np.sign(qd))
+    np.testing.assert_allclose(loaded.torque(loaded_k, *motion), expected, rtol=0, atol=1e-9)
 
 
 def test_coefficients_are_the_ten_numbers_of_a_body(loaded: jc.CSLC, loaded_k: Array) -> None:
@@ -73,7 +76,7 @@ def test_coefficients_are_the_ten_numbers_of_a_body(loaded: jc.CSLC, loaded_k: A
 def test_terms_add_up_to_the_torque(
     loaded: jc.CSLC, loaded_k: Array, rng: np.random.Generator
 ) -> None:
-    q, qd, qdd = _motion(rng, 7)
+    q, qd, qdd = _motion(rng)
     torque = loaded.torque(loaded_k, q, qd, qdd)
     mass = jnp.einsum("...ij,...j->...i", loaded.mass_matrix(loaded_k, q), qdd)
     parts = loaded.velocity_term(loaded_k, q, qd) + loaded.gravity_term(loaded_k, q)
@@ -85,7 +88,7 @@ def test_terms_add_up_to_the_torque(
 
 
 def test_columns_are_the_regressors(loaded: jc.CSLC, rng: np.random.Generator) -> None:
-    q, qd, qdd = _motion(rng, 5)
+    q, qd, qdd = _motion(rng)
     regressor = np.asarray(loaded.regressor(q, qd, qdd))
     columns = loaded.columns(*(jnp.asarray(x.T) for x in (q, qd, qdd)))
     for joint, (support, rows) in enumerate(zip(loaded.support, columns, strict=True)):
@@ -97,7 +100,7 @@ def test_columns_are_the_regressors(loaded: jc.CSLC, rng: np.random.Generator) -
 def test_nothing_is_no_payload(
     puma: jc.CSLC, puma_k: Array, loaded: jc.CSLC, rng: np.random.Generator
 ) -> None:
-    q, qd, qdd = _motion(rng, 4)
+    q, qd, qdd = _motion(rng)
     k = jnp.concatenate([puma_k, jnp.zeros(10)])
     np.testing.assert_allclose(
         loaded.torque(k, q, qd, qdd), puma.torque(puma_k, q, qd, qdd), atol=1e-12
@@ -110,7 +113,7 @@ def test_the_closed_form_of_the_payload_agrees_with_the_recursion(
 ) -> None:
     """The algebra's tables of an arm with no mass but the payload's, derived independently."""
     alone = jc.derive(carrier(loaded.robot), lengths="numeric", evaluator="tables")
-    q, qd, qdd = _motion(rng, 6)
+    q, qd, qdd = _motion(rng)
     none = [jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))] * 5
     alone_k = alone.coefficients_from([*none, BALL])
     k = (
@@ -144,7 +147,7 @@ def test_any_link_can_carry(
     links = list(LINKS)
     links[link - 1] = fixed_together([links[link - 1], BALL])
     full = jc.derive(robot.with_inertia("full"), lengths="numeric")
-    q, qd, qdd = _motion(rng, 3)
+    q, qd, qdd = _motion(rng)
     expected = full.torque(
         full.coefficients_from(links, viscous=robot.viscous, dry=robot.dry), q, qd, qdd
     )
@@ -153,13 +156,14 @@ def test_any_link_can_carry(
 
 
 def test_transforms(loaded: jc.CSLC, loaded_k: Array, rng: np.random.Generator) -> None:
-    q, qd, qdd = (jnp.asarray(x) for x in _motion(rng, 3))
+    q, qd, qdd = (jnp.asarray(x) for x in _motion(rng))
     torque = loaded.torque(loaded_k, q, qd, qdd)
     np.testing.assert_allclose(jax.jit(loaded.torque)(loaded_k, q, qd, qdd), torque, atol=1e-12)
     mapped = jax.vmap(loaded.torque, in_axes=(None, 0, 0, 0))(loaded_k, q, qd, qdd)
     np.testing.assert_allclose(mapped, torque, atol=1e-12)
-    slope = jax.jacobian(lambda k: loaded.torque(k, q[0], qd[0], qdd[0]))(loaded_k)
-    np.testing.assert_allclose(slope, loaded.regressor(q[0], qd[0], qdd[0]), atol=1e-12)
+    direction = jnp.asarray(rng.normal(size=loaded.size))
+    _, slope = jax.jvp(lambda k: loaded.torque(k, q, qd, qdd), (loaded_k,), (direction,))
+    np.testing.assert_allclose(slope, loaded.regressor(q, qd, qdd) @ direction, atol=1e-11)
 
 
 def test_refusals(puma: jc.CSLC, loaded: jc.CSLC) -> None:

@@ -1,5 +1,6 @@
 """Every function of the network under every transformation of JAX, shape and precision."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -8,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
 
 import jaxcslc
 
@@ -22,8 +22,11 @@ METHODS: dict[str, tuple[str, ...]] = {
     "friction_term": ("k", "qd"),
     "forward_dynamics": ("k", "q", "qd", "qdd"),
 }
-# Tables with symbolic lengths, tables and recursion with a prismatic first joint and offsets.
-NETWORKS = ["elbow", "prismatic-first", "prismatic-first-recursive"]
+# Tables of symbolic lengths and recursion, of two joints: a prismatic and a revolute one, with
+# offsets. Other robots are other numbers to the same code: `test_identities.py` has more of them.
+NETWORKS = ["prismatic-first-tables", "prismatic-first-recursive"]
+# All leading axes but in `test_batches`: so many samples, whose programs tests share.
+SAMPLES = (4,)
 # Compiled code may contract a product and a sum into one rounding.
 ROUNDING = 1e-12
 # What float32 leaves of seven digits after some hundred operations, relative to the largest entry.
@@ -65,7 +68,7 @@ def test_jit(case: Any, method: str, rng: np.random.Generator) -> None:
         return function(*values)
 
     for _ in range(3):
-        values = arguments(case, method, rng, (4,))
+        values = arguments(case, method, rng, SAMPLES)
         assert_close(compiled(*values), function(*values))
     assert len(traces) == 1
 
@@ -126,14 +129,15 @@ def test_no_samples(case: Any, rng: np.random.Generator) -> None:
 
 
 def test_vmap(case: Any, method: str, rng: np.random.Generator) -> None:
-    values = arguments(case, method, rng, (4,))
+    """`jit` of it is compiled for torque, below; for every method by itself, above."""
+    values = arguments(case, method, rng, SAMPLES)
     function = getattr(case.network, method)
     axes = tuple(None if name == "k" else 0 for name in METHODS[method])
-    assert_close(jax.jit(jax.vmap(function, axes))(*values), function(*values))
+    assert_close(jax.vmap(function, axes)(*values), function(*values))
 
 
 def test_vmap_over_coefficients(case: Any, rng: np.random.Generator) -> None:
-    k, q, qd, qdd = arguments(case, "torque", rng, (4,))
+    k, q, qd, qdd = arguments(case, "torque", rng, SAMPLES)
     several = jnp.stack([k, 2 * k, 0 * k])
     torques = jax.jit(jax.vmap(case.network.torque, (0, None, None, None)))
     mapped = torques(several, q, qd, qdd)
@@ -141,35 +145,76 @@ def test_vmap_over_coefficients(case: Any, rng: np.random.Generator) -> None:
     assert_close(mapped, jnp.stack([once, 2 * once, 0 * once]))
 
 
-@pytest.mark.parametrize("method", ["torque", "mass_matrix", "forward_dynamics"])
-def test_gradients(case: Any, method: str, rng: np.random.Generator) -> None:
-    """Forwards and backwards, against differences, with respect to every argument at once.
+Jacobian = Callable[..., tuple[jax.Array, ...]]
 
-    Torque is the sum of the terms that are left out here.
+
+@pytest.fixture(scope="module")
+def compiled(cases: Callable[[str], Any]) -> Callable[..., tuple[Callable[..., Any], Jacobian]]:
+    """Makes, once, a method of a network and its Jacobians by every argument, backwards."""
+
+    @functools.cache
+    def of(name: str, method: str) -> tuple[Callable[..., Any], Jacobian]:
+        function = getattr(cases(name).network, method)
+        arguments = tuple(range(len(METHODS[method])))
+        return jax.jit(function), jax.jit(jax.jacrev(function, argnums=arguments))
+
+    return of
+
+
+@pytest.mark.parametrize("method", ["torque", "forward_dynamics"])
+@pytest.mark.parametrize("name", NETWORKS)
+def test_gradients(
+    cases: Callable[[str], Any],
+    compiled: Callable[..., Any],
+    name: str,
+    method: str,
+    rng: np.random.Generator,
+) -> None:
+    """Backwards against central differences by every argument, and forwards against backwards.
+
+    Torque is the sum of the other terms; forward dynamics is made of it and the mass matrix.
     """
-    values = arguments(case, method, rng)
-    function = jax.jit(getattr(case.network, method))
-    check_grads(function, values, order=1, modes=("fwd", "rev"), rtol=1e-5, atol=1e-5)
+    function, backwards = compiled(name, method)
+    values = arguments(cases(name), method, rng)
+    jacobians = backwards(*values)
+    step = 1e-6
+    for i, jacobian in enumerate(jacobians):
+        for entry in range(values[i].size):
+            off = np.zeros(values[i].shape)
+            off[entry] = step
+            ahead, behind = (
+                function(*values[:i], np.asarray(values[i]) + sign * off, *values[i + 1 :])
+                for sign in (1, -1)
+            )
+            difference = (np.asarray(ahead) - np.asarray(behind)) / (2 * step)
+            np.testing.assert_allclose(jacobian[:, entry], difference, rtol=1e-5, atol=1e-5)
+    tangents = tuple(rng.standard_normal(value.shape) for value in values)
+    _, forwards = jax.jvp(function, values, tangents)
+    expected = sum(np.asarray(j) @ t for j, t in zip(jacobians, tangents, strict=True))
+    np.testing.assert_allclose(forwards, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_gradient_with_respect_to_k_is_the_regressor(case: Any, rng: np.random.Generator) -> None:
-    k, q, qd, qdd = arguments(case, "torque", rng, (3,))
+    k, q, qd, qdd = arguments(case, "torque", rng, SAMPLES)
     jacobian = jax.jit(jax.jacfwd(case.network.torque))(k, q, qd, qdd)
     assert_close(jacobian, case.network.regressor(q, qd, qdd))
 
 
 @pytest.mark.parametrize("method", ["torque", "forward_dynamics"])
-def test_gradients_are_finite_at_singular_positions(case: Any, method: str) -> None:
-    n = case.network.joint_count
-    slopes = jax.jit(jax.jacrev(getattr(case.network, method), argnums=(0, 1, 2, 3)))
-    zero = jnp.zeros(n)
+@pytest.mark.parametrize("name", NETWORKS)
+def test_gradients_are_finite_at_singular_positions(
+    cases: Callable[[str], Any], compiled: Callable[..., Any], name: str, method: str
+) -> None:
+    case = cases(name)
+    _, slopes = compiled(name, method)
+    zero = jnp.zeros(case.network.joint_count)
     for angle in (0.0, 1e-7, np.pi):
-        for slope in slopes(jnp.asarray(case.k), jnp.full(n, angle), zero, zero):
+        for slope in slopes(jnp.asarray(case.k), zero + angle, zero, zero):
             assert np.all(np.isfinite(slope)), angle
 
 
 def test_float32_stays_float32(case: Any, method: str, rng: np.random.Generator) -> None:
-    values = arguments(case, method, rng, (4,))
+    values = arguments(case, method, rng, SAMPLES)
     single = [value.astype(jnp.float32) for value in values]
     actual = getattr(case.network, method)(*single)
     assert actual.dtype == jnp.float32
@@ -179,14 +224,14 @@ def test_float32_stays_float32(case: Any, method: str, rng: np.random.Generator)
 
 
 def test_numpy_in_jax_out(case: Any, method: str, rng: np.random.Generator) -> None:
-    values = [np.asarray(value) for value in arguments(case, method, rng, (4,))]
+    values = [np.asarray(value) for value in arguments(case, method, rng, SAMPLES)]
     actual = getattr(case.network, method)(*values)
     assert isinstance(actual, jax.Array)
     assert actual.dtype == jnp.float64
 
 
 def test_batch_axes_broadcast(case: Any, rng: np.random.Generator) -> None:
-    k, q, qd, qdd = arguments(case, "torque", rng, (4,))
+    k, q, qd, qdd = arguments(case, "torque", rng, SAMPLES)
     actual = case.network.torque(k, q[0], qd, qdd[None, 1])
     expected = case.network.torque(k, jnp.tile(q[0], (4, 1)), qd, jnp.tile(qdd[1], (4, 1)))
     assert_close(actual, expected)
@@ -199,7 +244,7 @@ def test_coefficients_can_be_differentiated(cases: Callable[[str], Any]) -> None
     def total(links: Any) -> Any:
         return jnp.sum(case.network.coefficients_from(links))
 
-    slope = jax.grad(total)(jax.tree.map(jnp.asarray, case.links))
+    slope = jax.jit(jax.grad(total))(jax.tree.map(jnp.asarray, case.links))
     step = 1e-6
     changed: list[Any] = list(case.links)
     changed[1] = eqx.tree_at(lambda link: link.mass, changed[1], float(changed[1].mass) + step)

@@ -154,7 +154,7 @@ def compare(
     """
     names = tuple(vectors)
     errors = jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names])
-    mask = jnp.asarray(patterns.mask)
+    mask = jnp.asarray(patterns.mask, bool)
     mean_modulus, rms, epsilon = _over_judged(errors, mask)
     return ErrorTable(
         names,
@@ -200,7 +200,7 @@ def predicted_torque(
 ) -> Float[Array, "samples joints"]:
     """The network's torque for the patterns' motion (samples, n) [N m]."""
     motion = (patterns.q, patterns.qd, patterns.qdd)
-    torque = _torque(network, jnp.asarray(k), *(jnp.asarray(filled_up(x)) for x in motion))
+    torque = _torque(network, jnp.asarray(k), *(filled_up(x) for x in motion))
     return torque[: patterns.q.shape[0]]
 
 

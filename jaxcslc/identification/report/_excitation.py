@@ -2,6 +2,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -128,31 +129,33 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
     (True, ('base', 'viscous'))
     """
     motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque)
-    weight = jnp.asarray(patterns.mask, float)
-    factors = _factorise(network, *(jnp.asarray(filled_up(x)) for x in (*motion, weight)))
-    triangle = factors.stacked(Unknowns.of(network), jnp.ones(network.joint_count))[:, :-1]
-    length = jnp.linalg.norm(triangle, axis=0)
-    scaled = triangle / jnp.where(length > 0, length, 1.0)[None, :]
-    _, singular, right = jnp.linalg.svd(scaled, full_matrices=False)
+    weight = patterns.mask.astype(float)
+    factors = _factorise(network, *(filled_up(x) for x in (*motion, weight)))
+    # On the host from here: there is less to compute than to compile.
+    factors = jax.tree.map(np.asarray, factors)
+    triangle = factors.stacked(Unknowns.of(network), np.ones(network.joint_count))[:, :-1]
+    length = np.linalg.norm(triangle, axis=0)
+    scaled = triangle / np.where(length > 0, length, 1.0)[None, :]
+    _, singular, right = np.linalg.svd(scaled, full_matrices=False)
 
     groups = tuple(coefficient.group for coefficient in network.coefficients)
     columns = {
         group: np.flatnonzero([other == group for other in groups])
         for group in dict.fromkeys(groups)
     }
-    rounding = rank_tolerance(network.size, jnp.sum(factors.counts))
+    rounding = float(rank_tolerance(network.size, np.sum(factors.counts)))
     counted = singular > rounding * singular[0]
-    inverse = jnp.where(counted, 1.0 / jnp.where(counted, singular, 1.0), 0.0)
-    undetermined = jnp.sum(jnp.where(counted[:, None], 0.0, right) ** 2, axis=0) > 1e-12
-    inflation = jnp.sum((inverse[:, None] * right) ** 2, axis=0)
+    inverse = np.where(counted, 1.0 / np.where(counted, singular, 1.0), 0.0)
+    undetermined = np.sum(np.where(counted[:, None], 0.0, right) ** 2, axis=0) > 1e-12
+    inflation = np.sum((inverse[:, None] * right) ** 2, axis=0)
     return Excitation(
         condition=_condition(singular, rounding),
-        smallest=singular[-1],
-        weakest=right[-1],
-        length=length,
-        variance_inflation=jnp.where(undetermined, jnp.inf, inflation),
+        smallest=jnp.asarray(singular[-1], float),
+        weakest=jnp.asarray(right[-1], float),
+        length=jnp.asarray(length, float),
+        variance_inflation=jnp.asarray(np.where(undetermined, np.inf, inflation), float),
         group_condition={
-            group: _condition(jnp.linalg.svd(scaled[:, indices], compute_uv=False), rounding)
+            group: _condition(np.linalg.svd(scaled[:, indices], compute_uv=False), rounding)
             for group, indices in columns.items()
         },
         names=network.names,
@@ -163,7 +166,7 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
 _factorise = eqx.filter_jit(factorise)
 
 
-def _condition(singular: Float[Array, " values"], rounding: Float[Array, ""]) -> Float[Array, ""]:
+def _condition(singular: Float[np.ndarray, " values"], rounding: float) -> Float[Array, ""]:
     """Infinite where the smallest singular value is no more than rounding."""
     counted = singular[-1] > rounding * singular[0]
-    return jnp.where(counted, singular[0] / jnp.where(counted, singular[-1], 1.0), jnp.inf)
+    return jnp.asarray(singular[0] / singular[-1] if counted else np.inf, float)

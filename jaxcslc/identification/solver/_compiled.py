@@ -1,4 +1,5 @@
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,7 +14,7 @@ _FEWEST_ROWS = 4096
 
 def filled_up(
     x: Float[Array | np.ndarray, "samples columns"],
-) -> Float[Array | np.ndarray, "rows columns"]:
+) -> Float[Array, "rows columns"]:
     """Zero rows behind the end, to the next power of two.
 
     So that recordings of similar lengths share one compiled function. Zeros are patterns of
@@ -21,8 +22,8 @@ def filled_up(
     """
     rows = max(_FEWEST_ROWS, 1 << (x.shape[0] - 1).bit_length())
     widths = ((0, rows - x.shape[0]), (0, 0))
-    # NumPy's own arrays are filled up by NumPy: nothing to compile.
-    return np.pad(x, widths) if isinstance(x, np.ndarray) else jnp.pad(x, widths)
+    # NumPy's own arrays are filled up by NumPy: nothing to compile, as `jnp.asarray` would.
+    return jax.device_put(np.pad(x, widths)) if isinstance(x, np.ndarray) else jnp.pad(x, widths)
 
 
 def regressor_of(
@@ -30,7 +31,7 @@ def regressor_of(
 ) -> Float[Array, "samples joints coefficients"]:
     """The regressor of patterns; compiled once for all recordings of similar lengths."""
     q, qd, qdd = (filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
-    return _regressor(network, jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd))[: len(patterns.q)]
+    return _regressor(network, q, qd, qdd)[: len(patterns.q)]
 
 
 @eqx.filter_jit

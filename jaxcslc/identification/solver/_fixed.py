@@ -1,8 +1,11 @@
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ...network import AbstractLinearNetwork
@@ -42,7 +45,10 @@ class Fixed(eqx.Module):
         **Raises** `ValueError` for names that are none, and for another network's `previous`.
         """
         free = _indices(network, groups)
-        values = jnp.asarray(previous.k if isinstance(previous, Identification) else previous)
+        # Sizes are the robot's: padded by JAX, each would be compiled.
+        traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(previous))
+        xp: Any = jnp if traced else np
+        values = xp.asarray(previous.k if isinstance(previous, Identification) else previous)
         size, missing = len(values), network.size - len(values)
         if missing < 0 or not {*range(size, network.size)} <= set(free):
             raise ValueError(f"previous: expected {network.size} coefficients, got {size}")
@@ -57,13 +63,14 @@ class Fixed(eqx.Module):
             covariances = previous.covariance, previous.independent_covariance
             determined, degrees_of_freedom = previous.determined, previous.degrees_of_freedom
         else:
-            covariances = (jnp.zeros((size, size)),) * 2
-            determined, degrees_of_freedom = jnp.ones(size, bool), jnp.asarray(jnp.inf)
+            covariances = (np.zeros((size, size)),) * 2
+            determined, degrees_of_freedom = np.ones(size, bool), np.array(np.inf)
+        padded = [xp.pad(xp.asarray(x), (0, missing)) for x in (values, *covariances)]
+        known = xp.pad(xp.asarray(determined), (0, missing), constant_values=True)
         return cls(
             free,
-            jnp.pad(values.astype(float), (0, missing)),
-            *(jnp.pad(jnp.asarray(c, float), (0, missing)) for c in covariances),
-            determined=jnp.pad(jnp.asarray(determined), (0, missing), constant_values=True),
+            *(jnp.asarray(x, float) for x in padded),
+            determined=jnp.asarray(known, bool),
             degrees_of_freedom=jnp.asarray(degrees_of_freedom, float),
         )
 

@@ -282,9 +282,9 @@ class LeastSquares:
             )
         rows: AbstractRows | None = None
         samples = len(patterns.q)
-        weight = jnp.asarray(patterns.mask, float)
+        weight = patterns.mask.astype(float)
         motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
-        q, qd, qdd, torque, weight = (jnp.asarray(filled_up(x)) for x in motion)
+        q, qd, qdd, torque, weight = (filled_up(x) for x in motion)
         factors = _factorise(network, q, qd, qdd, torque, weight)
         if self._passes_twice and (_traced(*motion) or patterns.q.size * network.size > _KEPT):
             phase = (jnp.arange(len(q)) + 0.5) / samples
@@ -306,7 +306,7 @@ class LeastSquares:
         solution, weights = self._minimum(unknowns, factors, fixed)
         if rows is None:
             return _independent_errors(unknowns, factors, solution, fixed)
-        factors, solution, weights = jax.tree.map(jnp.asarray, (factors, solution, weights))
+        factors, solution, weights = jax.tree.map(jax.device_put, (factors, solution, weights))
         if self.loss == "squared":
             residuals = _ordinary_residuals(rows, solution, weights)
         else:
@@ -325,17 +325,22 @@ class LeastSquares:
     def _minimum(
         self, unknowns: Unknowns, factors: JointFactors, fixed: Fixed | None
     ) -> tuple[Solution, Array | np.ndarray]:
-        """The ordinary solution, and the weights of joints that it ended with."""
-        on_host = isinstance(factors.counts, np.ndarray)
+        """The ordinary solution, and the weights of joints that it ended with.
+
+        On the host unless JAX is tracing: there is less to compute than to compile.
+        """
+        on_host = not _traced(*jax.tree.leaves((factors, fixed)))
         solve = minimum if on_host else _compiled_minimum
-        if on_host and fixed is not None:
-            fixed = jax.tree.map(np.asarray, fixed)
-        return weighted_minimum(
-            unknowns,
-            factors,
-            self.joint_weights,
-            lambda weights: solve(unknowns, factors, weights, self.rcond, fixed),
-        )
+        if on_host:
+            factors, fixed = jax.tree.map(np.asarray, (factors, fixed))
+        # NaN is the answer where there is none, as JAX has it.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return weighted_minimum(
+                unknowns,
+                factors,
+                self.joint_weights,
+                lambda weights: solve(unknowns, factors, weights, self.rcond, fixed),
+            )
 
 
 def checked(fit: Identification, throw: bool) -> Identification:

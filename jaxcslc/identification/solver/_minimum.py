@@ -57,7 +57,9 @@ def minimum(
     xp = array_namespace(factors.counts)
     reduced = _reduced(xp, unknowns, factors, weights, fixed)
     matrix, target, scale = reduced.matrix, reduced.target, reduced.scale
-    left, singular, right = xp.linalg.svd(matrix, full_matrices=False)
+    # NumPy's decomposition raises at NaN, which the result is to tell of.
+    decomposed = xp.where(reduced.finite[..., None, None], matrix, 0.0)
+    left, singular, right = xp.linalg.svd(decomposed, full_matrices=False)
     equations = xp.sum(factors.counts, axis=-1)
     tolerance = xp.asarray(rank_tolerance(matrix.shape[-1], equations, rcond))
     counted = singular > tolerance[..., None] * singular[..., :1]

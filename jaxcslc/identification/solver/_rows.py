@@ -194,14 +194,14 @@ class KeptRows(AbstractRows):
         for joint, (rows, at) in enumerate(zip(equations.rows, indices, strict=True)):
             filled = np.zeros((instants, rows.shape[1] - 1))
             filled[at], torque[at, joint], counts[at, joint] = rows[:, :-1], rows[:, -1], 1.0
-            columns.append(jnp.asarray(filled))
+            columns.append(jnp.asarray(filled, float))
         phase = np.zeros(instants)
         phase[: len(kept)] = (kept + 0.5) / samples
         return cls(
             columns=tuple(columns),
-            torque=jnp.asarray(torque),
-            counts=jnp.asarray(counts),
-            phase=jnp.asarray(phase),
+            torque=jnp.asarray(torque, float),
+            counts=jnp.asarray(counts, float),
+            phase=jnp.asarray(phase, float),
             of=equations.unknowns,
         )
 

@@ -1,6 +1,7 @@
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,13 +30,17 @@ class LinkMotion(NamedTuple):
     acceleration: Float[Array, "links 3 samples"]
 
 
-class _Step(NamedTuple):
-    """What leads from a link's parent to the link, for all links."""
+class Geometry(NamedTuple):
+    """What leads from each link's parent to the link, and which joints carry which links.
 
-    carrier: Int[Array, " links"]  # 0 is the base
-    turn: Float[Array, "links 3 3"]
-    step: Float[Array, "links 3"]
-    turning: Float[Array, " links"]  # 1: revolute, 0: prismatic
+    Arrays, not attributes of the program: robots of as many joints share what is compiled.
+    """
+
+    carrier: Int[Array | np.ndarray, " links"]  # 0 is the base
+    turn: Float[Array | np.ndarray, "links 3 3"]
+    step: Float[Array | np.ndarray, "links 3"]
+    turning: Float[Array | np.ndarray, " links"]  # 1: revolute, 0: prismatic
+    carries: Float[Array | np.ndarray, "joints links"]  # 1 where a joint carries a link
 
 
 def paths_of(parents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
@@ -46,23 +51,39 @@ def paths_of(parents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     return tuple(paths)
 
 
+@lru_cache(maxsize=256)
+def geometry_of(
+    joints: tuple[Joint, ...], paths: tuple[tuple[int, ...], ...], dtype: np.dtype
+) -> Geometry:
+    """The numbers of a chain or tree of joints, in a precision."""
+    placed = [_placement(joint) for joint in joints]
+    carries = np.zeros((len(paths), len(paths)), dtype)
+    for link, path in enumerate(paths):
+        carries[list(path), link] = 1.0
+    return Geometry(
+        np.array([path[-2] + 1 if len(path) > 1 else 0 for path in paths]),
+        np.array([turn for turn, _ in placed], dtype),
+        np.array([step for _, step in placed], dtype),
+        np.array([joint.kind == "R" for joint in joints], dtype),
+        carries,
+    )
+
+
 def link_motion(
-    joints: Sequence[Joint],
-    paths: Sequence[Sequence[int]],
-    gravity: tuple[float, float, float],
+    geometry: Geometry,
+    gravity: Float[Array | np.ndarray, "3"],
     q: Samples,
     qd: Samples,
     qdd: Samples,
 ) -> LinkMotion:
     """Outward recursion over the links (thesis 2.3; Luh, Walker and Paul 1980)."""
-    states = link_states(joints, paths, gravity, q, qd, qdd)[1:]
+    states = link_states(geometry, gravity, q, qd, qdd)[1:]
     return LinkMotion(states[:, :3], states[:, 3], states[:, 4], states[:, 5], states[:, 6])
 
 
 def link_states(
-    joints: Sequence[Joint],
-    paths: Sequence[Sequence[int]],
-    gravity: tuple[float, float, float],
+    geometry: Geometry,
+    gravity: Float[Array | np.ndarray, "3"],
     q: Samples,
     qd: Samples,
     qdd: Samples,
@@ -73,25 +94,13 @@ def link_states(
     what one link needs of another is in memory. Unrolled, the compiler writes the whole way from
     the base into every link that uses it.
     """
-    dtype, samples = q.dtype, q.shape[1]
-    at_base = np.concatenate([np.eye(3), np.zeros((3, 3)), -np.array([gravity])])
-    states = jnp.zeros((len(joints) + 1, 7, 3, samples), dtype)
-    states = states.at[0].set(jnp.asarray(at_base, dtype)[:, :, None])
-    placed = [_placement(joint) for joint in joints]
-    steps = _Step(
-        jnp.asarray([path[-2] + 1 if len(path) > 1 else 0 for path in paths]),
-        jnp.asarray(np.array([turn for turn, _ in placed]), dtype),
-        jnp.asarray(np.array([step for _, step in placed]), dtype),
-        turning_of(joints, dtype),
-    )
-    numbers = jnp.arange(1, len(joints) + 1)
-    states, _ = lax.scan(_outwards, states, (numbers, steps, q, qd, qdd))
+    (n, samples), dtype = q.shape, q.dtype
+    still = jnp.zeros((3, 3), dtype)
+    at_base = jnp.concatenate([jnp.eye(3, dtype=dtype), still, -jnp.asarray(gravity, dtype)[None]])
+    states = jnp.zeros((n + 1, 7, 3, samples), dtype).at[0].set(at_base[:, :, None])
+    steps = tuple(jnp.asarray(x) for x in geometry[:4])
+    states, _ = lax.scan(_outwards, states, (jnp.arange(1, n + 1), steps, q, qd, qdd))
     return states
-
-
-def turning_of(joints: Sequence[Joint], dtype: np.dtype) -> Float[Array, " joints"]:
-    """1 for revolute joints, 0 for prismatic ones."""
-    return jnp.asarray(np.array([joint.kind == "R" for joint in joints]), dtype)
 
 
 def cross(x: Array, y: Array, axis: int = -2) -> Array:
@@ -103,7 +112,7 @@ def cross(x: Array, y: Array, axis: int = -2) -> Array:
 
 # At the top of the module, and without anything from around it: outside of `jit` a scan is
 # compiled once for a function, not once a call.
-def _outwards(states: States, at: tuple[Array, _Step, Array, Array, Array]) -> tuple[States, None]:
+def _outwards(states: States, at: tuple[Any, ...]) -> tuple[States, None]:
     number, (carrier, turn, step, turning), *rates = at
     q, qd, qdd = (rate[None, :] for rate in rates)
     x, y, z, origin, w, wd, a = lax.dynamic_index_in_dim(states, carrier, keepdims=False)

@@ -1,16 +1,28 @@
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
 
 from ...derivation import BODY, Algebra, Coefficient
 from ...manipulator import Joint
 from ._compilation import in_blocks
-from ._link_motion import LinkMotion, States, cross, link_motion, link_states, paths_of, turning_of
+from ._link_motion import (
+    Geometry,
+    LinkMotion,
+    States,
+    cross,
+    geometry_of,
+    link_motion,
+    link_states,
+    paths_of,
+)
 from ._term import AbstractManipulatorTerm, Coefficients, Joints, Matrices, Regressor, Rows
 
 
@@ -130,128 +142,35 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         still = jnp.zeros_like(q)
         return self._torque(k, q, still, still, self.gravity)
 
-    @eqx.filter_jit
     def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        n = len(self.joints)
+        return _mass_matrix(self._geometry(q.dtype), self._bodies(k), q)
 
-        def of_block(position: Array) -> Array:
-            return self._mass_matrix(k, position).reshape(n * n, position.shape[1]).T
-
-        total = in_blocks(of_block, (_samples_last(q),), samples_first=True)
-        return total.reshape(*q.shape, n)
-
-    def _mass_matrix(self, k: Array, position: Array) -> Float[Array, "joints joints samples"]:
-        still = jnp.zeros_like(position)
-        motion = self._motion(position, still, still, (0.0, 0.0, 0.0))
-        inertia, first, mass = self._composite(k, motion)
-        # Velocities of the whole at the base's origin, for a unit rate of each joint.
-        turns = turning_of(self.joints, position.dtype)[:, None, None]
-        axis = motion.axes[:, 2]
-        angular = turns * axis
-        linear = turns * cross(motion.origin, axis) + (1 - turns) * axis
-        force = mass[:, None] * linear + cross(angular, first)
-        moment = jnp.sum(inertia * angular[:, None], axis=2) + cross(first, linear)
-        # Joint j moves what joint k carries if it carries joint k.
-        upper = jnp.sum(angular[:, None] * moment[None] + linear[:, None] * force[None], axis=2)
-        carries = jnp.asarray(_carries(self.paths), position.dtype)
-        diagonal = jnp.eye(len(self.joints), dtype=position.dtype)
-        motor = jnp.zeros(len(self.joints), position.dtype)
-        for joint, index in self.motors:
-            motor = motor.at[joint].set(k[index])
-        upper = upper * carries[:, :, None]
-        below = jnp.swapaxes(upper, 0, 1) * (1 - diagonal)[:, :, None]
-        return upper + below + (motor[None] * diagonal)[:, :, None]
-
-    def _composite(self, k: Array, motion: LinkMotion) -> tuple[Array, Array, Array]:
-        """Inertia, first moment and mass that each joint carries, about the base's origin."""
-        bodies = self._bodies(k)
-        turn, p, mass = motion.axes, motion.origin, bodies.mass[:, None]
-        # R I R', by columns of R.
-        half = jnp.sum(bodies.inertia[:, :, :, None, None] * turn[:, None], axis=2)
-        tensor = jnp.sum(turn[:, :, :, None] * half[:, :, None], axis=1)
-        about = jnp.sum(bodies.first[:, :, None] * turn, axis=1)
-        first = about + mass[:, None] * p
-        mixed = jnp.sum((2 * about + mass[:, None] * p) * p, axis=1)
-        outer = about[:, :, None] * p[:, None] + p[:, :, None] * about[:, None]
-        outer = outer + mass[:, None, None] * p[:, :, None] * p[:, None]
-        eye = jnp.eye(3, dtype=p.dtype)[None, :, :, None]
-        tensor = tensor + mixed[:, None, None] * eye - outer
-        n, samples = len(self.joints), p.shape[-1]
-        ones = jnp.ones((1, samples), p.dtype)
-        parts = tensor.reshape(n, 9, samples), first, (mass * ones)[:, None]
-        flat = jnp.concatenate(parts, axis=1).reshape(n, 13 * samples)
-        total = (jnp.asarray(_carries(self.paths), p.dtype) @ flat).reshape(n, 13, samples)
-        return total[:, :9].reshape(n, 3, 3, samples), total[:, 9:12], total[:, 12]
-
-    @eqx.filter_jit
     def _torque(
         self, k: Array, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
     ) -> Array:
-        def of_block(q: Array, qd: Array, qdd: Array) -> Array:
-            return self._torque_of_block(k, q, qd, qdd, gravity).T
+        g = np.array(gravity, q.dtype)
+        return _torque(self._geometry(q.dtype), g, self._bodies(k), q, qd, qdd)
 
-        motion = (_samples_last(q), _samples_last(qd), _samples_last(qdd))
-        return in_blocks(of_block, motion, samples_first=True).reshape(q.shape)
-
-    def _torque_of_block(
-        self, k: Array, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
-    ) -> Float[Array, "joints samples"]:
-        motion = self._motion(q, qd, qdd, gravity)
-        w, wd, a = motion.angular_velocity, motion.angular_acceleration, motion.acceleration
-        bodies = self._bodies(k)
-
-        def inertia_times(x: Array) -> Array:  # I x, with I in the link's axes
-            along = jnp.sum(motion.axes * x[:, None], axis=2)
-            product = jnp.sum(bodies.inertia[..., None] * along[:, None], axis=2)
-            return jnp.sum(motion.axes * product[:, :, None], axis=1)
-
-        first = jnp.sum(bodies.first[:, :, None] * motion.axes, axis=1)
-        force = bodies.mass[:, None, None] * a + cross(wd, first) + cross(w, cross(w, first))
-        moment = (
-            inertia_times(wd)
-            + cross(w, inertia_times(w))
-            + cross(first, a)
-            + cross(motion.origin, force)
-        )
-        # What each joint carries, as moments about the base's origin.
-        carries = jnp.asarray(_carries(self.paths), q.dtype)
-        force, moment = (
-            (carries @ x.reshape(x.shape[0], 3 * x.shape[2])).reshape(x.shape)
-            for x in (force, moment)
-        )
-        turns = turning_of(self.joints, q.dtype)[:, None, None]
-        axis = motion.axes[:, 2]
-        along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
-        total = jnp.sum(axis * along, axis=1)
-        for joint, index in self.motors:
-            total = total.at[joint].add(k[index] * qdd[joint])
-        return total
-
-    def _motion(
-        self, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
-    ) -> LinkMotion:
-        return link_motion(self.joints, self.paths, gravity, q, qd, qdd)
+    def _geometry(self, dtype: Any) -> Geometry:
+        return geometry_of(self.joints, self.paths, np.dtype(dtype))
 
     def _bodies(self, k: Array) -> "_Bodies":
-        """What the coefficients give the links."""
-        n = len(self.joints)
-        selection = np.zeros((n, 10, self.size))
-        for link, indices in enumerate(self.indices):
-            if indices:
-                selection[link][:, list(indices)] = np.array(self.body[link])
-        ten = jnp.asarray(selection, k.dtype) @ k
-        xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
-        tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(n, 3, 3)
-        return _Bodies(tensor, ten[:, 6:9, None], ten[:, 9])
+        """The coefficients by link, which are as many for every robot of so many joints."""
+        index, body = _by_link(self.body, self.indices, self.motors, self.size)
+        # Behind the last one stands a zero. Outside of `jit` there is nothing to compile.
+        xp = jnp if isinstance(k, Tracer) else np
+        padded = xp.concatenate([xp.asarray(k, k.dtype), xp.zeros(1, k.dtype)])
+        return _Bodies(body.astype(k.dtype), padded[index])
 
     def _unit_torques(self, q: Array, qd: Array, qdd: Array) -> Float[Array, "rows samples"]:
         """Each joint's torque by each of the ten numbers of every link that it carries.
 
         Rows are pairs times ten, then the accelerations, then zeros.
         """
-        states = link_states(self.joints, self.paths, self.gravity, q, qd, qdd)
+        geometry = self._geometry(q.dtype)
+        states = link_states(geometry, np.array(self.gravity, q.dtype), q, qd, qdd)
         links, joints = _pairs(self.paths)
-        turns = turning_of(self.joints, q.dtype)[joints]
+        turns = jnp.asarray(geometry.turning[joints])
         pairs = jnp.asarray(links + 1), jnp.asarray(joints + 1), turns
         _, ten = lax.scan(_unit_torques_of_pair, states, pairs)
         rows = ten.reshape(10 * len(links), q.shape[1])
@@ -295,12 +214,158 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         ]
 
 
+# Ten numbers of a link, and its motor's inertia.
+_NUMBERS = len(BODY) + 1
+
+
 class _Bodies(NamedTuple):
+    """Links as linear functions of their coefficients, those that there are and zeros."""
+
+    body: Float[Array | np.ndarray, "links eleven eleven"]
+    k: Float[Array | np.ndarray, "links eleven"]
+
+
+class _Links(NamedTuple):
     """Of every link, about its frame's origin and in its axes."""
 
     inertia: Float[Array, "links 3 3"]
     first: Float[Array, "links 3 1"]
     mass: Float[Array, " links"]
+    motor: Float[Array, " links"]
+
+
+@lru_cache(maxsize=256)
+def _by_link(
+    body: tuple[tuple[tuple[float, ...], ...], ...],
+    indices: tuple[tuple[int, ...], ...],
+    motors: tuple[tuple[int, int], ...],
+    size: int,
+) -> tuple[Int[np.ndarray, "links eleven"], Float[np.ndarray, "links eleven eleven"]]:
+    """Which coefficients are a link's, and what they are of its ten numbers and motor inertia."""
+    index = np.full((len(body), _NUMBERS), size)
+    matrix = np.zeros((len(body), _NUMBERS, _NUMBERS))
+    for link, of_link in enumerate(indices):
+        if of_link:
+            index[link, : len(of_link)] = of_link
+            matrix[link, :-1, : len(of_link)] = np.array(body[link])
+    for joint, motor in motors:
+        index[joint, -1] = motor
+        matrix[joint, -1, -1] = 1.0
+    return index, matrix
+
+
+def _links(bodies: _Bodies) -> _Links:
+    ten = jnp.sum(bodies.body * bodies.k[:, None], axis=2)
+    xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
+    tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+    return _Links(tensor, ten[:, 6:9, None], ten[:, 9], ten[:, 10])
+
+
+# Functions of arrays alone: robots of as many joints share one program each.
+@jax.jit
+def _mass_matrix(geometry: Geometry, bodies: _Bodies, q: Joints) -> Matrices:
+    n, links = q.shape[-1], _links(bodies)
+
+    def of_block(position: Array) -> Array:
+        return _mass_matrix_of_block(geometry, links, position).reshape(n * n, -1).T
+
+    total = in_blocks(of_block, (_samples_last(q),), samples_first=True)
+    return total.reshape(*q.shape, n)
+
+
+def _mass_matrix_of_block(
+    geometry: Geometry, links: _Links, position: Array
+) -> Float[Array, "joints joints samples"]:
+    still = jnp.zeros_like(position)
+    motion = link_motion(geometry, jnp.zeros(3, position.dtype), position, still, still)
+    inertia, first, mass = _composite(geometry, links, motion)
+    # Velocities of the whole at the base's origin, for a unit rate of each joint.
+    turns = geometry.turning[:, None, None]
+    axis = motion.axes[:, 2]
+    angular = turns * axis
+    linear = turns * cross(motion.origin, axis) + (1 - turns) * axis
+    force = mass[:, None] * linear + cross(angular, first)
+    moment = jnp.sum(inertia * angular[:, None], axis=2) + cross(first, linear)
+    # Joint j moves what joint k carries if it carries joint k.
+    upper = jnp.sum(angular[:, None] * moment[None] + linear[:, None] * force[None], axis=2)
+    diagonal = jnp.eye(position.shape[0], dtype=position.dtype)
+    upper = upper * geometry.carries[:, :, None]
+    below = jnp.swapaxes(upper, 0, 1) * (1 - diagonal)[:, :, None]
+    return upper + below + (links.motor[None] * diagonal)[:, :, None]
+
+
+def _composite(geometry: Geometry, links: _Links, motion: LinkMotion) -> tuple[Array, Array, Array]:
+    """Inertia, first moment and mass that each joint carries, about the base's origin."""
+    turn, p, mass = motion.axes, motion.origin, links.mass[:, None]
+    # R I R', by columns of R.
+    half = jnp.sum(links.inertia[:, :, :, None, None] * turn[:, None], axis=2)
+    tensor = jnp.sum(turn[:, :, :, None] * half[:, :, None], axis=1)
+    about = jnp.sum(links.first[:, :, None] * turn, axis=1)
+    first = about + mass[:, None] * p
+    mixed = jnp.sum((2 * about + mass[:, None] * p) * p, axis=1)
+    outer = about[:, :, None] * p[:, None] + p[:, :, None] * about[:, None]
+    outer = outer + mass[:, None, None] * p[:, :, None] * p[:, None]
+    eye = jnp.eye(3, dtype=p.dtype)[None, :, :, None]
+    tensor = tensor + mixed[:, None, None] * eye - outer
+    n, samples = p.shape[0], p.shape[-1]
+    ones = jnp.ones((1, samples), p.dtype)
+    parts = tensor.reshape(n, 9, samples), first, (mass * ones)[:, None]
+    flat = jnp.concatenate(parts, axis=1).reshape(n, 13 * samples)
+    total = (jnp.asarray(geometry.carries) @ flat).reshape(n, 13, samples)
+    return total[:, :9].reshape(n, 3, 3, samples), total[:, 9:12], total[:, 12]
+
+
+@jax.jit
+def _torque(
+    geometry: Geometry,
+    gravity: Float[Array | np.ndarray, "3"],
+    bodies: _Bodies,
+    q: Joints,
+    qd: Joints,
+    qdd: Joints,
+) -> Joints:
+    links = _links(bodies)
+
+    def of_block(q: Array, qd: Array, qdd: Array) -> Array:
+        return _torque_of_block(geometry, gravity, links, q, qd, qdd).T
+
+    motion = (_samples_last(q), _samples_last(qd), _samples_last(qdd))
+    return in_blocks(of_block, motion, samples_first=True).reshape(q.shape)
+
+
+def _torque_of_block(
+    geometry: Geometry,
+    gravity: Float[Array | np.ndarray, "3"],
+    links: _Links,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+) -> Float[Array, "joints samples"]:
+    motion = link_motion(geometry, gravity, q, qd, qdd)
+    w, wd, a = motion.angular_velocity, motion.angular_acceleration, motion.acceleration
+
+    def inertia_times(x: Array) -> Array:  # I x, with I in the link's axes
+        along = jnp.sum(motion.axes * x[:, None], axis=2)
+        product = jnp.sum(links.inertia[..., None] * along[:, None], axis=2)
+        return jnp.sum(motion.axes * product[:, :, None], axis=1)
+
+    first = jnp.sum(links.first[:, :, None] * motion.axes, axis=1)
+    force = links.mass[:, None, None] * a + cross(wd, first) + cross(w, cross(w, first))
+    moment = (
+        inertia_times(wd)
+        + cross(w, inertia_times(w))
+        + cross(first, a)
+        + cross(motion.origin, force)
+    )
+    # What each joint carries, as moments about the base's origin.
+    carries = jnp.asarray(geometry.carries)
+    force, moment = (
+        (carries @ x.reshape(x.shape[0], 3 * x.shape[2])).reshape(x.shape) for x in (force, moment)
+    )
+    turns = geometry.turning[:, None, None]
+    axis = motion.axes[:, 2]
+    along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
+    return jnp.sum(axis * along, axis=1) + links.motor[:, None] * qdd
 
 
 def _unit_torques_of_pair(states: States, pair: tuple[Array, Array, Array]) -> tuple[States, Array]:
@@ -332,14 +397,6 @@ def _pairs(paths: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
     pairs = [(link, joint) for link, path in enumerate(paths) for joint in path]
     links, joints = np.array(pairs).T
     return links, joints
-
-
-def _carries(paths: Sequence[Sequence[int]]) -> Float[np.ndarray, "joints links"]:
-    """One where a joint carries a link."""
-    links, joints = _pairs(paths)
-    matrix = np.zeros((len(paths), len(paths)))
-    matrix[joints, links] = 1.0
-    return matrix
 
 
 def _samples_last(x: Joints) -> Float[Array, "joints samples"]:
