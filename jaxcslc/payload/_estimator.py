@@ -206,6 +206,7 @@ class PayloadEstimator(eqx.Module):
         self.detection_threshold, self.detection_time = detection_threshold, detection_time
         self.mass_tolerance, self.update_every = mass_tolerance, update_every
 
+    @eqx.filter_jit
     def begin(self, q: Joints) -> PayloadState:
         """The state before the first sample, without payload, with the joints at rest.
 

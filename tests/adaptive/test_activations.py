@@ -48,7 +48,7 @@ def test_the_step_includes_zero() -> None:
 )
 def test_slopes_are_derivatives(activation: Activation, rng: np.random.Generator) -> None:
     s = jnp.asarray(np.append(rng.normal(scale=3, size=50), [0.0, 40.0, -40.0, 800.0, -800.0]))
-    expected = jax.vmap(jax.grad(activation.value))(s)
+    expected = jax.jit(jax.vmap(jax.grad(activation.value)))(s)
     assert activation.slope is not None
     assert_allclose(activation.slope(s), expected, rtol=1e-12, atol=1e-15)
     sign = 1 if activation.increasing else -1

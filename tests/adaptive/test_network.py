@@ -127,9 +127,9 @@ def test_transforms(rng: np.random.Generator) -> None:
     patterns = (jnp.asarray(x[0]), jnp.asarray(x[1]))
     eager = network.outputs(k[0], patterns)
     assert_allclose(jax.jit(network.outputs)(k[0], patterns), eager, rtol=1e-13)
-    mapped = jax.vmap(network.outputs, (0, None))(k, patterns)
+    mapped = jax.jit(jax.vmap(network.outputs, (0, None)))(k, patterns)
     assert_allclose(mapped[0], eager, rtol=1e-13)
-    by_pattern = jax.vmap(network.outputs, (None, 0))(k[0], patterns)
+    by_pattern = jax.jit(jax.vmap(network.outputs, (None, 0)))(k[0], patterns)
     assert_allclose(by_pattern, eager, rtol=1e-13)
 
 

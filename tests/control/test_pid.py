@@ -74,12 +74,12 @@ def test_transforms(rng: np.random.Generator) -> None:
     torque, state = pid.step(pid.begin(q), reference, q, 0.01, qd)
     again, _ = eqx.filter_jit(pid.step)(pid.begin(q), reference, q, 0.01, qd)
     np.testing.assert_allclose(again, torque, atol=1e-12)
-    mapped, _ = jax.vmap(pid.step, in_axes=(0, 0, 0, None, 0))(pid.begin(q), reference, q, 0.01, qd)
+    step = jax.jit(jax.vmap(pid.step, in_axes=(0, 0, 0, None, 0)))
+    mapped, _ = step(pid.begin(q), reference, q, 0.01, qd)
     np.testing.assert_allclose(mapped, torque, atol=1e-12)
     assert state.integral.shape == q.shape
-    slope = jax.grad(lambda x: pid.step(pid.begin(x), reference, x, 0.01, qd)[0].sum())(
-        jnp.asarray(q)
-    )
+    slope_of = jax.grad(lambda x: pid.step(pid.begin(x), reference, x, 0.01, qd)[0].sum())
+    slope = jax.jit(slope_of)(jnp.asarray(q))
     assert np.all(np.isfinite(slope))
 
 

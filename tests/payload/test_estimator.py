@@ -128,18 +128,13 @@ def test_nothing_is_found_where_nothing_is(
     assert observed["mass"][-1] < 0.05 and np.all(observed["picked_up"] == -1.0)
 
 
-def _scanned(
-    estimator: PayloadEstimator, q: Array, torque: Array, interval: float = 0.002
-) -> PayloadEstimate:
-    @eqx.filter_jit
-    def run(estimator: PayloadEstimator) -> PayloadEstimate:
-        def onwards(state: Any, signal: tuple[Array, Array]) -> tuple[Any, Any]:
-            state = estimator.step(state, signal[0], signal[1], interval)
-            return state, state.estimate
+@eqx.filter_jit
+def _scanned(estimator: PayloadEstimator, q: Array, torque: Array) -> PayloadEstimate:
+    def onwards(state: Any, signal: tuple[Array, Array]) -> tuple[Any, Any]:
+        state = estimator.step(state, signal[0], signal[1], 0.002)
+        return state, state.estimate
 
-        return jax.lax.scan(onwards, estimator.begin(q[0]), (q, torque))[1]
-
-    return run(estimator)
+    return jax.lax.scan(onwards, estimator.begin(q[0]), (q, torque))[1]
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +153,8 @@ def smooth(puma: jc.CSLC, arm_k: Array) -> tuple[Array, Array, Array]:
 
     time = jnp.asarray(0.002 * np.arange(1500))
     rate = jax.jacfwd(path)
-    q, qd, qdd = (jax.vmap(function)(time) for function in (path, rate, jax.jacfwd(rate)))
+    motion = (path, rate, jax.jacfwd(rate))
+    q, qd, qdd = (jax.jit(jax.vmap(function))(time) for function in motion)
     # Held torques are half an interval late.
     later = loaded.torque(k, q, qd, qdd)
     return q, 0.5 * (later + jnp.roll(later, -1, axis=0)), k
@@ -184,17 +180,18 @@ def test_it_is_least_squares_on_filtered_signals(
     motion, effort = chain.begin(q[0]), chain.begin(torque[0])
     rows, values = [np.diag(1 / np.array([0.2] * 6 + [1.0] * 3 + [5.0]))], [np.zeros(10)]
     step = jax.jit(chain.step, static_argnames="hold")
+    read, regressor = jax.jit(chain.read), jax.jit(estimator.network.regressor)
     layout = estimator.network.layout
     for n in range(400):
         if n:
             motion = step(motion, q[n - 1], q[n], 0.002)
             effort = step(effort, torque[n - 1], torque[n], 0.002, hold="constant")
         if (n + 1) % estimator.update_every == 0:
-            at = chain.read(motion)
-            columns = np.asarray(estimator.network.regressor(*at))
+            at = read(motion)
+            columns = np.asarray(regressor(*at))
             weight = np.sqrt(np.where(np.abs(at.rate) > SLOWEST, 0.02 / NOISE, 0.0))
             of_arm = columns[:, layout.unloaded] @ np.asarray(arm_k)
-            residual = np.asarray(chain.read(effort).value) - of_arm
+            residual = np.asarray(read(effort).value) - of_arm
             rows.append(weight[:, None] * columns[:, layout.payload])
             values.append(weight * residual)
     a, b = np.concatenate(rows), np.concatenate(values)

@@ -228,7 +228,8 @@ def test_normal_equations_side_by_side(problem: Problem, rng: np.random.Generato
     recordings, single_sets = stacked(problem, rng)
     network, start = problem.network, problem.starts[0]
     plan = Plan(Backpropagation(), AdaptedRates(0.1), cost=half_square)
-    made = jax.vmap(lambda training_set: normal_equations(network, training_set))(recordings)
+    side_by_side = jax.jit(jax.vmap(lambda training_set: normal_equations(network, training_set)))
+    made = side_by_side(recordings)
     assert made.trainings == 5
     many = train(network, made, start, plan, epochs=EPOCHS, chunk=60)
     for at in (0, 4):

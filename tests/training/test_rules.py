@@ -304,7 +304,7 @@ def test_transforms(rule: AbstractRule, rng: np.random.Generator) -> None:
     eager = jnp.stack([one(per_pattern) for per_pattern in k])
     close: Any = {"rtol": 1e-11, "atol": 1e-13}
     assert_allclose(jnp.stack([jax.jit(one)(per_pattern) for per_pattern in k]), eager, **close)
-    assert_allclose(jax.vmap(one)(k), eager, **close)
+    assert_allclose(jax.jit(jax.vmap(one))(k), eager, **close)
     stacked = jax.tree.map(lambda x: jnp.stack([x, 0.5 * x, 0 * x]), training_set)
     mapped = jax.jit(jax.vmap(one))(k, stacked)
     assert_allclose(mapped[0], eager[0], **close)
