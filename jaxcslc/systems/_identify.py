@@ -14,6 +14,7 @@ from ..identification import (
 )
 from ..identification.report import condition_warning
 from ..motion import AveragedSplines, Patterns, Preparation, choose_spacing
+from ._constants import constants_from
 from ._network import SystemNetwork
 from ._nonlinear import search_constants
 from ._patterns import system_patterns
@@ -106,6 +107,7 @@ def identify_system(
         step("simulating")
         simulation = _simulation(system, network, fit, patterns["validation"])
     step("computing errors")
+    constants = constants_from(system, fit)
     errors = {name: compare(network, values, {"fit": fit.k}) for name, values in patterns.items()}
     if validation is None:
         held_out = cross_validated_error(network, patterns["training"], settings, fit=fit)
@@ -125,6 +127,7 @@ def identify_system(
         ),
         search,
         simulation,
+        constants,
     )
 
 

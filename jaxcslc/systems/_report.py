@@ -26,6 +26,7 @@ from ..identification.report import (
     write_json,
 )
 from ..motion import Patterns
+from ._constants import ConstantEstimate
 from ._network import SystemNetwork
 from ._search_result import ConstantSearch
 from ._simulation import Simulation
@@ -51,6 +52,7 @@ class SystemReport:
       a validation recording by cross-validation.
     - `warnings`: one sentence each.
     - `search`: of the constants that enter nonlinearly; None without any.
+    - `constants`: that follow from the coefficients, see `constants_from`.
     - `simulation`: of the identified system from the first sample of the validation recording, or
       why it cannot be simulated; None without a validation recording.
 
@@ -78,6 +80,7 @@ class SystemReport:
     warnings: tuple[str, ...] = ()
     search: ConstantSearch | None = None
     simulation: Simulation | str | None = None
+    constants: tuple[ConstantEstimate, ...] = ()
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -127,7 +130,9 @@ class SystemReport:
         yield [str(self.network), f"settings: {self.settings}"]
         yield [coefficient_text(self.rows())]
         yield [] if self.search is None else ["searched constants", str(self.search)]
+        others = [str(row) for row in self.constants if row.name not in self.network.names]
         yield [
+            *([f"constants: {', '.join(others)}"] if others else []),
             *(str(row) for row in separation.identifiability if row.verdict != "alone"),
             *separation.notes,
         ]
@@ -213,6 +218,10 @@ def _document(report: SystemReport) -> dict[str, Any]:
         "searched": {constant.name: value for constant, value in nonlinear},
         "minima": _minima(report.search),
         "simulation": _simulation_document(report.simulation),
+        "constants": {
+            row.name: {"value": row.value, "standard_error": row.standard_error}
+            for row in report.constants
+        },
         "unidentifiable": report.fit.unidentifiable,
         **report.fit.document(),
         "least_determined": report.excitation.worst_combination,

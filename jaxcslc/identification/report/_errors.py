@@ -63,7 +63,7 @@ class ErrorTable(eqx.Module):
     labels: tuple[str, ...] = eqx.field(static=True, default=())
 
     def rows(self) -> list[dict[str, float | str]]:
-        """One row a joint and one for ε, one column a coefficient vector."""
+        """One row a joint and one for ε, or one an equation; one column a coefficient vector."""
         rows: list[dict[str, float | str]] = []
         for joint in range(self.mean_modulus.shape[1]):
             values = np.asarray(self.mean_modulus[:, joint]).tolist()
@@ -72,8 +72,9 @@ class ErrorTable(eqx.Module):
             rows.append(
                 {"": f"mean |e{space}{label}|", **dict(zip(self.names, values, strict=True))}
             )
-        mean = np.asarray(self.epsilon).tolist()
-        rows.append({"": "mean ε", **dict(zip(self.names, mean, strict=True))})
+        if self.kind == "joint":  # equations of other systems have units of their own
+            mean = np.asarray(self.epsilon).tolist()
+            rows.append({"": "mean ε", **dict(zip(self.names, mean, strict=True))})
         return rows
 
     def rms_rows(self) -> list[dict[str, float | int | str]]:
