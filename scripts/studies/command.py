@@ -1,10 +1,13 @@
 """What the command lines of studies share: options, their limits, errors and interruptions."""
 
 import argparse
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
+from tqdm import tqdm
 
 import sim
 
@@ -28,6 +31,24 @@ def new_parser(description: str | None, output: str) -> argparse.ArgumentParser:
         "-o", "--output", type=Path, default=Path("build") / output, help="folder of the results"
     )
     return parser
+
+
+def parse(
+    parser: argparse.ArgumentParser, arguments: Sequence[str] | None, **quick: Any
+) -> argparse.Namespace:
+    """The options, with `--quick` for a trial run of less than a minute.
+
+    **Arguments**
+
+    - `arguments`: of the command line; the program's if none.
+    - `quick`: defaults that `--quick` replaces; options beside it still count.
+    """
+    parser.add_argument("--quick", action="store_true", help="a trial run of less than a minute")
+    options = parser.parse_args(arguments)
+    if options.quick:
+        parser.set_defaults(**quick)
+        options = parser.parse_args(arguments)
+    return options
 
 
 def require_least(
@@ -56,16 +77,42 @@ def keep_compiled() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-def run(parser: argparse.ArgumentParser, study: Callable[[], int], rows: Path | None = None) -> int:
+def duration_text(seconds: float) -> str:
+    """A duration in words, to two digits at most."""
+    for unit, length in (("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 1.5 * length:
+            return f"{float(f'{seconds / length:.2g}'):g} {unit}"
+    return f"{float(f'{max(seconds, 1.0):.1g}'):g} seconds"
+
+
+def progress(
+    items: Iterable[Any] | None = None, *, desc: str, unit: str = "it", **options: Any
+) -> "tqdm[Any]":
+    """A progress bar on standard error: in a terminal as usual, in a file twice a minute."""
+    interval = 0.1 if sys.stderr.isatty() else 30.0
+    return tqdm(items, desc=desc, unit=unit, mininterval=interval, maxinterval=interval, **options)
+
+
+def run(
+    parser: argparse.ArgumentParser,
+    study: Callable[[], int],
+    rows: Path | None = None,
+    *,
+    seconds: float | None = None,
+) -> int:
     """Runs a study; bad values and failed simulations end it with one line.
 
     **Arguments**
 
     - `study`: returns an exit status.
     - `rows`: where finished rows are kept, if anywhere.
+    - `seconds`: how long it takes on two cores, from the start; printed first.
 
     **Returns** the exit status; 130 after Ctrl-C.
     """
+    if seconds is not None:
+        kept = f"; finished parts are kept in {rows}" if rows else ""
+        print(f"about {duration_text(seconds)} on two cores{kept}", flush=True)
     keep_compiled()
     try:
         return study()

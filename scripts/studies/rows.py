@@ -44,6 +44,7 @@ class Rows:
     - `path`: the file.
     - `keys`: names of the fields that identify a row.
     - `by_key`: the rows, by their key.
+    - `digest`: what they are made of.
     """
 
     def __init__(self, path: Path, keys: Sequence[str], made_of: str) -> None:
@@ -55,7 +56,7 @@ class Rows:
         """
         self.path, self.keys = path, tuple(keys)
         self.by_key: dict[tuple[Any, ...], dict[str, Any]] = {}
-        self._made_of = made_of
+        self.digest = made_of
         text = path.read_bytes() if path.exists() else b""
         whole = text[: text.rfind(b"\n") + 1]
         if whole != text:  # the last line is half-written
@@ -85,7 +86,7 @@ class Rows:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("a", encoding="utf-8") as file:
             for row in rows:
-                file.write(json.dumps({"made_of": self._made_of, **row}) + "\n")
+                file.write(json.dumps({"made_of": self.digest, **row}) + "\n")
                 self._take(row)
 
     def _take(self, row: Mapping[str, Any]) -> None:

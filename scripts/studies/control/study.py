@@ -34,7 +34,6 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
@@ -91,7 +90,9 @@ def study(options: argparse.Namespace, design: LoopDesign) -> int:
         vectors = stored_coefficient_sets(
             design.network, options.seeds, options.samples, folder / "coefficients.npz"
         )
-        for motion, duration, controller, seeds in tqdm(missing, desc="cases", disable=None):
+        for motion, duration, controller, seeds in command.progress(
+            missing, desc="cases", unit="case"
+        ):
             rows.add(*performed(design, vectors, motion, duration, controller, seeds))
     return report(options, [
         row for row in rows.all()
@@ -179,6 +180,16 @@ def run(options: argparse.Namespace) -> int:
     return study(options, design)
 
 
+def seconds(options: argparse.Namespace) -> float:
+    """How long the study, or its check, takes on two cores."""
+    if options.ideal:
+        return 60.0
+    if options.stability is not None:
+        return 60.0 + 0.1 * options.stability * len(options.controllers)
+    cases = len(options.controllers) * len(MOTIONS) * len(options.durations)
+    return 20.0 + 1.5 * options.seeds + cases * (4.0 + 0.2 * options.seeds)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "control_study")
     parser.add_argument("--seeds", type=int, default=20, help="how many machines")
@@ -193,14 +204,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--ideal", action="store_true", help="the ideal case instead of the study")
     parser.add_argument("--stability", type=int, nargs="?", const=1000, metavar="N",
                         help="N random motions a controller instead of the study")  # fmt: skip
-    options = parser.parse_args(argv)
+    options = command.parse(
+        parser, argv, seeds=2, samples=1000, durations=[0.8],
+        controllers=["PID", "computed torque"],
+    )  # fmt: skip
     command.require_least(parser, options, seeds=1)
     if min(options.durations) < 0.1:
         parser.error(f"--durations: {min(options.durations):g} s is too short; expected 0.1 s")
     command.require_some_of(parser, "controller", options.controllers, tuple(CONTROLLERS))
     if options.stability is not None:
         command.require_least(parser, options, stability=1)
-    return command.run(parser, lambda: run(options), options.output / "rows.jsonl")
+    return command.run(
+        parser, lambda: run(options), options.output / "rows.jsonl", seconds=seconds(options)
+    )
 
 
 if __name__ == "__main__":

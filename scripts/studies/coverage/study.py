@@ -16,19 +16,20 @@ Motion that a smoothing removes is no noise, and no interval allows for it.
 
 import argparse
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from jaxcslc.motion import as_recorded
 from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
 from scripts.studies.truth import true_coefficients
 
 
@@ -37,6 +38,7 @@ jax.config.update("jax_enable_x64", True)
 
 NOISE, ENCODERS = "torque noise", "encoders"
 KINDS = (NOISE, ENCODERS)
+ERRORS = ("independent", "correlated")
 # Of the root mean square torque of each joint; the thesis's machines were near this.
 NOISE_TO_TORQUE = 0.02
 SETTINGS = jc.Settings(
@@ -86,47 +88,72 @@ class Coverage:
         ]
 
 
-def noisy_torques(machine: sim.Machine, count: int) -> Iterator[jc.Patterns]:
-    """The true motion of one recording, its torque with new noise each time."""
+Numbered = Iterator[tuple[int, jc.Patterns]]
+
+
+def noisy_torques(machine: sim.Machine, seeds: Sequence[int]) -> Numbered:
+    """The true motion of one recording, its torque with new noise for each seed."""
     _, truth = sim.simulate(sim.undisturbed(machine), sim.training(), seed=0)
     deviation = NOISE_TO_TORQUE * np.sqrt(np.mean(truth.torque**2, axis=0))
-    for seed in range(count):
+    for seed in seeds:
         noise = deviation * np.random.default_rng(seed).normal(size=truth.torque.shape)
         recording = jc.Recording(
             truth.time, truth.position, truth.torque + noise, truth.velocity, truth.acceleration
         )
-        yield as_recorded(recording, threshold_fraction=SETTINGS.preparation.threshold_fraction)
+        threshold = SETTINGS.preparation.threshold_fraction
+        yield seed, as_recorded(recording, threshold_fraction=threshold)
 
 
-def quantised_positions(machine: sim.Machine, count: int) -> Iterator[jc.Patterns]:
+def quantised_positions(machine: sim.Machine, seeds: Sequence[int]) -> Numbered:
     """Recordings with quantised encoders, smoothed and masked."""
     quantised = sim.disturbed(machine, "quantisation")
     trajectory = sim.training()
-    jobs = [sim.Job(quantised, trajectory, seed) for seed in range(count)]
-    for _, result in sim.record_each(jobs):
+    jobs = [sim.Job(quantised, trajectory, seed) for seed in seeds]
+    for number, result in sim.record_each(jobs):
         if isinstance(result, sim.SimulationError):
             raise result
-        yield SETTINGS.patterns(result.recording)
+        yield seeds[number], SETTINGS.patterns(result.recording)
 
 
-def coverage_of(kind: str, machine: sim.Machine, count: int, level: float) -> list[Coverage]:
-    """Identifies recordings of a kind and compares the intervals with the truth."""
-    network = jc.derive(machine.robot)
-    truth = np.asarray(true_coefficients(network, machine))
-    patterns = {NOISE: noisy_torques, ENCODERS: quantised_positions}[kind](machine, count)
-    # White noise on true motion needs no filter.
-    cutoff = None if kind == NOISE else SETTINGS.solver.cutoff
-    by_errors: dict[str, list[tuple[np.ndarray, ...]]] = {"independent": [], "correlated": []}
-    for recording in tqdm(patterns, total=count, desc=kind, unit="recording", disable=None):
-        for errors, results in by_errors.items():
-            settings = SETTINGS.with_options(cutoff=cutoff, errors=errors)
-            fit = settings.fit(network, recording)
-            low, high = fit.confidence_interval(level).T
-            covered = (low <= truth) & (truth <= high)
-            results.append((covered, high - low, np.asarray(fit.k)))
+PATTERNS: dict[str, Callable[[sim.Machine, Sequence[int]], Numbered]] = {
+    NOISE: noisy_torques,
+    ENCODERS: quantised_positions,
+}
+
+
+def make_rows(machine: sim.Machine, options: argparse.Namespace, rows: Rows) -> None:
+    """Fits every recording that has no row: estimates, and half the widths of intervals."""
+    network, count = jc.derive(machine.robot), options.recordings
+    missing = {kind: [i for i in range(count) if (kind, i) not in rows] for kind in KINDS}
+    done = len(KINDS) * count - sum(map(len, missing.values()))
+    with command.progress(
+        desc="recordings", unit="recording", total=len(KINDS) * count, initial=done
+    ) as bar:
+        for kind, seeds in missing.items():
+            # White noise on true motion needs no filter.
+            cutoff = None if kind == NOISE else SETTINGS.solver.cutoff
+            for seed, recording in PATTERNS[kind](machine, seeds) if seeds else ():
+                row: dict[str, Any] = {"kind": kind, "seed": seed}
+                for errors in ERRORS:
+                    settings = SETTINGS.with_options(cutoff=cutoff, errors=errors)
+                    fit = settings.fit(network, recording)
+                    low, high = fit.confidence_interval(options.level).T
+                    row["estimate"] = np.asarray(fit.k).tolist()
+                    row[errors] = (0.5 * (high - low)).tolist()
+                rows.add(row)
+                bar.update()
+
+
+def coverage_of(
+    kind: str, rows: Rows, count: int, truth: Float[np.ndarray, " coefficients"]
+) -> list[Coverage]:
+    """Compares the intervals of a kind of recordings with the truth."""
+    of_kind = [rows[kind, seed] for seed in range(count)]
+    estimate = np.array([row["estimate"] for row in of_kind])
+    half = {errors: np.array([row[errors] for row in of_kind]) for errors in ERRORS}
     return [
-        Coverage(kind, errors, *(np.stack(column) for column in zip(*results, strict=True)))
-        for errors, results in by_errors.items()
+        Coverage(kind, errors, np.abs(estimate - truth) <= width, 2.0 * width, estimate)
+        for errors, width in half.items()
     ]
 
 
@@ -135,10 +162,16 @@ def study(options: argparse.Namespace) -> int:
     machine = sim.puma560()
     network = jc.derive(machine.robot)
     names, truth = network.names, np.asarray(true_coefficients(network, machine))
+    rows = Rows(
+        options.output / "rows.jsonl",
+        ("kind", "seed"),
+        made_of({"level": options.level}, [Path(__file__)]),
+    )
+    make_rows(machine, options, rows)
     results = [
         coverage
         for kind in KINDS
-        for coverage in coverage_of(kind, machine, options.recordings, options.level)
+        for coverage in coverage_of(kind, rows, options.recordings, truth)
     ]
     header = ["recordings", "mean", "median", "coefficients from", "within 93 to 97 %"]
     print(
@@ -147,8 +180,8 @@ def study(options: argparse.Namespace) -> int:
     )
     print(text_table(header, [coverage.row() for coverage in results]))
     with all_or_nothing(options.output) as folder:
-        rows = [row for coverage in results for row in coverage.rows(names, truth)]
-        write_csv(folder / "coverage.csv", rows)
+        of_coefficients = [row for coverage in results for row in coverage.rows(names, truth)]
+        write_csv(folder / "coverage.csv", of_coefficients)
     print(f"\nwrote coverage.csv into {options.output}")
     return 0
 
@@ -157,11 +190,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "coverage_study")
     parser.add_argument("--recordings", type=int, default=500, help="how many of each kind")
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals")
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, recordings=5)
     command.require_least(parser, options, recordings=2)
     if not 0.0 < options.level < 1.0:
         parser.error(f"--level is {options.level}; expected more than 0 and less than 1")
-    return command.run(parser, lambda: study(options))
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=25 + 1.2 * options.recordings,
+    )
 
 
 if __name__ == "__main__":

@@ -37,7 +37,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
@@ -73,8 +72,8 @@ def make_rows(
     wanted = [(case, seed) for seed in range(seeds) for case in machines]
     missing = [key for key in wanted if key not in rows]
     spacings = {case: first_spacing(rows, case) for case in machines}
-    with tqdm(
-        total=len(wanted), initial=len(wanted) - len(missing), desc="rows", unit="row", disable=None
+    with command.progress(
+        total=len(wanted), initial=len(wanted) - len(missing), desc="rows", unit="row"
     ) as bar:
         for start in range(0, len(wanted), SEEDS_AT_ONCE * len(machines)):
             block = wanted[start : start + SEEDS_AT_ONCE * len(machines)]
@@ -182,10 +181,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--samples", type=int, default=3300, help="of a training recording, 2 ms apart"
     )
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, seeds=1, samples=1000, cases=list(CASES)[:3])
     command.require_least(parser, options, seeds=1)
     command.require_some_of(parser, "case", options.cases, CASES)
-    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=30.0 + 1.5 * options.seeds * len(options.cases),
+    )
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ Runs that leave a joint's range count as not named.
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -26,13 +27,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
 from jaxcslc.control import FAULTS, ComputedTorque, FaultMonitor, OutputFeedback
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
 from scripts.studies.truth import true_coefficients
 
 
@@ -42,6 +43,8 @@ _START = np.array([0.0, -1.2, 0.6, 0.3, 0.5, 0.2])
 _REACH = np.array([0.8, 0.5, 0.5, 0.9, 0.9, 1.2])
 _STILL = 0.02  # rad/s
 _DURATION = 1.4  # from a fault on [s]
+KEYS = ("fault", "joint", "moment")
+HEALTHY = "healthy"  # in place of a fault, and the number of the path in place of the moment
 _MOMENTS = (0.25, 0.5, 0.8, 1.35)  # of faults [s]: on the way to the first pose, and to the second
 
 
@@ -130,33 +133,51 @@ def spread(values: Sequence[float], digits: str) -> str:
     )
 
 
-def count_alarms(machines: Sequence[sim.Machine], guard: FaultMonitor, paths: int) -> int:
-    """Runs that alarm, or fail, on paths of eight poses without a fault."""
-    alarms = 0
-    for seed in tqdm(range(paths), desc="healthy", disable=None):
-        for result in run(machines, guard, path(8, 100 + seed), 4400, None):
-            healthy = isinstance(result, sim.ClosedLoop) and not result.observed["fault"].any()
-            alarms += not healthy
-    return alarms
+def make_rows(options: argparse.Namespace, rows: Rows) -> None:
+    """Runs all machines on every path, and with every fault, that has no row yet."""
+    machines = [sim.disturbed(sim.specimen(sim.puma560(), seed)) for seed in range(options.seeds)]
+    paths = [key for key in healthy_keys(options) if key not in rows]
+    faults = [key for key in fault_keys(options) if key not in rows]
+    if not paths and not faults:
+        return
+    guard = guards(machines, options.error)
+    total = len(healthy_keys(options)) + len(fault_keys(options))
+    done = total - len(paths) - len(faults)
+    with command.progress(desc="paths and faults", unit="run", total=total, initial=done) as bar:
+        for key in paths:
+            results = run(machines, guard, path(8, 100 + int(key[2])), 4400, None)
+            alarms = sum(
+                not isinstance(result, sim.ClosedLoop) or bool(result.observed["fault"].any())
+                for result in results
+            )
+            rows.add(dict(zip(KEYS, key, strict=True)) | {"alarms": alarms})
+            bar.update()
+        for key in faults:
+            kind, joint, moment = key
+            fault = sim.Fault(kind, joint, start=moment)
+            samples = round((fault.start + _DURATION) / 0.002)
+            along = path(4, joint)
+            results = run(machines, guard, along, samples, fault)
+            machine_rows = [
+                {"seed": i} | row_of(result, fault, along) for i, result in enumerate(results)
+            ]
+            rows.add(dict(zip(KEYS, key, strict=True)) | {"machines": machine_rows})
+            bar.update()
 
 
-def fault_rows(
-    machines: Sequence[sim.Machine], guard: FaultMonitor, joints: Sequence[int], moments: int
-) -> list[dict[str, Any]]:
-    """A row for each fault of each machine."""
-    faults = [
-        sim.Fault(kind, joint, start=moment)
+def healthy_keys(options: argparse.Namespace) -> list[tuple[str, int, float]]:
+    """Of the paths without a fault, by their number."""
+    return [(HEALTHY, 0, float(number)) for number in range(options.healthy)]
+
+
+def fault_keys(options: argparse.Namespace) -> list[tuple[str, int, float]]:
+    """Of the faults: kind, joint and moment [s]."""
+    return [
+        (kind, joint, moment)
         for kind in FAULTS[1:]
-        for joint in joints
-        for moment in _MOMENTS[:moments]
+        for joint in options.joints
+        for moment in _MOMENTS[: options.moments]
     ]
-    rows: list[dict[str, Any]] = []
-    for fault in tqdm(faults, desc="faults", disable=None):
-        samples = round((fault.start + _DURATION) / 0.002)
-        along = path(4, fault.joint or 0)
-        results = run(machines, guard, along, samples, fault)
-        rows += [{"seed": i} | row_of(result, fault, along) for i, result in enumerate(results)]
-    return rows
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
@@ -180,10 +201,11 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def study(options: argparse.Namespace) -> int:
     """Runs all machines with and without faults, prints the table and writes the file."""
-    machines = [sim.disturbed(sim.specimen(sim.puma560(), seed)) for seed in range(options.seeds)]
-    guard = guards(machines, options.error)
-    alarms = count_alarms(machines, guard, options.healthy)
-    rows = fault_rows(machines, guard, options.joints, options.moments)
+    digest = made_of({"seeds": options.seeds, "error": options.error}, [Path(__file__)])
+    finished = Rows(options.output / "rows.jsonl", KEYS, digest)
+    make_rows(options, finished)
+    alarms = sum(finished[key]["alarms"] for key in healthy_keys(options))
+    rows = [row for key in fault_keys(options) for row in finished[key]["machines"]]
     for row in rows:
         if not row["named"]:
             print(f"{row['fault']}, joint {row['joint']}: {row['what']}", file=sys.stderr)
@@ -208,13 +230,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--healthy", type=int, default=10, help="paths of eight poses, no fault")
     parser.add_argument("--joints", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6])
     parser.add_argument("--error", type=float, default=0.05, help="of coefficients, at most")
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, seeds=2, moments=1, healthy=1, joints=[2])
     command.require_least(parser, options, seeds=1, healthy=0)
     if not 1 <= options.moments <= len(_MOMENTS):
         parser.error(f"--moments is {options.moments}; expected 1 to {len(_MOMENTS)}")
     if not set(options.joints) <= set(range(1, 7)):
         parser.error(f"--joints are {options.joints}; expected some of 1 to 6")
-    return command.run(parser, lambda: study(options))
+    runs = options.healthy + len(fault_keys(options))
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=30 + runs * (1.0 + 0.2 * options.seeds),
+    )
 
 
 if __name__ == "__main__":

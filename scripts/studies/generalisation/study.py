@@ -39,7 +39,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
@@ -116,7 +115,8 @@ def make_rows(options: argparse.Namespace, kinds: Sequence[Kind]) -> list[dict[s
     ]
     print(f"settings: {settings}")
     print(f"comparison patterns in range of the training patterns: {100 * np.mean(inside):.1f} %")
-    with tqdm(total=rounds * options.epochs, unit="epoch", disable=None) as bar:
+    total = rounds * options.epochs
+    with command.progress(desc="networks", unit="epoch", total=total) as bar:
         for kind in missing:
             bar.set_description(kind.name)
             data = data_of(training, stop, comparison, kind.trigonometric)
@@ -154,16 +154,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         default=[kind.name for kind in STANDARD],
         help="some of: " + ", ".join(by_name),
     )
-    parser.add_argument("--quick", action="store_true", help="three small networks: a trial run")
-    options = parser.parse_args(argv)
-    if options.quick:
-        options.seeds, options.samples = min(options.seeds, 2), 1200
-        options.epochs, options.rounds = 6, 1
+    options = command.parse(parser, argv, seeds=2, samples=1200, epochs=6, rounds=1)
     if not 0.0 <= options.tolerance < np.inf:
         parser.error(f"--tolerance is {options.tolerance}; expected a finite number, 0 or more")
     command.require_least(parser, options, seeds=1, samples=600, epochs=1, batch=1, rounds=1)
     kinds = QUICK if options.quick else tuple(by_name[name] for name in options.networks)
-    return command.run(parser, lambda: study(options, kinds), options.output / "rows.jsonl")
+    trainings = sum(1 + kind.pruned * options.rounds for kind in kinds)
+    seconds = 25.0 + 1e-6 * trainings * options.seeds * options.samples * options.epochs
+    return command.run(
+        parser, lambda: study(options, kinds), options.output / "rows.jsonl", seconds=seconds
+    )
 
 
 if __name__ == "__main__":

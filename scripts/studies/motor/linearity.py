@@ -9,21 +9,23 @@ import argparse
 import dataclasses
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 import sim
 from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
 from scripts.studies import command
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
+from scripts.studies.rows import Rows, made_of
 
 
 jax.config.update("jax_enable_x64", True)
 
 _JOINT = 2
+_OPTIONS = ("limit", "masses", "period", "swings", "seed")
 
 
 def limited(machine: sim.Machine, limit: float) -> sim.Machine:
@@ -33,6 +35,23 @@ def limited(machine: sim.Machine, limit: float) -> sim.Machine:
     return dataclasses.replace(
         machine, linear_torque=tuple(share * most for most in machine.maximum_torque)
     )
+
+
+def measured(name: str, machine: sim.Machine, options: argparse.Namespace) -> sim.MotorLinearity:
+    """The measurements of one machine, from the file of finished ones or made now."""
+    numbers = {key: getattr(options, key) for key in _OPTIONS}
+    finished = Rows(options.output / "rows.jsonl", ("machine",), made_of(numbers, [Path(__file__)]))
+    if (name,) not in finished:
+        result = sim.motor_linearity(
+            machine,
+            joint=_JOINT,
+            **{key: numbers[key] for key in _OPTIONS if key != "limit"},
+            progress=lambda masses: command.progress(masses, desc=f"{name} machine", unit="weight"),
+        )
+        pairs = {"mass": result.mass.tolist(), "torque": result.torque.tolist()}
+        finished.add({"machine": name, **pairs})
+    row = finished[(name,)]
+    return sim.MotorLinearity.of(_JOINT, np.array(row["mass"]), np.array(row["torque"]))
 
 
 def table(result: sim.MotorLinearity) -> str:
@@ -59,20 +78,7 @@ def rows(result: sim.MotorLinearity) -> list[dict[str, float]]:
 def study(options: argparse.Namespace) -> int:
     """Measures both machines, prints the tables and writes tables and pictures."""
     machines = {"linear": sim.puma560(), "limited": limited(sim.puma560(), options.limit)}
-    results = {
-        name: sim.motor_linearity(
-            machine,
-            joint=_JOINT,
-            masses=options.masses,
-            period=options.period,
-            swings=options.swings,
-            seed=options.seed,
-            progress=lambda masses, name=name: tqdm(
-                masses, desc=f"{name} machine", unit="weight", disable=None
-            ),
-        )
-        for name, machine in machines.items()
-    }
+    results = {name: measured(name, machine, options) for name, machine in machines.items()}
     for name, result in results.items():
         limit = machines[name].linear_torque[_JOINT - 1]
         limit_text = "none" if math.isinf(limit) else f"{limit:g} N m"
@@ -115,8 +121,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--period", type=float, default=2.0, help="of an oscillation [s]")
     parser.add_argument("--swings", type=int, default=3, help="whole oscillations averaged")
-    options = parser.parse_args(argv)
-    return command.run(parser, lambda: study(options))
+    options = command.parse(parser, argv, masses=[0, 1.5, 4.5], swings=1, period=1.0)
+    moved = len(options.masses) * (options.swings + 1) * options.period
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=10.0 + 0.2 * moved,
+    )
 
 
 if __name__ == "__main__":

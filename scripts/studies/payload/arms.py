@@ -28,6 +28,10 @@ from scripts.studies.payload.task import CASES, START, Task, rehearsal
 METHODS = LEARNT, NOT_LEARNT, KNOWN = "learnt", "not learnt", "known"
 
 
+# Of a trial run, which selects nothing.
+FIXED = jc.Settings(jc.Preparation(jc.AveragedSplines(17), torque_alignment="mean"))
+
+
 @dataclasses.dataclass(frozen=True)
 class Arm:
     """A specimen, and what was identified before it carries anything."""
@@ -40,12 +44,18 @@ class Arm:
 
 
 class Arms:
-    """The specimens of one case after another, and their runs of the task."""
+    """The specimens of one case after another, and their runs of the task.
 
-    def __init__(self, seeds: int, frequency: float, training: int) -> None:
+    **Attributes**
+
+    - `select`: whether settings are selected by cross-validation; fixed ones otherwise.
+    """
+
+    def __init__(self, seeds: int, frequency: float, training: int, *, select: bool = True) -> None:
         self.network = jc.derive(jc.puma560())
         self.with_payload = self.network.with_payload()
         self.seeds, self.frequency, self.training = seeds, frequency, training
+        self.select = select
         self.of_case = functools.lru_cache(maxsize=1)(self._identified)
 
     def _identified(self, disturbances: tuple[str, ...]) -> list[Arm]:
@@ -56,9 +66,11 @@ class Arms:
         ]
         numbers = [3 * seed for seed in range(self.seeds)]
         trained = successes(sim.close_loop(machines, sim.training(samples=self.training), numbers))
-        base = jc.choose_settings(
-            self.network, trained[0].recording, backlash=machines[0].backlash[0] > 0
-        ).settings
+        backlash = machines[0].backlash[0] > 0
+        base = FIXED.with_options(backlash=backlash)
+        if self.select:
+            choice = jc.choose_settings(self.network, trained[0].recording, backlash=backlash)
+            base = choice.settings
         refinements = [
             jc.refine_thresholds(self.network, run.recording, base)
             for run in tqdm(trained, desc="identification", disable=None, leave=False)

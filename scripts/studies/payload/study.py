@@ -27,7 +27,6 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from jaxcslc.identification.report import write_csv
 from jaxcslc.plotting import save_picture
@@ -150,11 +149,11 @@ def study(options: argparse.Namespace) -> int:
     masses = sorted(set(options.masses))
     pairs = [(case, mass) for case in cases for mass in masses]
     code = [Path(__file__).with_name(f"{name}.py") for name in ("arms", "errors", "loops", "task")]
-    names = ("seeds", "frequency", "training")
+    names = ("seeds", "frequency", "training", "quick")
     digest = made_of({name: getattr(options, name) for name in names}, code)
     finished = Rows(options.output / "rows.jsonl", ("case", "mass"), digest)
-    arms = Arms(options.seeds, options.frequency, options.training)
-    for case, mass in tqdm(pairs, desc="cases and masses", disable=None):
+    arms = Arms(options.seeds, options.frequency, options.training, select=not options.quick)
+    for case, mass in command.progress(pairs, desc="cases and masses", unit="pair"):
         if (case, mass) not in finished:
             finished.add({"case": case, "mass": mass, **arms.results(case, mass)})
     rows = [row for pair in pairs for row in finished[pair]["rows"]]
@@ -194,13 +193,20 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="samples to identify an arm from, 2 ms apart")  # fmt: skip
     parser.add_argument("--film", action=argparse.BooleanOptionalAction, default=True,
                         help="of one arm with the heaviest payload, if OpenGL works")  # fmt: skip
-    options = parser.parse_args(argv)
+    quick = {"seeds": 1, "masses": [1.0], "cases": list(CASES)[:1], "training": 1000, "film": False}
+    options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=1)
     if not 1.0 <= options.frequency <= 60.0:
         parser.error(f"--frequency is {options.frequency:g}; expected 1 to 60 rad/s")
     if not all(0.0 <= mass <= 5.0 for mass in options.masses):
         parser.error("--masses: expected 0 to 5 kg")
-    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+    pairs = len(options.cases) * len(options.masses)
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=30.0 + 60.0 * options.film + pairs * (15.0 + 5.0 * options.seeds),
+    )
 
 
 if __name__ == "__main__":

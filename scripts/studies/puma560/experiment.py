@@ -51,7 +51,7 @@ def recorded(
     options: argparse.Namespace, simulated: Mapping[str, sim.Machine]
 ) -> dict[str, list[sim.SimulatedRecording]]:
     """Training and comparison recording of every machine."""
-    samples = _QUICK_SAMPLES if options.quick else options.samples
+    samples = options.samples
     jobs = [
         sim.Job(machine, trajectory, options.seed + offset)
         for machine in simulated.values()
@@ -153,12 +153,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "demo")
     parser.add_argument("--seed", type=int, default=1, help="of encoders, starts and timing")
     parser.add_argument("--samples", type=int, default=3300, help="of the training trajectory")
-    parser.add_argument(
-        "--quick", action="store_true", help="a short recording, settings not selected: a trial run"
-    )
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, samples=_QUICK_SAMPLES)
     command.require_least(parser, options, seed=0, samples=600)
-    return command.run(parser, lambda: experiment(options))
+    seconds = 60.0 if options.quick else 180.0
+    return command.run(parser, lambda: experiment(options), seconds=seconds)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
@@ -173,7 +172,7 @@ def study(options: argparse.Namespace) -> int:
     digest = made_of(made, [Path(__file__)])
     finished = Rows(options.output / "rows.jsonl", ("seed",), digest)
     of_machine = Study(lengths, tuple(options.fall), options.samples)
-    for seed in tqdm(range(options.seeds), desc="seeds", disable=None):
+    for seed in command.progress(range(options.seeds), desc="seeds", unit="seed"):
         if (seed,) not in finished:
             finished.add({"seed": seed, "rows": of_machine.rows(seed)})
     rows = [row for seed in range(options.seeds) for row in finished[(seed,)]["rows"]]
@@ -197,13 +196,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--fall", type=float, nargs=2, default=(0.2, 0.5), metavar=("LOW", "HIGH"),
                         help="of friction, as parts of it")  # fmt: skip
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, seeds=1, lengths=[0.5, 2.0], samples=1500)
     command.require_least(parser, options, seeds=1)
     if min(options.lengths) < 0.2:
         parser.error(f"--lengths: {min(options.lengths):g} s is too short; expected 0.2 s or more")
     if not 0.0 <= options.fall[0] <= options.fall[1] < 1.0:
         parser.error("--fall: expected two parts from 0 to less than 1, the lower one first")
-    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=20.0 + options.seeds * (5.0 + 3.0 * len(options.lengths)),
+    )
 
 
 if __name__ == "__main__":

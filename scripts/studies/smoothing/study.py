@@ -15,11 +15,12 @@ samples on one side only, is left out.
 import argparse
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
@@ -27,6 +28,7 @@ from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.motion import AbstractSmoothing, SavitzkyGolay, away_from_reversals, choose_spacing
 from jaxcslc.plotting import save_picture
 from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
 from scripts.studies.smoothing.results import SELECTED, Entry, picture, table
 from scripts.studies.truth import true_coefficients
 
@@ -90,6 +92,31 @@ class Errors:
     spacing: tuple[int, ...]
     selected: dict[str, Float[np.ndarray, " joints"]]
     trials: dict[str, dict[str, dict[float, Float[np.ndarray, " joints"]]]]
+
+    def row(self) -> dict[str, Any]:
+        """Lists and text, for a file of rows."""
+        listed = {
+            region: {
+                method: [[setting, square.tolist()] for setting, square in settings.items()]
+                for method, settings in methods.items()
+            }
+            for region, methods in self.trials.items()
+        }
+        selected = {region: square.tolist() for region, square in self.selected.items()}
+        return {"spacing": list(self.spacing), "selected": selected, "trials": listed}
+
+    @classmethod
+    def of_row(cls, row: dict[str, Any]) -> "Errors":
+        """From what `row` returned."""
+        trials = {
+            region: {
+                method: {setting: np.array(square) for setting, square in settings}
+                for method, settings in methods.items()
+            }
+            for region, methods in row["trials"].items()
+        }
+        selected = {region: np.array(square) for region, square in row["selected"].items()}
+        return cls(tuple(row["spacing"]), selected, trials)
 
 
 def true_acceleration(
@@ -196,13 +223,24 @@ def study(options: argparse.Namespace) -> int:
     network = jc.derive(machine.robot)
     k = true_coefficients(network, machine)
     trajectories = {"training": sim.training(), "comparison": sim.comparison()}
-    jobs = [(name, seed) for seed in range(options.seeds) for name in TRAJECTORIES]
-    errors: dict[str, list[Errors]] = {name: [] for name in TRAJECTORIES}
-    for name, seed in tqdm(jobs, desc="recordings", unit="recording", disable=None):
-        # Two numbers a seed: the encoders of the two recordings start elsewhere.
-        number = 2 * seed + TRAJECTORIES.index(name)
-        recording, truth = sim.simulate(machine, trajectories[name], seed=number)
-        errors[name].append(measure(recording, truth, true_acceleration(network, k, truth)))
+    digest = made_of({}, [Path(__file__)])
+    rows = Rows(options.output / "rows.jsonl", ("trajectory", "seed"), digest)
+    keys = [(name, seed) for seed in range(options.seeds) for name in TRAJECTORIES]
+    missing = [key for key in keys if key not in rows]
+    with command.progress(
+        desc="recordings", unit="recording", total=len(keys), initial=len(keys) - len(missing)
+    ) as bar:
+        for name, seed in missing:
+            # Two numbers a seed: the encoders of the two recordings start elsewhere.
+            number = 2 * seed + TRAJECTORIES.index(name)
+            recording, truth = sim.simulate(machine, trajectories[name], seed=number)
+            measured = measure(recording, truth, true_acceleration(network, k, truth))
+            rows.add({"trajectory": name, "seed": seed, **measured.row()})
+            bar.update()
+    errors = {
+        name: [Errors.of_row(rows[name, seed]) for seed in range(options.seeds)]
+        for name in TRAJECTORIES
+    }
     entries = [entry for name in TRAJECTORIES for entry in summarise(name, errors[name])]
     print(table(entries, machine.joint_count))
     with all_or_nothing(options.output) as folder:
@@ -215,9 +253,14 @@ def study(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "smoothing_study")
     parser.add_argument("--seeds", type=int, default=10, help="how many of each trajectory")
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, seeds=1)
     command.require_least(parser, options, seeds=1)
-    return command.run(parser, lambda: study(options))
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=10 + 14 * options.seeds,
+    )
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ def make_rows(options: argparse.Namespace, machine: sim.Machine, rows: Rows) -> 
     trajectories = (sim.training(samples=options.samples), sim.comparison())
     spacing = next((tuple(row["spacing"]) for row in rows.all()), None)
     identifier = Identifier(jc.puma560(), np.array(machine.encoder_resolution), spacing)
-    for seed in tqdm(range(options.seeds), desc="seeds", disable=None):
+    for seed in command.progress(range(options.seeds), desc="seeds", unit="seed"):
         missing = [method for method in options.methods if (seed, method) not in rows]
         if not missing:
             continue
@@ -168,10 +168,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--time-step", type=float, default=2e-5, help="of the simulator [s]")
     parser.add_argument("--methods", nargs="+", default=list(METHODS), metavar="METHOD",
                         help=f"some of: {', '.join(map(repr, METHODS))}")  # fmt: skip
-    options = parser.parse_args(argv)
+    quick = {"seeds": 1, "samples": 1000, "time_step": 2e-4, "methods": ["masked", "moving pairs"]}
+    options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=1)
     command.require_some_of(parser, "method", options.methods, METHODS)
-    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+    simulation = 4e-4 / options.time_step * options.samples / 3300
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=20.0 + options.seeds * (simulation + 10.0 * len(options.methods)),
+    )
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ what is left to gain. Judged on the comparison recordings of the simulated PUMA 
 
 import argparse
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -34,12 +35,15 @@ from jaxcslc.training import (
     train,
 )
 from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import number_text
 from scripts.studies.truth import published_coefficients
 
 
 jax.config.update("jax_enable_x64", True)
 
+OPTIONS = ("bout", "epochs", "seed", "samples", "without_velocity")
+CHUNK = 500  # epochs between looks at progress
 # Joints that move, as in the experiment of Chapter 7.
 _MOVING = 0.05  # rad/s
 
@@ -63,14 +67,20 @@ def error(network: AdaptiveNetwork, of: Examples, weights: jax.Array) -> float:
     return float(of.costs(network, weights, half_rms)[0])
 
 
+def method_of(least: float) -> str:
+    """The name of a training that ends at a least reduction of an epoch [N m]."""
+    return f"trained to {least:g} N m"
+
+
 def rows_of(
     name: str,
     machine: sim.Machine,
     network: AdaptiveNetwork,
     cslc: jc.CSLC,
     options: argparse.Namespace,
+    finished: Rows,
 ) -> Iterator[dict[str, Any]]:
-    """A row for each method of identification."""
+    """A row for each method of identification that has none."""
     recordings = [
         sim.simulate(machine, trajectory, seed=options.seed).recording
         for trajectory in (sim.training(samples=options.samples), sim.comparison())
@@ -96,6 +106,8 @@ def rows_of(
     yield row("Ar+LS", published)
     yield row("direct solve", direct)
     for least in options.least:
+        if (name, method_of(least)) in finished:
+            continue
         schedule = Schedule(
             (Backpropagation(), PERAL()),
             hand_over=hand_over,
@@ -113,6 +125,8 @@ def rows_of(
             jnp.zeros(network.size),
             plan,
             epochs=options.epochs,
+            checkpoint=finished.path.with_name(f"{name} {least:g} {finished.digest[:12]}.npz"),
+            chunk=CHUNK,
             keep_weights=False,
             progress=True,
             throw=False,
@@ -120,7 +134,7 @@ def rows_of(
         (outcome,) = training.outcomes()
         rule = np.asarray(training.history.rule)
         passed = f"{int((rule == 0).sum())} + {int((rule == 1).sum())}"
-        yield row(f"trained to {least:g} N m", training.weights, passed, outcome)
+        yield row(method_of(least), training.weights, passed, outcome)
 
 
 def study(options: argparse.Namespace) -> int:
@@ -128,11 +142,16 @@ def study(options: argparse.Namespace) -> int:
     cslc = jc.derive(jc.puma560())
     network = inverse_dynamics(cslc)
     machines = {"A": sim.puma_a, "B": sim.puma_b}
-    rows = [
-        row
-        for name in options.machines
-        for row in rows_of(f"PUMA {name}", machines[name](), network, cslc, options)
-    ]
+    digest = made_of({name: getattr(options, name) for name in OPTIONS}, [Path(__file__)])
+    finished = Rows(options.output / "rows.jsonl", ("machine", "method"), digest)
+    methods = ["Ar+LS", "direct solve", *map(method_of, options.least)]
+    keys = [(f"PUMA {name}", method) for name in options.machines for method in methods]
+    for name in options.machines:
+        if any(key not in finished for key in keys if key[0] == f"PUMA {name}"):
+            for row in rows_of(f"PUMA {name}", machines[name](), network, cslc, options, finished):
+                finished.add(row)
+                print(", ".join(number_text(value) for value in row.values()), flush=True)
+    rows = [finished[key] for key in keys]
     print(text_table(list(rows[0]), [[number_text(x) for x in row.values()] for row in rows]))
     print("epochs: of backpropagation + of PERAL")
     with all_or_nothing(options.output) as folder:
@@ -153,9 +172,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--samples", type=int, default=3300, help="of the training recording")
     parser.add_argument("--machines", nargs="+", choices=["A", "B"], default=["A", "B"])
     parser.add_argument("--without-velocity", action="store_true", help="as 5.2.6 allows")
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, samples=600, least=[1e-2], machines=["A"], epochs=300)
     command.require_least(parser, options, samples=500, epochs=1, bout=1)
-    return command.run(parser, lambda: study(options))
+    trainings = len(options.machines) * len(options.least)
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=60.0 + 4e-6 * trainings * options.samples * options.epochs,
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Picture of learning rules side by side (Figs. 6.3-3 and 6.3-4)."""
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -89,3 +89,45 @@ def _limits(learning: Learning) -> tuple[float, float]:
     low, high = min(values), max(values)
     span = max(high - low, 1e-12)
     return low - 0.1 * span, high + 1.0 * span
+
+
+def conditions_picture(rows: Sequence[Mapping[str, Any]], starts: int) -> Figure:
+    """Epochs of backpropagation over those of PERAL, by the number of patterns.
+
+    **Arguments**
+
+    - `rows`: with condition, goal, rule and the ratio of median epochs.
+    - `starts`: how many the medians are of, for the title.
+    """
+    goals = list(dict.fromkeys(row["goal"] for row in rows))
+    figure = new_figure(3.4 * len(goals) + 0.6, 4.2)
+    axes_of = figure.subplots(1, len(goals), squeeze=False, sharey=True)[0]
+    series = list(dict.fromkeys((row["centred"], row["cost"]) for row in rows))
+    for axes, goal in zip(axes_of, goals, strict=True):
+        for i, (centred, cost) in enumerate(series):
+            of_series = [
+                row
+                for row in rows
+                if (row["goal"], row["centred"], row["cost"]) == (goal, centred, cost)
+                and row["rule"] == "PERAL"
+            ]
+            x = [row["patterns"] * (1.0 + 0.05 * (i - 1.5)) for row in of_series]
+            y = [row["backpropagation's median epochs over PERAL's"] for row in of_series]
+            label = f"inputs {'centred' if centred else 'as they are'}, {cost}"
+            axes.plot(
+                x, np.clip(y, 0.02, 50.0), ls="", marker="os^D"[i % 4], ms=6,
+                color=COLOURS[i % len(COLOURS)], label=label,
+            )  # fmt: skip
+        axes.axhline(1.0, color=QUIET, lw=1.0, zorder=0.5)
+        axes.axhline(5.0, color=QUIET, lw=1.0, ls=STYLES[1], zorder=0.5, label="thesis, one start")
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_ylim(0.015, 70.0)
+        axes.set_xlabel("patterns")
+        axes.set_title(goal, fontsize="medium")
+        axes.grid(alpha=0.25)
+    axes_of[0].set_ylabel("epochs of backpropagation / of PERAL")
+    handles, labels = axes_of[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle(f"Ultrasound scene, from the hand-over on: medians of {starts} starts")
+    return figure

@@ -16,6 +16,7 @@ The first draw of each problem makes its picture; `network_figures.json` has all
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -38,6 +39,7 @@ from jaxcslc.training import (
     train,
 )
 from scripts.studies import command
+from scripts.studies.rows import made_of
 from scripts.studies.training.network_pictures import (
     decision_picture,
     fitted_curves_picture,
@@ -133,7 +135,9 @@ def exclusive_or(starts: int, epochs: int, seed: int) -> tuple[Figure, dict[str,
     return decision_picture(grid, grid, decisions, CORNERS, EXCLUSIVE_OR, title=title), document
 
 
-def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, Any]]:
+def overtraining(
+    draws: int, epochs: int, seed: int, checkpoint: Path | None = None
+) -> tuple[Figure, dict[str, Any]]:
     """Fig. 3.6-1."""
     network = fully_connected([1, HIDDEN, 1], ["hyperbolic tangent", "linear combiner"])
     spread = np.full(network.size, HIDDEN_SPREAD)
@@ -167,7 +171,9 @@ def overtraining(draws: int, epochs: int, seed: int) -> tuple[Figure, dict[str, 
         epochs=epochs,
         stop_set=many(stop_sets),
         keep_weights=False,
-        chunk=epochs,
+        chunk=max(1, epochs // 20),
+        checkpoint=checkpoint,
+        progress=True,
     )
     errors = np.sqrt(2.0 * np.asarray(training.history.cost))
     stop = np.sqrt(2.0 * np.asarray(training.history.stop_cost))
@@ -265,11 +271,20 @@ def quintics(draws: int, seed: int) -> tuple[Figure, dict[str, Any]]:
     return fitted_curves_picture(x_drawn, cubic(x_drawn), fits, title=title), document
 
 
+def checkpoint_of(options: argparse.Namespace) -> Path:
+    """Where the overtrained networks are kept, which take nearly all of the time."""
+    numbers = {name: getattr(options, name) for name in ("seed", "draws", "epochs")}
+    digest = made_of(numbers, [Path(__file__)])
+    return options.output / f"overtraining-{digest[:12]}.npz"
+
+
 def study(options: argparse.Namespace) -> int:
     """Trains the networks and writes pictures and numbers."""
     results = {
         "exclusive_or": exclusive_or(options.draws, 1000, options.seed),
-        "overtraining": overtraining(options.draws, options.epochs, options.seed),
+        "overtraining": overtraining(
+            options.draws, options.epochs, options.seed, checkpoint_of(options)
+        ),
         "quintics": quintics(options.draws, options.seed),
     }
     with all_or_nothing(options.output) as folder:
@@ -291,9 +306,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--draws", type=int, default=40, help="how often to repeat each problem; one is drawn"
     )
     parser.add_argument("--epochs", type=int, default=20_000, help="of the overtrained networks")
-    options = parser.parse_args(argv)
+    options = command.parse(parser, argv, draws=5, epochs=2000)
     command.require_least(parser, options, seed=0, draws=1, epochs=2)
-    return command.run(parser, lambda: study(options))
+    return command.run(
+        parser,
+        lambda: study(options),
+        checkpoint_of(options),
+        seconds=20.0 + 2e-5 * options.draws * options.epochs,
+    )
 
 
 if __name__ == "__main__":

@@ -26,13 +26,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
 from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
 from jaxcslc.plotting import save_picture
 from jaxcslc.training import (
     AdaptedRates,
     Backpropagation,
+    NormalEquations,
     Plan,
     State,
     half_square,
@@ -40,13 +40,14 @@ from jaxcslc.training import (
     training_steps,
 )
 from scripts.studies import command
-from scripts.studies.rows import made_of
+from scripts.studies.rows import Rows, made_of
 from scripts.studies.training.learning_pictures import Learning, learning_picture
 from scripts.studies.training.peral_comparison import (
     BACKPROPAGATION_RATE,
     CORRECT,
     RULES,
     Outcome,
+    Problem,
     compare_puma,
     compare_ultrasound,
     costs_of,
@@ -62,25 +63,76 @@ from scripts.studies.training.peral_operations import (
     PERAL_RULE,
     THESIS_FORMULAS,
 )
-from scripts.studies.training.peral_tables import epoch_rows, operations, report, spread
+from scripts.studies.training.peral_tables import (
+    epoch_rows,
+    epochs_table,
+    operations,
+    report,
+    spread,
+)
 
 
 jax.config.update("jax_enable_x64", True)
 
 NEAR = 1.001
+STARTS_AT_ONCE = 25
 CHECKS = 2000  # epochs between checks whether all trainings are near the minimum
 
 
-def one_minimum(outcome: Outcome, options: argparse.Namespace) -> dict[str, Any]:
+def one_minimum(outcome: Outcome, options: argparse.Namespace, rows: Rows) -> dict[str, Any]:
     """Half square costs over the direct solution's: of backpropagation from random starts on the
     first seed's normal equations, and at the ends of the comparison's trainings.
     """
     problem = outcome.problem
-    network = problem.network
-    equations = normal_equations(network, problem.first)
+    equations = normal_equations(problem.network, problem.first)
     moment = np.asarray(equations.moment).sum(axis=0)
     direct = np.linalg.lstsq(np.asarray(equations.gram), moment, rcond=None)[0]
-    least = float(equations.costs(network, jnp.asarray(direct), half_square)[0])
+    least = float(equations.costs(problem.network, jnp.asarray(direct), half_square)[0])
+    missing = [number for number in range(options.starts) if (number,) not in rows]
+    with command.progress(
+        desc="one minimum",
+        unit="epoch",
+        total=-(-len(missing) // STARTS_AT_ONCE) * options.minimum_epochs,
+    ) as bar:
+        for first in range(0, len(missing), STARTS_AT_ONCE):
+            numbers = missing[first : first + STARTS_AT_ONCE]
+            state = to_the_minimum(problem, equations, least, numbers, options, bar)
+            rows.add(
+                *(
+                    {"start": number, "epochs": epochs, "ratio": lowest / least}
+                    for number, epochs, lowest in zip(
+                        numbers, state.epoch.tolist(), state.lowest.tolist(), strict=True
+                    )
+                )
+            )
+    ended = [rows[(number,)] for number in range(options.starts)]
+    ratios = np.array([row["ratio"] for row in ended])
+    best = costs_of(problem, direct_solutions(problem), half_square)
+    ends = {"hand-over": outcome.at_hand_over, **outcome.at_end}
+    return {
+        "direct solution's half square cost [N² m²]": least,
+        "starts": options.starts,
+        "epochs": spread(np.array([row["epochs"] for row in ended], float)),
+        "backpropagation": spread(ratios),
+        "ended": {"below": int(np.sum(ratios <= NEAR)), "ratio": NEAR},
+        "of": f"{problem.name}, {problem.variant}, {len(best)} seeds",
+        "comparison": {
+            name: spread(costs_of(problem, weights, half_square) / best)
+            for name, weights in ends.items()
+        },
+    }
+
+
+def to_the_minimum(
+    problem: Problem,
+    equations: NormalEquations,
+    least: float,
+    numbers: Sequence[int],
+    options: argparse.Namespace,
+    bar: Any,
+) -> State:
+    """Backpropagation from some of the starts until all are near the least cost."""
+    network = problem.network
     plan = Plan(
         Backpropagation(),
         AdaptedRates(BACKPROPAGATION_RATE, gain=options.minimum_gain),
@@ -88,34 +140,21 @@ def one_minimum(outcome: Outcome, options: argparse.Namespace) -> dict[str, Any]
         target=NEAR * least,
         patience=options.minimum_epochs,
     )
-    start = starts(problem, options.starts)
-    keys = jax.random.split(jax.random.key(0), options.starts)
+    start = starts(problem, options.starts)[np.array(numbers)]
+    keys = jax.random.split(jax.random.key(0), len(numbers))
     state = jax.vmap(lambda w, key: State.first(network, plan, w, key))(start, keys)
     epochs = min(CHECKS, options.minimum_epochs)
     steps = eqx.filter_jit(
         jax.vmap(lambda s: training_steps(network, plan, equations, None, s, epochs)[0])
     )
     passed = 0
-    with tqdm(total=options.minimum_epochs, unit="epoch", desc="one minimum", disable=None) as bar:
-        while passed < options.minimum_epochs and not bool(jnp.all(state.done)):
-            state = steps(state)
-            passed += epochs
-            bar.update(epochs)
-            bar.set_postfix(highest=f"{float(jnp.max(state.cost)) / least:.5f}")
-    best = costs_of(problem, direct_solutions(problem), half_square)
-    ends = {"hand-over": outcome.at_hand_over, **outcome.at_end}
-    return {
-        "direct solution's half square cost [N² m²]": least,
-        "starts": options.starts,
-        "epochs": spread(np.asarray(state.epoch, float)),
-        "backpropagation": spread(np.asarray(state.lowest) / least),
-        "ended": {"below": int(jnp.sum(state.lowest <= NEAR * least)), "ratio": NEAR},
-        "of": f"{problem.name}, {problem.variant}, {len(best)} seeds",
-        "comparison": {
-            name: spread(costs_of(problem, weights, half_square) / best)
-            for name, weights in ends.items()
-        },
-    }
+    while passed < options.minimum_epochs and not bool(jnp.all(state.done)):
+        state = steps(state)
+        passed += epochs
+        bar.update(epochs)
+        bar.set_postfix(highest=f"{float(jnp.max(state.cost)) / least:.5f}")
+    bar.update(max(0, options.minimum_epochs - passed))
+    return state
 
 
 def typical(outcome: Outcome) -> int:
@@ -204,29 +243,45 @@ def document(
     }
 
 
+def printed(outcome: Outcome) -> Outcome:
+    """The outcome, its table printed at once."""
+    print(f"\n{epochs_table(epoch_rows(outcome))}\n", flush=True)
+    return outcome
+
+
 def study(options: argparse.Namespace) -> int:
     """Trains everything, prints the tables and writes the files."""
     numbers = {k: v for k, v in sorted(vars(options).items()) if k not in ("output", "quick")}
     code = [Path(__file__).with_name(f"peral{name}.py") for name in ("", "_comparison")]
-    checkpoints = options.output / f"checkpoints-{made_of(numbers, code)[:12]}"
+    digest = made_of(numbers, code)
+    checkpoints = options.output / f"checkpoints-{digest[:12]}"
     scenes = [
-        compare_ultrasound(ultrasound(options.ultrasound_patterns, centred=c), options, checkpoints)
-        for c in (False, True)
+        printed(
+            compare_ultrasound(
+                ultrasound(options.ultrasound_patterns, centred=centred), options, checkpoints
+            )
+        )
+        for centred in (False, True)
     ]
     arms = [
-        compare_puma(
-            puma(options.puma_patterns, noise, options.other_seeds if i else options.seeds),
-            options,
-            checkpoints,
+        printed(
+            compare_puma(
+                puma(options.puma_patterns, noise, options.other_seeds if i else options.seeds),
+                options,
+                checkpoints,
+            )
         )
         for i, noise in enumerate(options.noise)
     ]
-    minimum = one_minimum(arms[0], options)
+    minimum = one_minimum(
+        arms[0], options, Rows(options.output / "starts.jsonl", ("start",), digest)
+    )
     outcomes = [*scenes, *arms]
     rows = [row for outcome in outcomes for row in epoch_rows(outcome)]
-    counts = operations([scenes[0].problem, arms[0].problem])
-    tqdm.write("")
-    print(report(rows, counts, outcomes, minimum))
+    # A trial run does without the CSLC's, whose programs take most of a minute to compile.
+    counted = scenes[:1] if options.quick else [scenes[0], arms[0]]
+    counts = operations([outcome.problem for outcome in counted])
+    print("\n" + report(rows, counts, outcomes, minimum))
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "epochs.csv", rows)
         write_csv(folder / "operations.csv", counts)
@@ -238,6 +293,19 @@ def study(options: argparse.Namespace) -> int:
     names = ", ".join(["epochs.csv", "operations.csv", "peral_study.json", *figures])
     print(f"\nwrote {names} into {options.output}")
     return 0
+
+
+def seconds(options: argparse.Namespace) -> float:
+    """How long the study takes on two cores."""
+    scenes = 2 * options.ultrasound_patterns * options.seeds
+    arms = options.seeds + (len(options.noise) - 1) * options.other_seeds
+    epochs = options.hand_over + options.further + options.tuning
+    return (
+        40.0
+        + 1e-6 * scenes * (2 * options.before + options.further + options.tuning)
+        + 4e-6 * options.puma_patterns * arms * epochs
+        + 2e-5 * options.starts * options.minimum_epochs
+    )
 
 
 def check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -272,16 +340,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--tuning", type=int, default=300, help="epochs of PERAL at most")
     parser.add_argument("--minimum-epochs", type=int, default=200_000)
     parser.add_argument("--minimum-gain", type=float, default=0.01, help="in place of the 8 %%")
-    parser.add_argument("--quick", action="store_true", help="few seeds, patterns and epochs")
-    options = parser.parse_args(argv)
-    if options.quick:
-        options.seeds = options.other_seeds = options.starts = min(options.seeds, 3)
-        options.ultrasound_patterns, options.puma_patterns = 200, 60
-        options.noise = options.noise[:2]
-        options.before, options.hand_over, options.further, options.tuning = 100, 50, 50, 50
-        options.minimum_epochs = 4000
+    epochs = {"before": 100, "hand_over": 50, "further": 50, "tuning": 50, "minimum_epochs": 4000}
+    patterns = {"ultrasound_patterns": 200, "puma_patterns": 60}
+    seeds = {"seeds": 2, "other_seeds": 2, "starts": 2, "noise": [0.1]}
+    options = command.parse(parser, argv, **epochs, **patterns, **seeds)
     check(parser, options)
-    return command.run(parser, lambda: study(options), options.output)
+    return command.run(parser, lambda: study(options), options.output, seconds=seconds(options))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
@@ -22,6 +21,7 @@ from jaxcslc.training import (
     AbstractRule,
     AdaptedRates,
     Backpropagation,
+    Cost,
     Examples,
     Plan,
     Training,
@@ -30,6 +30,7 @@ from jaxcslc.training import (
     normal_equations,
     train,
 )
+from scripts.studies import command
 from scripts.studies.training.peral_operations import BACKPROPAGATION, PERAL_RULE, seconds_per_epoch
 
 
@@ -126,7 +127,9 @@ def puma(patterns: int, noise: float, seeds: int) -> Problem:
         )
         return examples(network, (q, qd, qdd), torque)
 
-    by_seed = [one(seed) for seed in tqdm(range(seeds), desc=f"noise {noise:g}", disable=None)]
+    by_seed = [
+        one(seed) for seed in command.progress(range(seeds), desc=f"noise {noise:g}", unit="seed")
+    ]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *by_seed)
     return Problem("PUMA 560", f"noise {noise:.0%}", network, stacked, by_seed[0])
 
@@ -141,14 +144,18 @@ def starts(problem: Problem, seeds: int) -> Float[Array, "seeds weights"]:
     return jnp.asarray(np.stack(rows))
 
 
-def stable_rate(problem: Problem, weights: Float[Array, "seeds weights"]) -> float:
-    """The share `STABLE` of the rate that leaves PERAL's mean error modulus lowest in an epoch."""
+def stable_rate(
+    problem: Problem, weights: Float[Array, "seeds weights"], cost: Cost = mean_modulus
+) -> float:
+    """The share `STABLE` of the rate that leaves PERAL's cost lowest in an epoch."""
     network, axis = problem.network, 0 if problem.examples.targets.ndim == 3 else None
     learning = (True,) * len(network.groups)
 
     def after(of_seed: Examples, w: Array) -> Array:
         change = jnp.sum(of_seed.change(network, RULES[PERAL_RULE], w, learning), axis=0)
-        return jnp.stack([of_seed.costs(network, w + r * change, mean_modulus)[0] for r in LADDER])
+        return jax.lax.map(
+            lambda rate: of_seed.costs(network, w + rate * change, cost)[0], jnp.asarray(LADDER)
+        )
 
     costs = jax.jit(jax.vmap(after, in_axes=(axis, 0)))(problem.examples, weights)
     return STABLE * LADDER[int(np.argmin(np.median(np.asarray(costs), axis=0)))]
@@ -162,32 +169,39 @@ def first_at_most(
     return np.where(reached.any(axis=1), np.argmax(reached, axis=1), np.inf)
 
 
-def plans(measure: Any, rate: float, **more: Any) -> dict[str, Plan]:
+def plans(measure: Any, rate: float, cost: Cost = mean_modulus, **more: Any) -> dict[str, Plan]:
     """One for each rule; numbers as arrays, so that plans that differ in them compile once."""
     rates = {
         BACKPROPAGATION: jnp.asarray(BACKPROPAGATION_RATE),
         PERAL_RULE: jnp.asarray(rate),
     }
     return {
-        name: Plan(rule, AdaptedRates(rates[name]), cost=mean_modulus, measure=measure, **more)
+        name: Plan(rule, AdaptedRates(rates[name]), cost=cost, measure=measure, **more)
         for name, rule in RULES.items()
     }
 
 
-def compare_ultrasound(problem: Problem, options: argparse.Namespace, folder: Path) -> Outcome:
-    """Both rules on the ultrasound scene, from 30 % of correct classifications."""
+def compare_ultrasound(
+    problem: Problem,
+    options: argparse.Namespace,
+    folder: Path,
+    *,
+    handed_over: float = HAND_OVER_CORRECT,
+    cost: Cost = mean_modulus,
+) -> Outcome:
+    """Both rules on the ultrasound scene, from a share of correct classifications on."""
     start = starts(problem, options.seeds)
     target = {"target": jnp.asarray(1.0 - CORRECT[-1])}
-    until = 1.0 - HAND_OVER_CORRECT
-    plan = plans(wrong, 1.0, **target)[BACKPROPAGATION]
+    until = 1.0 - handed_over
+    plan = plans(wrong, 1.0, cost, **target)[BACKPROPAGATION]
     # The same epochs twice: up to the hand-over for the weights there, and through it.
     early = eqx.tree_at(lambda p: p.target, plan, jnp.asarray(until))
     first = run(problem, start, early, options.before, folder / f"{problem.variant}-first.npz")
     on = run(
         problem, start, plan, options.before + options.further, folder / f"{problem.variant}.npz"
     )
-    rate = stable_rate(problem, first.weights)
-    by_peral = plans(wrong, rate, **target)[PERAL_RULE]
+    rate = stable_rate(problem, first.weights, cost)
+    by_peral = plans(wrong, rate, cost, **target)[PERAL_RULE]
     tuned = run(
         problem, first.weights, by_peral, options.tuning, folder / f"{problem.variant}-P.npz"
     )
@@ -234,10 +248,10 @@ def run(
 ) -> Training:
     """A training of all seeds, with a checkpoint in a file."""
     rule = plan.schedule.rules[0].name
-    tqdm.write(f"{problem.name}, {problem.variant}: {rule}, up to {epochs} epochs")
+    print(f"{problem.name}, {problem.variant}: {rule}, up to {epochs} epochs", flush=True)
     return train(
         problem.network, problem.examples, start, plan, checkpoint=file, epochs=epochs,
-        keep_weights=False, progress=False,
+        keep_weights=False, progress=True,
     )  # fmt: skip
 
 

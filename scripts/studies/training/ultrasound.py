@@ -1,0 +1,182 @@
+"""PERAL against backpropagation on the ultrasound scene, over a range of conditions (6.3.1).
+
+The thesis shows one training: backpropagation to 30 % of correct classifications in 41 epochs,
+from there to 50 % in 341 more, and PERAL about five times faster. Its recordings, starts and cost
+are not known, so that every one of these is varied here:
+
+- the number of patterns;
+- inputs as they are, or with their means subtracted;
+- the share of correct classifications at which PERAL takes over;
+- the cost that rates are adapted by: the mean error modulus of 6.3.1, or half the mean square.
+
+Every seed is another start. Otherwise as `scripts/studies/training/peral.py`, which see: rates,
+PERAL's first rate, how epochs and seconds are counted. A row is a condition and a goal: a share of
+correct classifications.
+"""
+
+import argparse
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc.plotting import save_picture
+from jaxcslc.training import Cost, half_square, mean_modulus
+from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
+from scripts.studies.training.learning_pictures import conditions_picture
+from scripts.studies.training.peral_comparison import compare_ultrasound, ultrasound
+from scripts.studies.training.peral_operations import PERAL_RULE
+from scripts.studies.training.peral_tables import epoch_rows, number
+
+
+jax.config.update("jax_enable_x64", True)
+
+COSTS: dict[str, Cost] = {"mean modulus": mean_modulus, "half square": half_square}
+KEYS = ("patterns", "centred", "hand-over", "cost")
+OPTIONS = ("seeds", "before", "further", "tuning")
+RATIO = "backpropagation's median epochs over PERAL's"
+SECONDS_RATIO = "backpropagation's median seconds over PERAL's"
+
+
+def conditions(options: argparse.Namespace) -> list[tuple[int, bool, float, str]]:
+    """Patterns, whether inputs are centred, hand-over and cost."""
+    return [
+        (patterns, centred, hand_over, cost)
+        for patterns in options.patterns
+        for centred in (False, True)
+        for hand_over in options.hand_over
+        for cost in options.costs
+    ]
+
+
+def make_rows(options: argparse.Namespace, rows: Rows) -> None:
+    """Compares both rules under every condition that has no row."""
+    wanted = conditions(options)
+    missing = [condition for condition in wanted if condition not in rows]
+    with command.progress(
+        desc="conditions", unit="condition", total=len(wanted), initial=len(wanted) - len(missing)
+    ) as bar:
+        for condition in missing:
+            patterns, centred, hand_over, cost = condition
+            checkpoints = options.output / f"unfinished-{rows.digest[:12]}"
+            outcome = compare_ultrasound(
+                ultrasound(patterns, centred=centred),
+                options,
+                checkpoints,
+                handed_over=hand_over,
+                cost=COSTS[cost],
+            )
+            goals = [
+                {name: value for name, value in row.items() if name not in ("problem", "variant")}
+                for row in epoch_rows(outcome)
+            ]
+            rows.add(dict(zip(KEYS, condition, strict=True)) | {"goals": goals})
+            shutil.rmtree(checkpoints)
+            bar.update()
+
+
+def flat(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each condition, goal and rule."""
+    return [
+        {name: row[name] for name in KEYS} | goal
+        for row in rows
+        for goal in row["goals"]
+        if float(goal["goal"].split()[0].rstrip("%")) > 100.0 * row["hand-over"]
+    ]
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """A line for each condition and goal."""
+    header = ["patterns", "inputs", "cost", "hand-over", "goal"]
+    header += ["epochs, backpropagation", "epochs, PERAL", "ratio", "ratio of seconds"]
+    lines: list[list[str]] = []
+    for first, second in zip(rows[::2], rows[1::2], strict=True):
+        epochs = [
+            f"{number(row['epochs, median'])} ({row['reached']}/{row['handed over']})"
+            for row in (first, second)
+        ]
+        lines.append(
+            [
+                str(first["patterns"]),
+                "centred" if first["centred"] else "as they are",
+                first["cost"],
+                f"{first['hand-over']:.0%}",
+                first["goal"],
+                *epochs,
+                number(second[RATIO], 2),
+                number(second[SECONDS_RATIO], 2),
+            ]
+        )
+    return text_table(header, lines, left=("inputs", "cost"))
+
+
+def wins(rows: Sequence[dict[str, Any]]) -> str:
+    """In how many conditions and goals which rule takes fewer epochs, and less time."""
+    by_rule = [row for row in rows if row["rule"] == PERAL_RULE]
+    parts: list[str] = []
+    for what, name in (("fewer epochs", RATIO), ("less time", SECONDS_RATIO)):
+        ratios = np.array([row[name] for row in by_rule])
+        parts.append(
+            f"{what}: PERAL in {int(np.sum(ratios > 1))}, backpropagation in"
+            f" {int(np.sum(ratios < 1))} of {len(ratios)} conditions and goals,"
+            f" {int(np.sum(np.isnan(ratios)))} undecided, as neither reaches the goal in the median"
+        )
+    return "\n".join(parts)
+
+
+def study(options: argparse.Namespace) -> int:
+    """Makes what is missing, prints the table and writes the files."""
+    code = [
+        Path(__file__).with_name(f"{name}.py")
+        for name in ("ultrasound", "peral_comparison", "peral_operations")
+    ]
+    digest = made_of({name: getattr(options, name) for name in OPTIONS}, code)
+    finished = Rows(options.output / "rows.jsonl", KEYS, digest)
+    make_rows(options, finished)
+    rows = flat([finished[condition] for condition in conditions(options)])
+    print(f"epochs from the hand-over on, medians of {options.seeds} starts (starts that arrive)")
+    print(table(rows))
+    print(wins(rows))
+    with all_or_nothing(options.output) as folder:
+        write_csv(folder / "conditions.csv", rows)
+        save_picture(conditions_picture(rows, options.seeds), folder / "conditions.png")
+    print(f"wrote conditions.csv and conditions.png into {options.output}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "peral_ultrasound")
+    parser.add_argument("--seeds", type=int, default=20, help="starts")
+    parser.add_argument("--patterns", type=int, nargs="+", default=[200, 600, 1050, 3150],
+                        help="each from 100 to 3150")  # fmt: skip
+    parser.add_argument("--hand-over", type=float, nargs="+", default=[0.2, 0.3, 0.4],
+                        metavar="SHARE", help="of correct classifications")  # fmt: skip
+    parser.add_argument("--costs", nargs="+", choices=list(COSTS), default=list(COSTS))
+    parser.add_argument("--before", type=int, default=300, help="epochs at most to the hand-over")
+    parser.add_argument("--further", type=int, default=700, help="epochs of backpropagation after")
+    parser.add_argument("--tuning", type=int, default=700, help="epochs of PERAL at most")
+    options = command.parse(
+        parser, argv, seeds=2, patterns=[200], hand_over=[0.3], before=100, further=100, tuning=100
+    )
+    command.require_least(parser, options, seeds=1, before=1, further=1, tuning=1)
+    if not all(100 <= patterns <= 3150 for patterns in options.patterns):
+        parser.error(f"--patterns is {options.patterns}; expected 100 to 3150")
+    if not all(0.1 < share < 0.5 for share in options.hand_over):
+        parser.error(f"--hand-over is {options.hand_over}; expected more than 0.1, less than 0.5")
+    epochs = options.before * 2 + options.further + options.tuning
+    work = sum(patterns for patterns, *_ in conditions(options)) * options.seeds * epochs
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=20.0 + 1e-6 * work,
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
