@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import sympy as sp
 from sympy.physics.mechanics import (
@@ -19,7 +18,6 @@ from sympy.physics.mechanics import (
 from jaxcslc.systems import Constant, DescriptionError, System, Variable, load_system
 from jaxcslc.systems.description import parse_equation
 from jaxcslc.systems.description._units import parse_unit, product_of_units, unit_text
-from scripts.studies.systems.minimal_sets import random_system, ranks_of
 from tests.conftest import run
 
 from .conftest import CART
@@ -180,9 +178,3 @@ def test_units_are_read_and_printed(text: str) -> None:
 def test_units_of_products() -> None:
     assert product_of_units([("kg", 1), ("m", 2), ("1/s", 2)]) == "kg m²/s²"
     assert product_of_units([("N m/rad", 1), ("rad", 1), ("m", -1)]) == "N"
-
-
-def test_sets_of_random_systems_are_minimal(rng: np.random.Generator) -> None:
-    """Four of the hundred that `scripts/studies/systems/minimal_sets.py` draws."""
-    for _ in range(4):
-        assert ranks_of(random_system(rng), rng).agree
