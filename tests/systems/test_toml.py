@@ -105,6 +105,8 @@ WRONG_FORMULAS = {
     "F = sin(x, x)": "sin of 2 arguments",
     "F = x.real": "cannot read 'x.real'",
     "F = __import__('os')": "cannot read \"'os'\"",
+    "F = m*(x > 1)": "comparison 'x > 1' in 'm*(x > 1)'; expected it in where(...)",
+    "F = 1e400*m": "cannot read '1e309'",
     "F = where(x, m, k)": "expected a comparison first",
 }
 

@@ -1,6 +1,6 @@
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Sequence
-from math import gcd, lcm
+from math import gcd, isfinite, lcm
 from typing import Any
 
 from ...derivation import exact_cos_sin
@@ -410,6 +410,9 @@ def _as_rational(x: Any, where: str) -> Any:
     from sympy import Rational
 
     try:
-        return Rational(repr(float(x)))
+        number = float(x)
+        if not isfinite(number):
+            raise ValueError
+        return Rational(repr(number))
     except (TypeError, ValueError):
-        raise DescriptionError(f"{where}: {x} is no real number") from None
+        raise DescriptionError(f"{where}: got {x}; expected finite real numbers") from None

@@ -1,4 +1,5 @@
 import ast
+import math
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -14,6 +15,7 @@ _FUNCTIONS = {
     "abs": "Abs",
 }
 _RATES = {"dot": 1, "ddot": 2}
+_LONGEST = 80  # of a formula in a message
 RESERVED = ("pi", "min", "max", "where", *_RATES, *_FUNCTIONS)
 """Names that formulas give a meaning."""
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
@@ -58,8 +60,20 @@ def parse_formula(text: str, variables: Collection[str], constants: Collection[s
         tree = ast.parse(text.replace("^", "**"), mode="eval")
     except (SyntaxError, ValueError, RecursionError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise DescriptionError(f"cannot read {text!r}: {reason}") from None
+        raise DescriptionError(f"cannot read {_short(text)}: {reason}") from None
     return _Reader(text, set(variables), set(constants)).read(tree.body)
+
+
+def _is_comparison(value: Any) -> bool:
+    from sympy.core.relational import Relational
+    from sympy.logic.boolalg import BooleanAtom
+
+    return isinstance(value, Relational | BooleanAtom)
+
+
+def _short(text: str) -> str:
+    """A text in quotes, cut where it is long."""
+    return repr(text if len(text) <= _LONGEST else text[: _LONGEST - 2] + " …")
 
 
 def _split(text: str) -> list[str]:
@@ -81,16 +95,16 @@ class _Reader:
         match node:
             case ast.Constant(value=int() as value) if not isinstance(value, bool):
                 return Integer(value)
-            case ast.Constant(value=float() as value):
+            case ast.Constant(value=float() as value) if math.isfinite(value):
                 return Rational(repr(value))
             case ast.Name(id=name):
                 return self._named(name)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return -self.read(operand)
+                return -self._number(operand)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-                return self.read(operand)
+                return self._number(operand)
             case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _OPERATORS:
-                return _OPERATORS[type(operator)](self.read(left), self.read(right))
+                return _OPERATORS[type(operator)](self._number(left), self._number(right))
             case ast.Compare(left=left, ops=[operator], comparators=[right]) if (
                 type(operator) in _COMPARISONS
             ):
@@ -99,6 +113,16 @@ class _Reader:
                 return self._called(name, arguments)
             case _:
                 raise self._wrong(ast.unparse(node))
+
+    def _number(self, node: ast.AST) -> Any:
+        """What is read, unless it is a comparison."""
+        value = self.read(node)
+        if _is_comparison(value):
+            raise DescriptionError(
+                f"comparison {ast.unparse(node)!r} in {_short(self.text)}; expected it in"
+                " where(...)"
+            )
+        return value
 
     def _named(self, name: str) -> Any:
         import sympy
@@ -117,9 +141,9 @@ class _Reader:
 
     def _called(self, name: str, arguments: list[ast.expr]) -> Any:
         import sympy
-        from sympy.logic.boolalg import Boolean
 
-        values = [self.read(argument) for argument in arguments]
+        read = self.read if name == "where" else self._number
+        values = [read(argument) for argument in arguments]
         if name in _RATES and len(values) == 1:
             (argument,) = arguments
             if not (isinstance(argument, ast.Name) and argument.id in self.variables):
@@ -135,7 +159,7 @@ class _Reader:
             return getattr(sympy, name.capitalize())(*values)
         if name == "where" and len(values) == 3:
             condition, then, otherwise = values
-            if not isinstance(condition, Boolean):
+            if not _is_comparison(condition):
                 raise DescriptionError(
                     "where: expected a comparison first, as in where(x > 0, A, B)"
                 )
@@ -145,10 +169,10 @@ class _Reader:
             raise DescriptionError(
                 f"unknown function {name!r}; expected one of {', '.join(expected)}"
             )
-        raise DescriptionError(f"{name} of {len(values)} arguments in {self.text!r}")
+        raise DescriptionError(f"{name} of {len(values)} arguments in {_short(self.text)}")
 
     def _wrong(self, part: str) -> DescriptionError:
         return DescriptionError(
-            f"cannot read {part!r} in {self.text!r}; expected numbers, names, + - * / ** and"
+            f"cannot read {part!r} in {_short(self.text)}; expected numbers, names, + - * / ** and"
             " functions"
         )
