@@ -155,10 +155,16 @@ class JointTerm(AbstractInputTerm):
         # One row of the identity a coefficient: a product costs less than many small arrays.
         eye = jnp.asarray(np.eye(self.joint_count)[:, list(self.joints)], q.dtype)
         blocks = [
-            jnp.broadcast_to(x[..., None, list(self.joints)], shape) * jnp.broadcast_to(eye, shape)
+            jnp.broadcast_to(self._of_joints(x)[..., None, :], shape) * jnp.broadcast_to(eye, shape)
             for x in self._inputs(q, qd, -1)
         ]
         return blocks[0] if len(blocks) == 1 else jnp.concatenate(blocks, axis=-1)
+
+    def _of_joints(self, x: Joints) -> Float[Array, "*batch _"]:
+        """The columns of the joints that have the law."""
+        if len(self.joints) == self.joint_count:
+            return x
+        return jnp.take(x, np.array(self.joints), axis=-1, mode="clip")
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         del qdd

@@ -1,7 +1,7 @@
 """The plant under MJX does what C MuJoCo's does; short, since compiling for a CPU takes long."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -13,14 +13,6 @@ import jaxcslc as jc
 import sim
 from jaxcslc.control import ComputedTorque, FaultMonitor, OutputFeedback
 from jaxcslc.manipulator import LinkParameters
-
-
-@pytest.fixture(autouse=True)
-def optimised() -> Iterator[None]:
-    """Compiles with every optimisation: MJX runs three times as long without."""
-    jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", True)
 
 
 def test_mjx_records_what_mujoco_records():
