@@ -1,6 +1,5 @@
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.testing import assert_allclose
 
@@ -61,11 +60,10 @@ def test_friction_regression_is_the_best_for_those_rigid_coefficients(
         kept = np.where(patterns.mask, torque_errors(puma, patterns, k), 0.0)
         return float(np.sum(kept**2))
 
-    def squares(k: jax.Array) -> jax.Array:
-        return jnp.sum(jnp.where(patterns.mask, torque_errors(puma, patterns, k), 0.0) ** 2)
-
-    gradient = jax.jit(jax.grad(squares))(best)
-    assert_allclose(gradient[friction], 0.0, atol=1e-9 * cost(best))
+    # The cost is quadratic, so that central differences are its derivatives but for rounding.
+    for i in np.arange(puma.size)[friction]:
+        ahead, behind = (cost(best.at[i].add(step)) for step in (0.1, -0.1))
+        assert abs(ahead - behind) / 0.2 < 1e-9 * cost(best)
     for _ in range(5):
         assert cost(best.at[friction].add(0.1 * rng.normal(size=12))) > cost(best)
 
