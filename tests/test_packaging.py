@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -295,12 +296,14 @@ def required_modules(source: str) -> Iterator[tuple[str, str]]:
 
 def type_checking_only(source: str) -> set[str]:
     """Names that `source` imports for annotations alone, below `if TYPE_CHECKING:`."""
-    return {
+    hints = Counter(
         name
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
         for name in imported(ast.unparse(ast.Module(node.body, [])), "")
-    }
+    )
+    everywhere = Counter(imported(source, ""))
+    return {name for name, count in hints.items() if everywhere[name] == count}
 
 
 def test_every_dependency_is_imported_and_every_import_declared() -> None:

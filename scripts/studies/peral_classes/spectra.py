@@ -29,8 +29,8 @@ def eigenvalues(
     def step(w: Array) -> Array:
         return jnp.sum(patterns.change(problem.network, rule, w, learning), axis=0)
 
-    pull = -np.asarray(jax.jit(jax.jacfwd(step))(weights))
-    return np.sort(np.linalg.eigvals(pull).real)
+    descent = -np.asarray(jax.jit(jax.jacfwd(step))(weights))
+    return np.sort(np.linalg.eigvals(descent).real)
 
 
 def spectrum_row(problem: Problem) -> dict[str, Any]:
