@@ -1,3 +1,5 @@
+import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,7 +24,7 @@ from .description import DescriptionError
 _SAMPLES = 1500
 _BATCH = 16  # candidates at once
 _STEPS = 60  # of a local search
-_ROUNDS = 3  # local search, then new weights of outputs
+_TRIED = 8  # points that the first weights of outputs are taken from
 _TOLERANCE = 1e-7
 _REFINED = 8  # candidates that local searches start from
 # Minima no further apart than this part of the bounds are one.
@@ -97,11 +99,24 @@ def search_constants(
     solver = LeastSquares() if solver is None else solver
     require_float64(patterns.q, patterns.qd, patterns.qdd, patterns.torque)
     low, high = np.array([constant.bounds for constant in system.nonlinear], float).T
-    problem = ProjectedError.of(system.network, patterns, solver, low, high, _SAMPLES)
+    weights = _first_weights(system.network, patterns, solver, (low, high))
+    problem = ProjectedError.of(
+        system.network, patterns, weights, (low, high), solver.rcond, _SAMPLES
+    )
     spread = _spread(starts, len(low), seed)
     points = np.concatenate([spread, _candidates(problem, candidates, seed)])
-    ends = [_local_search(problem, point) for point in points]
-    minima = _different(problem, ends, starts)
+    ends = [_local_search(problem, x, int(i < starts)) for i, x in enumerate(points)]
+    minima = _different(problem, ends)
+    if solver.joint_weights == "residual" and len(weights) > 1:
+        # Weights by the errors of the best minimum, where those of chance were good enough so far.
+        weights = jnp.asarray(_weights_of(minima[0].error))
+        problem = eqx.tree_at(lambda p: p.weights, problem, weights)
+        points = [_point_of(problem, minimum.values) for minimum in minima]
+        ends = [
+            _local_search(problem, point, minimum.starts)
+            for point, minimum in zip(points, minima, strict=True)
+        ]
+        minima = _different(problem, ends)
     values, fit = _together(system.network, patterns, solver, minima[0].values, (low, high))
     at_bound = _at_bound(values, low, high)
     return ConstantSearch(
@@ -119,11 +134,41 @@ def search_constants(
 
 
 class _End(NamedTuple):
-    """Where a local search ended; an objective that is not finite if it failed."""
+    """Where local searches ended, and how many of the evenly spread ones."""
 
     values: Float[np.ndarray, " constants"]
-    objective: float
+    total: float
     error: Float[np.ndarray, " outputs"]
+    starts: int
+
+
+def _first_weights(
+    network: SystemNetwork,
+    patterns: Patterns,
+    solver: LeastSquares,
+    bounds: tuple[Float[np.ndarray, " constants"], Float[np.ndarray, " constants"]],
+) -> Float[np.ndarray, " outputs"]:
+    """Those of the solver; for `"residual"`, by the median errors of fits at some points."""
+    weights = solver.joint_weights
+    outputs = network.joint_count
+    if weights == "equal" or (isinstance(weights, str) and outputs == 1):
+        return np.ones(outputs)
+    if not isinstance(weights, str):
+        return np.asarray(weights, float)
+    low, high = bounds
+    points = low + (high - low) * (0.5 + 0.5 * np.sin(_spread(_TRIED, len(low), 0)))
+    plain = dataclasses.replace(solver, loss="squared", errors="independent", cutoff=None)
+    fits = [
+        plain.fit(network.with_nonlinear(point), patterns, throw=False).torque_error
+        for point in points
+    ]
+    return _weights_of(np.nanmedian(np.stack(fits), axis=0))
+
+
+def _weights_of(error: Float[np.ndarray, " outputs"]) -> Float[np.ndarray, " outputs"]:
+    """The inverse errors; the largest for an output without one."""
+    largest = np.max(error) if np.any(error > 0.0) else 1.0
+    return 1.0 / np.where(error > 0.0, error, largest)
 
 
 def _spread(count: int, constants: int, seed: int) -> Float[np.ndarray, "points constants"]:
@@ -135,14 +180,22 @@ def _spread(count: int, constants: int, seed: int) -> Float[np.ndarray, "points 
     return np.arcsin(2.0 * part - 1.0)
 
 
+def _point_of(
+    problem: ProjectedError, values: Float[np.ndarray, " constants"]
+) -> Float[np.ndarray, " constants"]:
+    """The coordinates of values."""
+    low, high = np.asarray(problem.low), np.asarray(problem.high)
+    return np.arcsin(np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.0, 1.0))
+
+
 def _candidates(
     problem: ProjectedError, count: int, seed: int
 ) -> Float[np.ndarray, "points constants"]:
     """The best points whose error is less than that of all their neighbours."""
     points = _spread(count, len(problem.low), seed + 1)
-    objective = np.asarray(_objectives(problem, jnp.asarray(points)))
-    objective = np.where(np.isfinite(objective), objective, np.inf)
-    if not np.any(np.isfinite(objective)):
+    total = np.asarray(_totals(problem, jnp.asarray(points)))
+    total = np.where(np.isfinite(total), total, np.inf)
+    if not np.any(np.isfinite(total)):
         raise RuntimeError(
             "the error is finite for no values of the searched constants; expected bounds within"
             " which the equations can be evaluated"
@@ -151,76 +204,62 @@ def _candidates(
     neighbours = min(2 * at.shape[1] + 1, count)  # with the point itself
     distance = np.sum((at[:, None] - at[None]) ** 2, axis=-1)
     nearest = np.argsort(distance, axis=1)[:, :neighbours]
-    lowest = np.flatnonzero(objective <= np.min(objective[nearest], axis=1))
-    return points[lowest[np.argsort(objective[lowest])][:_REFINED]]
+    lowest = np.flatnonzero(total <= np.min(total[nearest], axis=1))
+    return points[lowest[np.argsort(total[lowest])][:_REFINED]]
 
 
 @eqx.filter_jit
-def _objectives(problem: ProjectedError, points: Array) -> Array:
+def _totals(problem: ProjectedError, points: Array) -> Array:
     return jax.lax.map(
-        lambda point: problem.judged(problem.values(point)).objective, points, batch_size=_BATCH
+        lambda point: problem.judged(problem.values(point)).total, points, batch_size=_BATCH
     )
 
 
-def _local_search(problem: ProjectedError, point: Float[np.ndarray, " constants"]) -> _End:
+def _local_search(
+    problem: ProjectedError, point: Float[np.ndarray, " constants"], starts: int
+) -> _End:
     values, judged = _descended(problem, jnp.asarray(point))
-    return _End(np.asarray(values), float(judged.objective), np.asarray(judged.error))
+    return _End(np.asarray(values), float(judged.total), np.asarray(judged.error), starts)
 
 
 @eqx.filter_jit
 def _descended(problem: ProjectedError, point: Array) -> tuple[Array, JudgedError]:
     import optimistix  # with its own dependencies, half a second
 
-    solver = optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
-    reweighted = problem.joint_weights == "residual" and len(problem.network.support) > 1
-
-    def one_round(point: Array, _: None) -> tuple[Array, None]:
-        weights = problem.judged(problem.values(point)).weights
-        solution = optimistix.least_squares(
-            lambda point, problem: problem.residual(point, weights),
-            solver,
-            point,
-            args=problem,
-            max_steps=_STEPS,
-            throw=False,
-        )
-        return solution.value, None
-
-    point, _ = jax.lax.scan(one_round, point, None, length=_ROUNDS if reweighted else 1)
-    values = problem.values(point)
+    solution = optimistix.least_squares(
+        lambda point, problem: problem.residual(point),
+        optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE),
+        point,
+        args=problem,
+        max_steps=_STEPS,
+        throw=False,
+    )
+    values = problem.values(solution.value)
     return values, problem.judged(values)
 
 
-def _different(problem: ProjectedError, ends: list[_End], starts: int) -> tuple[Minimum, ...]:
-    """The minima that local searches ended in, the best first.
-
-    - `starts`: how many of the first searches count as evenly spread.
-    """
+def _different(problem: ProjectedError, ends: Sequence[_End]) -> tuple[Minimum, ...]:
+    """The minima that local searches ended in, the best first."""
     size = np.asarray(problem.high - problem.low)
-    order = sorted(
-        (index for index, end in enumerate(ends) if np.isfinite(end.objective)),
-        key=lambda index: ends[index].objective,
-    )
-    if not order:
-        raise RuntimeError("no local search ended in a finite error; expected other bounds")
-    groups: list[list[int]] = []
-    for index in order:
+    groups: list[list[_End]] = []
+    for end in sorted((e for e in ends if np.isfinite(e.total)), key=lambda e: e.total):
         for group in groups:
-            off = np.abs(ends[index].values - ends[group[0]].values) / size
-            if np.all(off < _SAME):
-                group.append(index)
+            if np.all(np.abs(end.values - group[0].values) < _SAME * size):
+                group.append(end)
                 break
         else:
-            groups.append([index])
-    best = ends[groups[0][0]].objective
+            groups.append([end])
+    if not groups:
+        raise RuntimeError("no local search ended in a finite error; expected other bounds")
+    best = groups[0][0].total
     return tuple(
         Minimum(
-            ends[group[0]].values,
-            ends[group[0]].error,
-            float(np.exp(ends[group[0]].objective - best)),
-            sum(index < starts for index in group),
+            first.values,
+            first.error,
+            first.total / best if best > 0.0 else 1.0,
+            sum(end.starts for end in (first, *others)),
         )
-        for group in groups
+        for first, *others in groups
     )
 
 
@@ -247,7 +286,7 @@ def _together(
             for support in network.support
         ),
     )
-    problem = ProjectedError.of(network, patterns, solver, *bounds)
+    problem = ProjectedError.of(network, patterns, np.ones(network.joint_count), bounds)
     fit = solver.fit(network.with_nonlinear(jnp.asarray(values)), patterns)
     for _ in range(_FINAL_STEPS):
         rows, torque, slope = _linearised(problem, jnp.asarray(values), fit.k[: network.size])

@@ -1,4 +1,4 @@
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -6,31 +6,34 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification import LeastSquares
 from ..identification.solver import (
     JointFactors,
     Solution,
     Unknowns,
     minimum,
-    weighted_minimum,
 )
 from ..motion import Patterns
 from ._network import SystemNetwork
 
 
 class JudgedError(NamedTuple):
-    """The mean logarithm of the outputs' errors, their weights, and the errors."""
+    """The root mean square of all outputs' weighted errors, and that of each output's error."""
 
-    objective: Float[Array, ""]
-    weights: Float[Array, " outputs"]
+    total: Float[Array, ""]
     error: Float[Array, " outputs"]
 
 
 class ProjectedError(eqx.Module):
     """The error as a function of the nonlinear constants, coefficients eliminated.
 
+    Weights of outputs are the same for all values of the constants. Each output's error at these
+    values would be the wrong weight: an equation whose known side is zero has an error that the
+    constants themselves scale, and the search would shrink it (the flow between two tanks to a
+    power of their levels: the error's logarithm fell by 0.4 from the true 0.5 to the bound of 0.1).
+
     - `network`: with the constants that `torque` was measured with.
     - `q`, `qd`, `qdd`, `torque`, `mask`: a part of the patterns.
+    - `weights`: of outputs.
     - `low`, `high`: bounds of the constants.
     """
 
@@ -40,9 +43,9 @@ class ProjectedError(eqx.Module):
     qdd: Float[Array, "samples variables"]
     torque: Float[Array, "samples outputs"]
     mask: Float[Array, "samples outputs"]
+    weights: Float[Array, " outputs"]
     low: Float[Array, " constants"]
     high: Float[Array, " constants"]
-    joint_weights: Any = eqx.field(static=True)
     rcond: float | None = eqx.field(static=True)
 
     @classmethod
@@ -50,18 +53,18 @@ class ProjectedError(eqx.Module):
         cls,
         network: SystemNetwork,
         patterns: Patterns,
-        solver: LeastSquares,
-        low: np.ndarray,
-        high: np.ndarray,
+        weights: Float[np.ndarray, " outputs"],
+        bounds: tuple[Float[np.ndarray, " constants"], Float[np.ndarray, " constants"]],
+        rcond: float | None = None,
         samples: int | None = None,
     ) -> "ProjectedError":
         """Of patterns, or of so many of them at most, evenly spread in time."""
         step = 1 if samples is None else -(-patterns.samples // samples)
         arrays = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, patterns.mask)
         q, qd, qdd, torque, mask = (jnp.asarray(x[::step], float) for x in arrays)
+        low, high = (jnp.asarray(x) for x in bounds)
         return cls(
-            network, q, qd, qdd, torque, mask, jnp.asarray(low), jnp.asarray(high),
-            solver.joint_weights, solver.rcond,
+            network, q, qd, qdd, torque, mask, jnp.asarray(weights), low, high, rcond
         )  # fmt: skip
 
     def values(self, point: Float[Array, " constants"]) -> Float[Array, " constants"]:
@@ -88,45 +91,29 @@ class ProjectedError(eqx.Module):
         ]
         return JointFactors(tuple(triangles), jnp.sum(self.mask, axis=0))
 
-    def solve(self, factors: JointFactors, weights: Any) -> tuple[Solution, Array]:
-        unknowns = Unknowns.of(self.network)
-        solution, weights = weighted_minimum(
-            unknowns,
-            factors,
-            weights,
-            lambda weights: minimum(unknowns, factors, weights, self.rcond),
-        )
-        return solution, jnp.asarray(weights)
+    def solve(self, factors: JointFactors) -> Solution:
+        """The best coefficients, by the direct solve."""
+        return minimum(Unknowns.of(self.network), factors, self.weights, self.rcond)
 
-    def judged(self, values: Float[Array, " constants"]) -> "JudgedError":
+    def judged(self, values: Float[Array, " constants"]) -> JudgedError:
         """The error with the best coefficients."""
-        rows, torque = self.equations(values)
-        factors = self.factors(rows, torque)
-        solution, weights = self.solve(factors, self.joint_weights)
-        error = factors.root_mean_squares(Unknowns.of(self.network), solution.k)
-        counts = factors.counts / jnp.sum(factors.counts)
-        if self.joint_weights == "residual":
-            objective = jnp.sum(counts * jnp.log(error))
-        else:
-            objective = 0.5 * jnp.log(jnp.sum(counts * (weights * error) ** 2))
-        return JudgedError(objective, weights, jnp.asarray(error))
+        factors = self.factors(*self.equations(values))
+        error = factors.root_mean_squares(Unknowns.of(self.network), self.solve(factors).k)
+        parts = factors.counts * (self.weights * error) ** 2
+        return JudgedError(jnp.sqrt(jnp.sum(parts) / jnp.sum(factors.counts)), jnp.asarray(error))
 
-    def residual(
-        self, point: Float[Array, " constants"], weights: Float[Array, " outputs"]
-    ) -> Float[Array, " rows"]:
+    def residual(self, point: Float[Array, " constants"]) -> Float[Array, " rows"]:
         """The weighted error at a point, and Kaufman's approximation of its derivatives.
 
         Coefficients and their projection are taken as constant where derivatives are concerned:
         the projection of the change of the rows is what is left, which leaves the gradient exact.
         """
         rows, torque = self.equations(self.values(point))
-        rows, torque = rows * weights[:, None, None], torque * weights[:, None]
-        solution, _ = self.solve(
-            self.factors(jax.lax.stop_gradient(rows), jax.lax.stop_gradient(torque)),
-            jnp.ones(len(weights)),
+        solution = self.solve(
+            self.factors(jax.lax.stop_gradient(rows), jax.lax.stop_gradient(torque))
         )
         k, inverse_gram = (jax.lax.stop_gradient(x) for x in (solution.k, solution.inverse_gram))
-        columns = rows.reshape(-1, rows.shape[-1])
-        error = torque.ravel() - columns @ k
+        columns = (rows * self.weights[:, None, None]).reshape(-1, rows.shape[-1])
+        error = (torque * self.weights[:, None]).ravel() - columns @ k
         constant = jax.lax.stop_gradient(columns)
         return error - constant @ (inverse_gram @ (constant.T @ error))

@@ -20,7 +20,7 @@ class Minimum:
 
     - `values`: (s,) of the constants.
     - `error`: (n,) root mean square error of each output there, with the best coefficients.
-    - `ratio`: error over that of the best minimum, the geometric mean of the outputs.
+    - `ratio`: error over that of the best minimum, of all outputs as they are weighted.
     - `starts`: how many of the evenly spread starts ended in it.
     """
 

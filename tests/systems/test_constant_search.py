@@ -99,9 +99,8 @@ def test_the_gradient_of_the_projected_error_is_exact(
     patterns, _ = power_search
     network = powers().network
     low, high = np.array([BOUNDS["n"]]).T
-    problem = ProjectedError.of(network, patterns, jc.LeastSquares(), low, high)
-    weights = jnp.array([1.0, 0.5])
-    residual = jax.jit(lambda point: problem.residual(point, weights))
+    problem = ProjectedError.of(network, patterns, np.array([1.0, 0.5]), (low, high))
+    residual = jax.jit(lambda point: problem.residual(point))
     point, step = jnp.array([0.2]), 1e-5
     cost = lambda point: 0.5 * float(np.sum(np.asarray(residual(point)) ** 2))
     slope = (cost(point + step) - cost(point - step)) / (2 * step)

@@ -13,8 +13,7 @@ eliminated by the direct solve, the others are searched.
 - **other minima**: how many were seen on the first recording, and how much larger the error of the
   next best is.
 
-Takes about twenty minutes on two cores; with --quick under a minute once compiled. Finished rows
-stay in the output folder, and an interrupted run goes on from there.
+Finished rows stay in the output folder, and an interrupted run goes on from there.
 """
 
 import argparse
@@ -24,7 +23,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from jaxcslc.systems import ConstantSearch, SystemRecording, search_constants, system_patterns
@@ -45,6 +43,7 @@ EXAMPLES = {
     example.name: example for example in (FREE_PERIOD, STRIBECK, SATURATING_TYRES, FREE_EXPONENT)
 }
 _FOLDER = Path(__file__).parent
+_SECONDS = 8.0  # of a search
 CODE = [*sorted(_FOLDER.glob("*.py")), *sorted((_FOLDER / "examples").glob("*.*"))]
 # Of what counts as the global minimum.
 _ERRORS, _PART = 5.0, 1e-3
@@ -101,7 +100,9 @@ def compute(options: argparse.Namespace, rows: Rows) -> None:
             continue
         recordings = example.recordings(missing, motions=options.motions)
         pairs = zip(missing, recordings, strict=True)
-        for seed, recording in tqdm(pairs, desc=name, total=len(missing), disable=None):
+        for seed, recording in command.progress(
+            pairs, desc=name, unit="recording", total=len(missing)
+        ):
             starts = options.starts if seed == 0 else options.starts_of_search
             rows.add(row_of(example, seed, recording, starts, options.candidates))
 
@@ -162,15 +163,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--starts-of-search", type=int, default=16, help="of the other searches")
     parser.add_argument("--candidates", type=int, default=512, help="points that are evaluated")
     parser.add_argument("--examples", nargs="+", default=list(EXAMPLES), metavar="NAME")
-    parser.add_argument("--quick", action="store_true", help="one search with few starts")
-    options = parser.parse_args(argv)
-    if options.quick:
-        options.searches, options.motions, options.starts, options.candidates = 1, 1, 4, 64
+    options = command.parse(parser, argv, searches=1, motions=1, starts=4, candidates=64)
     command.require_least(
         parser, options, searches=1, motions=1, starts=1, starts_of_search=1, candidates=1
     )
     command.require_some_of(parser, "example", options.examples, tuple(EXAMPLES))
-    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=_SECONDS * options.searches * len(options.examples),
+    )
 
 
 if __name__ == "__main__":

@@ -17,8 +17,7 @@ with its inputs. A line a system:
 - **follows for**: until a variable is off by half of its standard deviation [s]; the same for the
   true constants.
 
-Takes about half an hour on two cores; with --quick under a minute once compiled. Finished rows stay
-in the output folder, and an interrupted run goes on from there.
+Finished rows stay in the output folder, and an interrupted run goes on from there.
 """
 
 import argparse
@@ -28,7 +27,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from jaxcslc.identification import Identification
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
@@ -54,6 +52,7 @@ EXAMPLES = {
     for example in (CART_POLE, QUADROTOR, DC_MOTOR, VEHICLE, COUPLED_TANKS, LORENZ)
 }
 _FOLDER = Path(__file__).parent
+_SECONDS = 0.6  # of a recording, with its part of simulations
 # What rows depend on.
 CODE = [*sorted(_FOLDER.glob("*.py")), *sorted((_FOLDER / "examples").glob("*.*"))]
 
@@ -123,7 +122,9 @@ def compute(options: argparse.Namespace, rows: Rows) -> None:
             else ()
         )
         pairs = zip(missing, training, strict=True)
-        for seed, recording in tqdm(pairs, desc=name, total=len(missing), disable=None):
+        for seed, recording in command.progress(
+            pairs, desc=name, unit="recording", total=len(missing)
+        ):
             rows.add(row_of(example, seed, recording, validation.get(seed)))
 
 
@@ -210,13 +211,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--motions", type=int, default=20, help="different ones of each system")
     parser.add_argument("--simulations", type=int, default=20, help="validation recordings of each")
     parser.add_argument("--examples", nargs="+", default=list(EXAMPLES), metavar="NAME")
-    parser.add_argument("--quick", action="store_true", help="four recordings of two motions")
-    options = parser.parse_args(argv)
-    if options.quick:
-        options.recordings, options.motions, options.simulations = 4, 2, 1
+    options = command.parse(parser, argv, recordings=4, motions=2, simulations=1)
     command.require_least(parser, options, recordings=1, motions=1, simulations=0)
     command.require_some_of(parser, "example", options.examples, tuple(EXAMPLES))
-    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=_SECONDS * options.recordings * len(options.examples),
+    )
 
 
 if __name__ == "__main__":

@@ -41,6 +41,6 @@ LORENZ = Example(
     description=lambda: load_system(Path(__file__).with_name("lorenz.toml")),
     truth={"sigma": SIGMA, "rho": RHO, "beta": BETA},
     simulate=simulate,
-    noise={"x": 0.05, "y": 0.05, "z": 0.05},
+    noise={"x": 0.02, "y": 0.02, "z": 0.02},
     settings=jc.Settings(jc.Preparation(jc.SavitzkyGolay(21, 5)), jc.LeastSquares()),
 )

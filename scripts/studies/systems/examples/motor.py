@@ -33,7 +33,7 @@ TRUTH = {
 }
 RATIO = 2.0  # the load's pulley over the motor's
 TEETH = 12.0  # periods of the cogging torque in a turn
-STRIBECK_TORQUE, STRIBECK_SPEED = 8e-3, 4.0  # [N m], [rad/s]
+STRIBECK_TORQUE, STRIBECK_SPEED = 2e-2, 4.0  # [N m], [rad/s]
 _INTERVAL = 0.001
 
 
@@ -134,7 +134,7 @@ def system(*, free_period: bool = False, stribeck: bool = False) -> System:
     )
 
 
-_NOISE: Mapping[str, float] = {"V": 2e-3, "i": 5e-4, "motor": 3e-6, "load": 3e-6}
+_NOISE: Mapping[str, float] = {"V": 2e-3, "i": 2e-4, "motor": 3e-6, "load": 3e-6}
 _SETTINGS = jc.Settings(jc.Preparation(jc.SavitzkyGolay(21, 6)), jc.LeastSquares(cutoff=50.0))
 
 DC_MOTOR = Example(

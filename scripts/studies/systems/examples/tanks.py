@@ -26,7 +26,7 @@ _MEAN_FLOW = 9e-5  # [m³/s]
 def simulate(seeds: Sequence[int], validation: bool) -> list[Columns]:
     """Volumes are integrated, and levels are read off them."""
     stream = "validation flow" if validation else "training flow"
-    time = np.arange(0.0, 400.0 if validation else 900.0, _INTERVAL)
+    time = np.arange(0.0, 400.0 if validation else 2400.0, _INTERVAL)
     pump = Multisine.random(seeds, stream, (1 / 300, 1 / 50), 0.22 * _MEAN_FLOW, mean=_MEAN_FLOW)
     level = np.array([generator(seed, stream + " level").uniform(0.9, 1.2) for seed in seeds])
     area = np.array(AREAS)[:, None]
@@ -51,7 +51,7 @@ COUPLED_TANKS = Example(
     truth={"A1": AREAS[0], "A2": AREAS[1], "c12": CONNECTION, "c2": OUTLET},
     simulate=simulate,
     noise={"h1": 3e-4, "h2": 3e-4, "u": 3e-6},
-    settings=jc.Settings(jc.Preparation(jc.Butterworth(0.06)), jc.LeastSquares(cutoff=0.04)),
+    settings=jc.Settings(jc.Preparation(jc.SavitzkyGolay(41, 5)), jc.LeastSquares(cutoff=0.04)),
 )
 
 FREE_EXPONENT = dataclasses.replace(

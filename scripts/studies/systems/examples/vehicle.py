@@ -51,7 +51,7 @@ def simulate(
     - `steering`: root mean square of the wheels' angle [rad].
     """
     stream = "validation" if validation else "training"
-    time = np.arange(0.0, 8.0 if validation else 30.0, _INTERVAL)
+    time = np.arange(0.0, 8.0 if validation else 60.0, _INTERVAL)
     wheel = Multisine.random(seeds, stream + " steering", (0.1, 1.2), steering)
     reference = Multisine.random(seeds, stream + " speed", (0.03, 0.1), 1.5, lines=3, mean=20.0)
 
@@ -173,8 +173,8 @@ def system(*, saturating: bool = False) -> System:
     )
 
 
-_NOISE = {"vx": 0.02, "vy": 0.01, "yaw_rate": 1e-3, "delta": 3e-4}
-_SETTINGS = jc.Settings(jc.Preparation(jc.Butterworth(6.0)), jc.LeastSquares(cutoff=4.0))
+_NOISE = {"vx": 0.01, "vy": 0.004, "yaw_rate": 5e-4, "delta": 1.5e-4}
+_SETTINGS = jc.Settings(jc.Preparation(jc.SavitzkyGolay(41, 5)), jc.LeastSquares(cutoff=4.0))
 
 VEHICLE = Example(
     name="vehicle",
