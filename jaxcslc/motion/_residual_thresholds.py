@@ -1,6 +1,5 @@
 import equinox as eqx
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Int
 
 from ._masks import friction_thresholds
@@ -14,6 +13,8 @@ _FEWEST = 4
 # γ is sought from this part of the smallest threshold, below which a ramp has no samples, to this
 # part of the greatest speed, above which it has no plateau.
 _LEAST, _MOST = 0.5, 0.125
+# Of a grid of γ, twice: the second between neighbours of the first, a hundredth apart or less.
+_STEPS = 40
 
 
 class StaticFriction(eqx.Module):
@@ -181,15 +182,15 @@ def _ramp(
         # A ramp that goes down is no ramp: as good as none, and worse the further down it goes.
         return left if coefficients[2] > 0.0 else np.inf
 
-    # The misfit may have several minima: a search on a grid, then between its neighbours.
-    grid = np.linspace(np.log(least), np.log(most), 40)
-    misfits = np.array([misfit(at) for at in grid])
-    best = int(np.argmin(misfits))
-    if not np.isfinite(misfits[best]):
+    # The misfit may have several minima, and be infinite beside one: a grid, then a finer one
+    # between its neighbours.
+    grid = np.linspace(np.log(least), np.log(most), _STEPS)
+    best = int(np.argmin([misfit(at) for at in grid]))
+    finer = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, _STEPS - 1)], _STEPS + 1)
+    misfits = np.array([misfit(at) for at in finer])
+    if not np.isfinite(misfits.min()):
         return _Ramp()
-    around = (grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)])
-    finer = scipy.optimize.minimize_scalar(misfit, bounds=around, method="bounded")
-    gamma = float(np.exp(finer.x if finer.fun < misfits[best] else grid[best]))
+    gamma = float(np.exp(finer[np.argmin(misfits)]))
     coefficients, covariance, _ = _fitted(bins, gamma)
     excess, deviation = float(coefficients[2]), float(np.sqrt(covariance[2, 2]))
     return _Ramp(excess, gamma, excess / deviation, float(np.sqrt(covariance[0, 0])))

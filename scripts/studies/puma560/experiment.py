@@ -1,9 +1,10 @@
 """The thesis's experiment: two PUMA 560s identified, judged and drawn as in Chapter 7.
 
 Each of PUMA A and PUMA B, simulated with every disturbance of Section 7.2, performs the training
-and the comparison trajectory. Coefficients are fitted to the first and judged on the second, beside
-direct measurement (Ar+LS, Ar+Rg), the truth and the thesis. Tables, figures and an index page go
-into one folder.
+and the comparison trajectory within its motors' limits of linearity. Coefficients are fitted to the
+first and judged on the second, beside direct measurement (Ar+LS, Ar+Rg), networks trained as in
+7.5, the truth and the thesis. Tables, figures and an index page go into one folder. A quick run has
+short recordings, settings that are not selected, and no trained network.
 """
 
 import argparse
@@ -17,18 +18,28 @@ from tqdm import tqdm
 import jaxcslc as jc
 import sim
 from jaxcslc.assessment import sign_check
-from jaxcslc.identification import degree_of_excitation
+from jaxcslc.identification import degree_of_excitation, refine_thresholds
 from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
 from scripts.studies import command
 from scripts.studies.puma560.figures import (
     CAPTIONS,
+    linearity_experiment,
     plant_figures,
     reversal_figure,
     spline_figures,
     torque_figure,
 )
-from scripts.studies.puma560.machines import IdentifiedMachine, identified, machines
+from scripts.studies.puma560.machines import (
+    TWIN,
+    WEAK,
+    IdentifiedMachine,
+    fitted,
+    identified,
+    machines,
+    variants,
+)
+from scripts.studies.puma560.motor_limits import demand_rows, violation_rows
 from scripts.studies.puma560.page import index_page
 from scripts.studies.puma560.tables import (
     agreement_rows,
@@ -36,64 +47,89 @@ from scripts.studies.puma560.tables import (
     error_rows,
     mask_rows,
     peak_rows,
-    threshold_rows,
+    training_rows,
 )
+from scripts.studies.puma560.thresholds import threshold_fit_rows, threshold_rows
 from scripts.studies.tables import rows_table
+from scripts.studies.truth import true_coefficients
 
 
 jax.config.update("jax_enable_x64", True)
 
 Tables = dict[str, tuple[str, list[dict[str, Any]]]]
+Recordings = dict[str, list[sim.SimulatedRecording]]
 _QUICK_SAMPLES = 1500
 
 
 def recorded(
-    options: argparse.Namespace, simulated: Mapping[str, sim.Machine]
-) -> dict[str, list[sim.SimulatedRecording]]:
-    """Training and comparison recording of every machine."""
+    options: argparse.Namespace,
+    simulated: Mapping[str, sim.Machine],
+    others: Mapping[str, sim.Machine],
+) -> Recordings:
+    """Training and comparison recording of every machine, and training recordings of others."""
     samples = options.samples
-    jobs = [
-        sim.Job(machine, trajectory, options.seed + offset)
+
+    # See `sim.training` for why each compensates its own gravity. Machines that share a trajectory
+    # are simulated side by side.
+    compared = sim.comparison()
+    training = {
+        machine.robot.name: sim.training(samples=samples, robot=machine.robot)
         for machine in simulated.values()
-        # See `sim.training` for why each compensates its own gravity.
-        for offset, trajectory in enumerate(
-            (sim.training(samples=samples, robot=machine.robot), sim.comparison())
-        )
-    ]
-    recordings = sim.record(jobs, progress=True)
-    return {name: recordings[2 * i : 2 * i + 2] for i, name in enumerate(simulated)}
+    }
+
+    def jobs_of(machine: sim.Machine) -> list[sim.Job]:
+        trajectories = (training[machine.robot.name], compared)
+        return [
+            sim.Job(machine, trajectory, options.seed + offset)
+            for offset, trajectory in enumerate(trajectories)
+        ]
+
+    jobs = {name: jobs_of(machine) for name, machine in simulated.items()}
+    jobs |= {name: jobs_of(machine)[:1] for name, machine in others.items()}
+    recordings = iter(sim.record([job for part in jobs.values() for job in part], progress=True))
+    return {name: [next(recordings) for _ in part] for name, part in jobs.items()}
 
 
-def all_tables(
-    network: jc.CSLC, both: Sequence[IdentifiedMachine], agreement: list[dict[str, Any]]
-) -> Tables:
-    """Captions and rows of every table, by the name of its file."""
-    tables: Tables = {}
-    for puma in both:
-        letter = puma.letter.lower()
-        tables[f"errors_{letter}"] = (
+def machine_tables(network: jc.CSLC, puma: IdentifiedMachine) -> Tables:
+    """Captions and rows of the tables of one machine, by the name of their file."""
+    letter = puma.letter.lower()
+    refined = refine_thresholds(network, puma.training.recording, puma.settings)
+    return {
+        f"errors_{letter}": (
             f"Comparison trajectory of {puma.name}: mean error moduli and ε [N m]",
             error_rows(network, puma),
-        )
-        tables[f"coefficients_{letter}"] = (
+        ),
+        f"coefficients_{letter}": (
             f"Coefficients of {puma.name}",
             coefficient_table_rows(network, puma),
-        )
-        tables[f"thresholds_{letter}"] = (
+        ),
+        **(
+            {
+                f"training_{letter}": (
+                    f"{puma.name}: networks trained as in 7.5, by what their masks leave out",
+                    training_rows(network, puma),
+                )
+            }
+            if puma.routes
+            else {}
+        ),
+        f"thresholds_{letter}": (
             f"{puma.name}: speeds from which static friction is insignificant",
-            threshold_rows(network, puma),
-        )
-        tables[f"backlash_mask_{letter}"] = (
+            threshold_rows(puma, refined),
+        ),
+        f"threshold_fits_{letter}": (
+            f"{puma.name}: the fit under other thresholds",
+            threshold_fit_rows(network, puma, refined),
+        ),
+        f"backlash_mask_{letter}": (
             f"{puma.name}: Eqn. 2.5-7 against the simulator's record of backlash",
             mask_rows(puma),
-        )
-    tables["peaks"] = ("Peak torques of the comparison trajectory", peak_rows(both))
-    tables["one_design"] = ("PUMA A and its twin: variation and sensitivity", agreement)
-    return tables
+        ),
+    }
 
 
 def all_figures(
-    network: jc.CSLC, both: Sequence[IdentifiedMachine], *, quick: bool
+    network: jc.CSLC, both: Sequence[IdentifiedMachine], response: sim.MotorLinearity
 ) -> dict[str, Figure]:
     """Every figure, by its number in the thesis."""
     first, second = both
@@ -102,12 +138,17 @@ def all_figures(
         "7.6-2": torque_figure(network, second),
         "7.6-4": reversal_figure(network, first),
         **spline_figures(first),
-        **plant_figures(
-            first,
-            lambda masses: tqdm(masses, desc="linearity", unit="mass", disable=None),
-            quick=quick,
-        ),
+        **plant_figures(first, response),
     }
+
+
+def machine_note(network: jc.CSLC, puma: IdentifiedMachine) -> str:
+    """Settings, condition, signs and excitation of a machine's fit."""
+    return (
+        f"{puma.name}: {puma.settings}. Rank {int(puma.fit.rank)} of {network.size}, condition"
+        f" {float(puma.fit.condition):.3g}. {sign_check(network, puma.fit.k)}."
+        f" Excitation: {degree_of_excitation(network, puma.patterns)}"
+    )
 
 
 def experiment(options: argparse.Namespace) -> int:
@@ -115,21 +156,40 @@ def experiment(options: argparse.Namespace) -> int:
     network = jc.derive(jc.puma560())
     print(network)
     simulated = machines()
-    recordings = recorded(options, simulated)
-    results = {
-        name: identified(network, name, machine, recordings[name], quick=options.quick)
+    others = variants(*simulated.values())
+    recordings = recorded(options, simulated, others)
+    both = [
+        identified(network, name, machine, recordings[name], quick=options.quick)
         for name, machine in tqdm(simulated.items(), desc="fitting", unit="machine", disable=None)
-    }
-    both = [results["PUMA A"], results["PUMA B"]]
-    agreement, agreement_text = agreement_rows(network, results["PUMA A"], results["twin"])
-    notes = [
-        f"{puma.name}: {puma.settings}. {puma.fit}. {sign_check(network, puma.fit.k)}"
-        f" positive. Excitation: {degree_of_excitation(network, puma.patterns)}"
-        for puma in both
     ]
+    first = both[0]
+    response = linearity_experiment(
+        first.machine,
+        lambda masses: tqdm(masses, desc="linearity", unit="mass", disable=None),
+        quick=options.quick,
+    )
+    twin, weak = (recordings[name][0].recording for name in (TWIN, WEAK))
+    _, _, twin_fit = fitted(network, twin, quick=options.quick)
+    agreement, agreement_text = agreement_rows(
+        network, first, twin_fit, true_coefficients(network, others[TWIN])
+    )
+    notes = [machine_note(network, puma) for puma in both]
     notes.append(f"PUMA A and a machine with its links and PUMA B's friction: {agreement_text}")
-    tables = all_tables(network, both, agreement)
-    figures = all_figures(network, both, quick=options.quick)
+    tables: Tables = {}
+    for puma in both:
+        tables |= machine_tables(network, puma)
+    tables["peaks"] = ("Peak torques of the comparison trajectory", peak_rows(both))
+    tables["demands"] = (
+        "Greatest demands beside the motors' limits of linearity (7.2.3)",
+        demand_rows(both, response),
+    )
+    tables["weak_motors"] = (
+        "PUMA A: what it costs if training demands exceed the limits of linearity. Mean error"
+        " moduli and ε on the same comparison recording [N m]",
+        violation_rows(network, first, others[WEAK], weak),
+    )
+    tables["one_design"] = ("PUMA A and its twin: variation and sensitivity", agreement)
+    figures = all_figures(network, both, response)
     with all_or_nothing(options.output) as folder:
         for puma in both:
             prefix = puma.name.lower().replace(" ", "_")
@@ -141,9 +201,9 @@ def experiment(options: argparse.Namespace) -> int:
             save_picture(figure, folder / f"figure_{number}.png")
         page = index_page(tables, CAPTIONS, notes)
         (folder / "index.html").write_text(page, encoding="utf-8")
-    for name in ("errors_a", "errors_b", "peaks"):
-        caption, rows = tables[name]
-        print(f"\n{caption}\n{rows_table(rows)}")
+    for name, (caption, rows) in tables.items():
+        if name.split("_")[0] not in ("coefficients", "backlash", "one"):
+            print(f"\n{caption}\n{rows_table(rows)}")
     print("\n" + "\n".join(notes))
     print(f"\nwrote every table and figure into {options.output}; see index.html")
     return 0
@@ -155,7 +215,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--samples", type=int, default=3300, help="of the training trajectory")
     options = command.parse(parser, argv, samples=_QUICK_SAMPLES)
     command.require_least(parser, options, seed=0, samples=600)
-    seconds = 60.0 if options.quick else 180.0
+    seconds = 60.0 if options.quick else 240.0
     return command.run(parser, lambda: experiment(options), seconds=seconds)
 
 

@@ -12,6 +12,7 @@ import sim
 from jaxcslc.identification import predicted_torque
 from jaxcslc.plotting import torque_picture
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
+from scripts.studies.puma560.applied_torque import applied_torque, applied_torque_picture
 from scripts.studies.puma560.machine_pictures import friction_picture, hysteresis_picture
 from scripts.studies.puma560.machines import IdentifiedMachine
 from scripts.studies.puma560.motion_pictures import (
@@ -20,21 +21,34 @@ from scripts.studies.puma560.motion_pictures import (
     reversal_picture,
     spline_subsets_picture,
 )
+from scripts.studies.puma560.reversals import clean_turn, clearest_ramps
 
 
 CAPTIONS = {
-    "2.5-1": "Friction of PUMA A's joint 1 by the three-part model (Eqn. 2.5-4).",
+    "2.5-1": "Friction of PUMA A's joint 1 by the three-part model (Eqn. 2.5-4), without its"
+    " asymmetry.",
     "2.5-3": "Link against rotor of PUMA A's joint 4, swung by 8 mrad: backlash.",
-    "7.2-1": "Response of the motor of joint 1 beyond its limit of linearity.",
-    "7.2-2": "Mean torque of joint 2 against the mass hung from the flange.",
-    "7.3-1": "Three cubic splines through three subsets of joint 3's encoder readings.",
+    "7.2-1": "Response of the motor of PUMA A's joint 1: no demand of either trajectory comes near"
+    " its limit of linearity.",
+    "7.2-2": "Mean torque of PUMA A's joint 2 against the mass hung from the flange.",
+    "7.3-1": "Three cubic splines through three subsets of the readings of PUMA A's encoder 3.",
     "7.3-2": "Their average, and where the rotor truly was.",
-    "7.4-2": "Motion of joint 5 in the training trajectory.",
+    "7.4-1": "Demanded torque of PUMA A's joint 2 in the comparison trajectory, and what of it"
+    " arrives behind the compliant gears: the rotor's inertia and friction take their part, and"
+    " nothing is left of the steps. Encoders are read where the demand is updated.",
+    "7.4-2": "Motion of PUMA A's joint 5 in the training trajectory.",
     "7.6-1": "Measured and predicted torques of the comparison trajectory, PUMA A.",
     "7.6-2": "The same, PUMA B.",
-    "7.6-4": "Joint 1 of PUMA A where its velocity changes sign in the training trajectory.",
+    "7.6-4": "A reversal of PUMA A in the training trajectory: of all joints' reversals, the one"
+    " whose lower ramp of the error, on either side, is highest in units of dry friction. In the"
+    " thesis it is one of joint 1, which here turns round three times and sticks at two of them."
+    " The dashed line is the true static friction, which the model does not have: backlash and"
+    " smoothing make its ramps steeper than they are.",
 }
-_QUICK_LINEARITY = {"masses": (0.0, 2.0, 4.5), "swings": 1, "period": 1.0}
+# As many measurements as in the thesis. The heaviest mass asks as large a part of joint 2's
+# greatest torque as the training trajectory does of joint 6's, the largest of all joints.
+_MASSES = (0.0, 0.0, 0.0, 0.9, 1.8, 2.7, 3.6, 4.4, 5.2, 6.0, 6.8, 7.6)
+_QUICK_MASSES = (0.0, 3.8, 7.6)
 
 
 def torque_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
@@ -54,14 +68,6 @@ def torque_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
     )
 
 
-def clean_turn(velocity: np.ndarray) -> int:
-    """The sample before the quickest reversal of a joint's velocity: one that does not stick."""
-    turns = np.flatnonzero(np.diff(np.sign(velocity)))
-    turns = turns[(turns > 100) & (turns < velocity.size - 100)]
-    quickness = np.minimum(np.abs(velocity[turns - 20]), np.abs(velocity[turns + 20]))
-    return int(turns[np.argmax(quickness)])
-
-
 def spline_figures(puma: IdentifiedMachine) -> dict[str, Figure]:
     """Figs. 7.3-1 and 7.3-2, on joint 3's encoder where it turns round."""
     recording, truth = puma.training
@@ -78,38 +84,76 @@ def spline_figures(puma: IdentifiedMachine) -> dict[str, Figure]:
     samples = 1e3 * (recording.time[drawn] - recording.time[turn])
     readings = counts[42:79]
     return {
-        "7.3-1": spline_subsets_picture(samples, readings, ms, splines),
+        "7.3-1": spline_subsets_picture(
+            samples, readings, ms, splines, title=f"{puma.name}, joint 3: three splines"
+        ),
         "7.3-2": averaged_spline_picture(
-            samples, readings, ms, np.mean(splines, axis=0), CubicSpline(time, true)(fine)
+            samples,
+            readings,
+            ms,
+            np.mean(splines, axis=0),
+            CubicSpline(time, true)(fine),
+            title=f"{puma.name}, joint 3: average of three splines",
         ),
     }
 
 
 def reversal_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
-    """Fig. 7.6-4: joint 1's torque where its velocity changes sign in the training trajectory."""
+    """Fig. 7.6-4: the reversal whose ramps of the error are clearest, of the training trajectory.
+
+    Smoothed narrowly: the spacing of the fit would smear the ramps.
+    """
     recording, truth = puma.training
+    machine = puma.machine
     everywhere = jc.prepare(
-        recording, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=0.0
+        recording, smoothing=jc.AveragedSplines(9), torque_alignment="mean", thresholds=0.0
     )
-    q1d, time = np.asarray(everywhere.qd[:, 0]), np.asarray(everywhere.time)
-    turn = clean_turn(q1d)
-    near = slice(max(turn - 40, 0), turn + 40)
-    before, after = q1d[turn], q1d[turn + 1]
-    reversal = float(time[turn] + (time[turn + 1] - time[turn]) * before / (before - after))
-    changes = np.flatnonzero(np.diff(np.sign(truth.velocity[:, 0])))
-    true_turn = float(truth.time[changes[np.argmin(np.abs(truth.time[changes] - reversal))]])
+    qd, time = np.asarray(everywhere.qd), np.asarray(everywhere.time)
+    measured = np.asarray(everywhere.torque)
     predicted = np.asarray(predicted_torque(network, everywhere, puma.vectors["CSLC"]))
+    thresholds = sim.thesis_coefficients(puma.letter).insignificant_from
+    ramps = clearest_ramps(qd, measured - predicted, thresholds, np.array(machine.dry))
+    joint, turn = ramps.joint, ramps.sample
+    near = slice(turn - 40, turn + 41)
+    before, after = qd[turn, joint], qd[turn + 1, joint]
+    reversal = float(time[turn] + (time[turn + 1] - time[turn]) * before / (before - after))
+    rotor = truth.rotor_velocity[:, joint]
+    changes = np.flatnonzero(np.diff(np.sign(rotor)))
+    true_turn = float(truth.time[changes[np.argmin(np.abs(truth.time[changes] - reversal))]])
+    excess = machine.static[joint] - machine.dry[joint]
+    speed = np.interp(time[near], truth.time, rotor)
+    static = np.sign(speed) * excess * np.exp(-np.abs(speed) / machine.static_velocity[joint])
     return reversal_picture(
         time[near],
-        np.asarray(everywhere.torque)[near, 0],
-        predicted[near, 0],
+        measured[near, joint],
+        predicted[near, joint],
         reversal=reversal,
         true_reversal=true_turn,
+        static=static,
+        title=f"{puma.name}, joint {joint + 1}: a reversal in the training trajectory",
     )
 
 
-def plant_figures(puma: IdentifiedMachine, progress: Any, *, quick: bool) -> dict[str, Figure]:
-    """Figs. 2.5-1, 2.5-3, 7.2-1, 7.2-2 and 7.4-2."""
+def linearity_experiment(
+    machine: sim.Machine, progress: Any = None, *, quick: bool = False
+) -> sim.MotorLinearity:
+    """The experiment of 7.2.3 on joint 2."""
+    return sim.motor_linearity(
+        machine,
+        masses=_QUICK_MASSES if quick else _MASSES,
+        swings=1,
+        period=0.5 if quick else 2.0,
+        # A wider oscillation would demand more than the motor is linear in.
+        amplitude=0.005 if quick else 0.05,
+        progress=progress,
+    )
+
+
+def plant_figures(puma: IdentifiedMachine, response: sim.MotorLinearity) -> dict[str, Figure]:
+    """Figs. 2.5-1, 2.5-3, 7.2-1, 7.2-2, 7.4-1 and 7.4-2.
+
+    - `response`: of the machine's joint 2.
+    """
     machine, truth = puma.machine, puma.training.truth
     joint = 3  # the fourth: the wrist's dead band is the widest
     speed = np.concatenate([np.linspace(-1.0, -1e-6, 400), np.linspace(1e-6, 1.0, 400)])
@@ -130,9 +174,6 @@ def plant_figures(puma: IdentifiedMachine, progress: Any, *, quick: bool) -> dic
     demand = np.linspace(0.0, 1.2 * machine.maximum_torque[0], 400)
     drives = sim.Drives.of(machine)
     response_torque = drives.torque(np.tile(demand[:, None], (1, 6)))[:, 0]
-    linear = dataclasses.replace(sim.puma560(), linear_torque=())
-    options: dict[str, Any] = _QUICK_LINEARITY if quick else {}
-    response = sim.motor_linearity(linear, progress=progress, **options)
     return {
         "2.5-1": friction_picture(
             speed,
@@ -140,18 +181,33 @@ def plant_figures(puma: IdentifiedMachine, progress: Any, *, quick: bool) -> dic
             viscous=machine.viscous[0],
             dry=machine.dry[0],
             static=machine.static[0],
+            title=f"{puma.name}, joint 1: friction",
         ),
         "2.5-3": hysteresis_picture(
             1e3 * loop.rotor_position[last, joint],
             1e3 * loop.position[last, joint],
             backlash=1e3 * machine.backlash[joint],
+            title=f"{puma.name}, joint {joint + 1}: backlash",
         ),
-        "7.2-1": motor_curve_picture(demand, response_torque, limit=machine.linear_torque[0]),
-        "7.2-2": motor_response_picture(response.mass, response.torque),
+        "7.2-1": motor_curve_picture(
+            demand,
+            response_torque,
+            limit=machine.linear_torque[0],
+            title=f"{puma.name}, joint 1: motor response",
+        ),
+        "7.2-2": motor_response_picture(
+            response.mass,
+            response.torque,
+            title=f"{puma.name}, joint {response.joint}: weights on the flange",
+        ),
+        "7.4-1": applied_torque_picture(
+            applied_torque(machine), title=f"{puma.name}, joint 2: comparison trajectory"
+        ),
         "7.4-2": motion_picture(
             truth.time,
             truth.rotor_position[:, 4],
             truth.rotor_velocity[:, 4],
             truth.rotor_acceleration[:, 4],
+            title=f"{puma.name}, joint 5: training trajectory",
         ),
     }

@@ -1,15 +1,22 @@
 """PUMA A and PUMA B, identified from the training trajectory and prepared for judging."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-import jax
+from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
+from scripts.studies.motor.linearity import limited
+from scripts.studies.training.thesis_route import ThesisRoute, thesis_route
 from scripts.studies.truth import published_coefficients, true_coefficients
 
 
+# Joint 2's limit of linearity [N m]; the other joints have it in proportion to their greatest
+# torques (7.2.3). No demand of either trajectory exceeds it, as the thesis presumes of its own.
+LINEAR_UP_TO = 150.0
+TRAINED = "CSLC trained"
+TWIN, WEAK = "twin", "weak motors"
 # Slower than this a joint may stick, where no model of sliding friction predicts its torque; the
 # thesis leaves the ends of the comparison trajectory out for that (7.4.2).
 _MOVING = 0.01  # rad/s
@@ -17,6 +24,13 @@ _MOVING = 0.01  # rad/s
 _QUICK = jc.Settings(
     jc.Preparation(jc.AveragedSplines(13), torque_alignment="mean"), jc.LeastSquares(cutoff=8.0)
 )
+# What 7.4 and 7.5 train on: the demand of the previous sample, and no pair in possible backlash.
+_ROUTES = {
+    "backlash and static friction": jc.Preparation(
+        jc.AveragedSplines(17), torque_alignment="previous", backlash=True
+    ),
+    "static friction": jc.Preparation(jc.AveragedSplines(17), torque_alignment="previous"),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,9 +39,16 @@ class IdentifiedMachine:
 
     **Attributes**
 
-    - `patterns`: of the training recording.
-    - `comparison_patterns`: of the comparison recording, for judging.
+    - `settings`: of the fit, chosen within the training recording as `jaxcslc identify` does.
+    - `patterns`: of the training recording, under these settings.
+    - `comparison_patterns`: of the comparison recording as the thesis judges, whatever the
+      settings: smoothed encoder readings, the mean of the demands before and after, no joint
+      at rest.
+    - `validation_patterns`: of the same recording under `settings`, as `jaxcslc identify
+      --validate` judges.
     - `vectors`: coefficients by model.
+    - `routes`: trainings as in 7.5, by what their masks leave out; the first is the thesis's. None
+      in a quick run.
     """
 
     name: str
@@ -37,8 +58,10 @@ class IdentifiedMachine:
     settings: jc.Settings
     patterns: jc.Patterns
     comparison_patterns: jc.Patterns
+    validation_patterns: jc.Patterns
     fit: jc.Identification
-    vectors: dict[str, jax.Array]
+    vectors: Mapping[str, Float[Array, " coefficients"]]
+    routes: Mapping[str, ThesisRoute]
 
     @property
     def letter(self) -> str:
@@ -47,9 +70,35 @@ class IdentifiedMachine:
 
 
 def machines() -> dict[str, sim.Machine]:
-    """PUMA A, PUMA B, and a twin with the links of A and the friction of B."""
-    a, b = sim.disturbed(sim.puma_a()), sim.disturbed(sim.puma_b())
-    return {"PUMA A": a, "PUMA B": b, "twin": dataclasses.replace(b, robot=a.robot)}
+    """PUMA A and PUMA B, with every disturbance of Section 7.2.
+
+    Their motors are linear as far as the trajectories need them.
+    """
+    return {
+        name: limited(sim.disturbed(machine), LINEAR_UP_TO)
+        for name, machine in (("PUMA A", sim.puma_a()), ("PUMA B", sim.puma_b()))
+    }
+
+
+def variants(a: sim.Machine, b: sim.Machine) -> dict[str, sim.Machine]:
+    """Two more machines: what each shows is compared with PUMA A.
+
+    - `TWIN`: the links of A and the friction of B.
+    - `WEAK`: A with the limits of linearity of `sim.DISTURBANCES`, which the trajectories exceed.
+    """
+    return {
+        TWIN: dataclasses.replace(b, robot=a.robot),
+        WEAK: dataclasses.replace(a, **sim.DISTURBANCES["motor linearity"]),
+    }
+
+
+def fitted(
+    network: jc.CSLC, recording: jc.Recording, *, quick: bool
+) -> tuple[jc.Settings, jc.Patterns, jc.Identification]:
+    """Settings, patterns and fit of a training recording."""
+    settings = _QUICK if quick else jc.choose_settings(network, recording).settings
+    patterns = settings.patterns(recording)
+    return settings, patterns, settings.fit(network, patterns)
 
 
 def identified(
@@ -62,24 +111,37 @@ def identified(
 ) -> IdentifiedMachine:
     """Fits a machine's coefficients to its first recording and prepares the second for judging."""
     training, comparison = recordings
-    settings = _QUICK if quick else jc.choose_settings(network, training.recording).settings
-    patterns = settings.patterns(training.recording)
-    fit = settings.fit(network, patterns)
+    settings, patterns, fit = fitted(network, training.recording, quick=quick)
     published = published_coefficients(network)
-    # Judged as the thesis does, on what was measured: smoothed encoder readings. The torque is the
-    # demand, unsmoothed.
-    comparison_patterns = jc.prepare(
+    # Compiling a training takes longer than all else of a quick run.
+    preparations = {} if quick else _ROUTES
+    routes = {
+        masks: thesis_route(network, training.recording, preparation, published, every=3)
+        for masks, preparation in preparations.items()
+    }
+    vectors = {
+        "Ar+LS": published,
+        "Ar+Rg": jc.regress_friction(network, patterns, published),
+        **({TRAINED: next(iter(routes.values())).k} if routes else {}),
+        "CSLC": fit.k,
+        "true": true_coefficients(network, machine),
+    }
+    judged = jc.prepare(
         comparison.recording,
         smoothing=jc.AveragedSplines(17),
         torque_alignment="mean",
         thresholds=_MOVING,
     )
-    vectors = {
-        "Ar+LS": published,
-        "Ar+Rg": jc.regress_friction(network, patterns, published),
-        "CSLC": fit.k,
-        "true": true_coefficients(network, machine),
-    }
     return IdentifiedMachine(
-        name, machine, training, comparison, settings, patterns, comparison_patterns, fit, vectors
+        name,
+        machine,
+        training,
+        comparison,
+        settings,
+        patterns,
+        judged,
+        settings.patterns(comparison.recording),
+        fit,
+        vectors,
+        routes,
     )

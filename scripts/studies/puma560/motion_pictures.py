@@ -152,6 +152,7 @@ def reversal_picture(
     *,
     reversal: float,
     true_reversal: float | None = None,
+    static: Float[np.ndarray, " samples"] | None = None,
     title: str | None = None,
     unit: str = "N m",
 ) -> Figure:
@@ -167,6 +168,7 @@ def reversal_picture(
     - `predicted`: (samples,) by the network: dots.
     - `reversal`: when the estimated velocity is zero [s].
     - `true_reversal`: the same of a machine whose truth is known.
+    - `static`: (samples,) its static friction beyond dry friction.
 
     **Returns** a matplotlib figure. Below the torques it shows their difference, which is what
     the thesis reads its thresholds from.
@@ -176,7 +178,9 @@ def reversal_picture(
     upper.plot(time, measured, color=COLOURS[1], lw=1.5, label="measured")
     upper.plot(time, predicted, ".", color=COLOURS[0], ms=4.5, label="predicted")
     lower.axhline(0.0, color=MEASURED, lw=1.0, zorder=0.5)
-    lower.plot(time, measured - predicted, color=QUIET, lw=1.2)
+    lower.plot(time, measured - predicted, color=QUIET, lw=1.2, label="error")
+    if static is not None:
+        lower.plot(time, static, color=COLOURS[3], ls="--", lw=1.5, label="true static friction")
     for axes in (upper, lower):
         axes.axvline(reversal, color="black", lw=1.0, label="estimated zero of velocity")
         if true_reversal is not None:
@@ -191,5 +195,8 @@ def reversal_picture(
     figure.align_ylabels([upper, lower])
     if title:
         figure.suptitle(title)
+    if static is not None:  # the lower panel's are in the legend of both
+        upper.plot([], [], color=QUIET, lw=1.2, label="error")
+        upper.plot([], [], color=COLOURS[3], ls="--", lw=1.5, label="true static friction")
     legend_below(upper, columns=2 if true_reversal is not None else 3)
     return figure

@@ -23,20 +23,11 @@ import jaxcslc as jc
 import sim
 from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv, write_json
-from jaxcslc.training import (
-    PERAL,
-    AdaptedRates,
-    Backpropagation,
-    Examples,
-    Plan,
-    Schedule,
-    examples,
-    half_rms,
-    train,
-)
+from jaxcslc.training import Examples, examples, half_rms, train
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import number_text
+from scripts.studies.training.thesis_route import plan_of
 from scripts.studies.truth import published_coefficients
 
 
@@ -46,6 +37,8 @@ OPTIONS = ("bout", "epochs", "seed", "samples", "without_velocity")
 CHUNK = 500  # epochs between looks at progress
 # Joints that move, as in the experiment of Chapter 7.
 _MOVING = 0.05  # rad/s
+
+CODE = [Path(__file__), Path(__file__).with_name("thesis_route.py")]
 
 
 def prepared(
@@ -108,15 +101,10 @@ def rows_of(
     for least in options.least:
         if (name, method_of(least)) in finished:
             continue
-        schedule = Schedule(
-            (Backpropagation(), PERAL()),
-            hand_over=hand_over,
+        plan = plan_of(
+            hand_over,
+            least,
             bout=options.bout,
-            least_reduction=least,
-        )
-        plan = Plan(
-            schedule,
-            (AdaptedRates(1e-3), AdaptedRates(0.1)),
             frozen=("velocity",) if options.without_velocity else (),
         )
         training = train(
@@ -142,7 +130,7 @@ def study(options: argparse.Namespace) -> int:
     cslc = jc.derive(jc.puma560())
     network = inverse_dynamics(cslc)
     machines = {"A": sim.puma_a, "B": sim.puma_b}
-    digest = made_of({name: getattr(options, name) for name in OPTIONS}, [Path(__file__)])
+    digest = made_of({name: getattr(options, name) for name in OPTIONS}, CODE)
     finished = Rows(options.output / "rows.jsonl", ("machine", "method"), digest)
     methods = ["Ar+LS", "direct solve", *map(method_of, options.least)]
     keys = [(f"PUMA {name}", method) for name in options.machines for method in methods]

@@ -1,4 +1,4 @@
-"""Numbers of the thesis page that long studies measured: copies of their tables lie in results/."""
+"""Numbers of the thesis's pages that long studies measured: their tables lie in results/."""
 
 import csv
 import functools
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 FOLDER = Path(__file__).parent / "results"
-# Folder, the command that writes it, and the tables that the page reads.
+# Folder, the command that writes it, and the tables that the pages read.
 STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
     "demo": (
         "make demo",
@@ -16,6 +16,12 @@ STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
             "peaks.csv",
             "thresholds_a.csv",
             "thresholds_b.csv",
+            "threshold_fits_a.csv",
+            "threshold_fits_b.csv",
+            "training_a.csv",
+            "training_b.csv",
+            "demands.csv",
+            "weak_motors.csv",
             "coefficients_a.csv",
             "coefficients_b.csv",
             "one_design.csv",

@@ -1,0 +1,73 @@
+"""Limits of linearity of the motors (7.2.3): do the trajectories stay within them, and if not?"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+import jaxcslc as jc
+import sim
+from scripts.studies.disturbances.fits import linear_pairs
+from scripts.studies.puma560.machines import IdentifiedMachine
+
+
+Rows = list[dict[str, Any]]
+
+
+def demand_rows(machines: Sequence[IdentifiedMachine], measured: sim.MotorLinearity) -> Rows:
+    """The greatest demands of both trajectories beside the limits.
+
+    **Arguments**
+
+    - `measured`: the experiment of Fig. 7.2-2. The range of its mean demands is that in which the
+        motor was seen to be linear; other joints have its equivalent, in proportion to their
+        greatest torques.
+    """
+    most = np.array(machines[0].machine.maximum_torque)
+    covered = most * measured.torque.max() / most[measured.joint - 1]
+    rows: Rows = []
+    for joint in range(most.size):
+        row: dict[str, Any] = {"joint": joint + 1}
+        for puma in machines:
+            for name in ("training", "comparison"):
+                demand = getattr(puma, name).recording.torque[:, joint]
+                row[f"{puma.name}, {name} [N m]"] = float(np.abs(demand).max())
+        row["seen to be linear up to [N m]"] = float(covered[joint])
+        row["limit of linearity [N m]"] = machines[0].machine.linear_torque[joint]
+        rows.append(row)
+    return rows
+
+
+def violation_rows(
+    network: jc.CSLC, puma: IdentifiedMachine, limited: sim.Machine, training: jc.Recording
+) -> Rows:
+    """What it costs if the training trajectory leaves the motors' range of linearity.
+
+    Mean error moduli and ε on the same comparison recording, of coefficients identified from the
+    training recordings of the machine within its limits and of one with lower limits.
+
+    **Arguments**
+
+    - `limited`: the machine with lower limits, and `training`: its training recording.
+    """
+    patterns = puma.settings.patterns(training)
+    mean = puma.settings.preparation.torque_alignment == "mean"
+    within = linear_pairs(training, limited.linear_torque, mean)
+    trim = puma.settings.preparation.trimmed(training)
+    within = within[trim : within.shape[0] - trim]
+    without = dataclasses.replace(
+        patterns, backlash_mask=np.asarray(patterns.backlash_mask) & within
+    )
+    vectors = {
+        "within the limits": puma.fit.k,
+        "beyond them": puma.settings.fit(network, patterns).k,
+        "beyond them, such pairs left out": puma.settings.fit(network, without).k,
+    }
+    rows: Rows = list(jc.compare(network, puma.comparison_patterns, vectors).rows())
+    beyond = 100 * (1 - within.mean(axis=0))
+    for joint, row in enumerate(rows[:-1]):
+        row["limit [N m]"] = limited.linear_torque[joint]
+        row["training pairs beyond it [%]"] = float(beyond[joint])
+    rows[-1] |= {"limit [N m]": "", "training pairs beyond it [%]": float(beyond.mean())}
+    return rows

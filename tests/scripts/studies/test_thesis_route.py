@@ -1,0 +1,78 @@
+"""The training of 7.5 on a pendulum with static friction: it ends where it should."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from scripts.studies.training.thesis_route import ThesisRoute, thesis_route
+
+
+K = np.array([0.5, 0.3, -0.1, 0.4, 0.6])
+GAMMA, EXCESS = 0.15, 0.25
+RATES, SIZES = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
+PREPARATION = jc.Preparation(jc.AveragedSplines(9))
+MEASURED = 0.8 * K
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.derive(robot, lengths="numeric")
+
+
+@pytest.fixture(scope="module")
+def recording(pendulum: jc.CSLC) -> jc.Recording:
+    """6 s of a pendulum with static friction, read without error."""
+    time = np.arange(3000) * 0.002
+    phase = np.outer(time, RATES)
+    q = (np.sin(phase) @ SIZES)[:, None]
+    qd = (np.cos(phase) @ (SIZES * RATES))[:, None]
+    qdd = (-np.sin(phase) @ (SIZES * RATES**2))[:, None]
+    torque = np.asarray(pendulum.torque(K, q, qd, qdd))
+    return jc.Recording(time, q, torque + EXCESS * np.sign(qd) * np.exp(-np.abs(qd) / GAMMA))
+
+
+@pytest.fixture(scope="module")
+def route(pendulum: jc.CSLC, recording: jc.Recording) -> ThesisRoute:
+    return thesis_route(
+        pendulum, recording, PREPARATION, MEASURED, every=2, least_reduction=1e-7, epochs=4000
+    )
+
+
+def test_hand_over_is_the_cost_of_direct_measurement(pendulum: jc.CSLC, route: ThesisRoute) -> None:
+    for stage in (route.first, route.second):
+        rows = slice(None, None, 2)
+        part = stage.patterns
+        error = np.asarray(part.torque - pendulum.torque(MEASURED, part.q, part.qd, part.qdd))
+        counts = np.asarray(part.mask)[rows]
+        assert_allclose(stage.hand_over, 0.5 * np.abs(error[rows][counts]).mean())
+        # Where a joint is slower than its threshold, nothing counts.
+        slow = np.abs(np.asarray(part.qd)) <= stage.thresholds
+        assert not np.any(np.asarray(part.mask)[slow])
+
+
+def test_both_rules_train_until_neither_gains(route: ThesisRoute) -> None:
+    for stage in (route.first, route.second):
+        assert stage.training.outcomes() == {"no further reduction": 1}
+        backpropagation, peral = stage.epochs
+        assert backpropagation > 0 and peral > 0
+        assert backpropagation + peral <= 4000
+    cost = np.asarray(route.first.training.history.cost)
+    rule = np.asarray(route.first.training.history.rule)
+    # Backpropagation alone until the hand-over, from the torque of zero weights.
+    assert np.all(cost[: int(np.argmax(rule == 1))][:-1] >= route.first.hand_over)
+
+
+def test_thresholds_from_the_residuals_are_those_of_the_plant(route: ThesisRoute) -> None:
+    assert route.static_friction.significant.tolist() == [True]
+    assert 3.0 * GAMMA < route.second.thresholds[0] < 6.0 * GAMMA
+    assert route.first.thresholds[0] < GAMMA
+    assert_allclose(route.static_friction.slope_velocity, GAMMA, rtol=0.5)
+
+
+def test_better_thresholds_bring_dry_friction_nearer(pendulum: jc.CSLC, route: ThesisRoute) -> None:
+    """7.2.2: static friction in the training set raises dry friction and lowers viscous."""
+    (dry,) = pendulum.layout.indices("dry")
+    first = abs(float(route.first.training.weights[dry]) - K[dry])
+    assert abs(float(route.k[dry]) - K[dry]) < 0.5 * first
