@@ -37,25 +37,34 @@ class InverseDynamicsInputs(eqx.Module):
         dtype = jnp.result_type(*motion)
         if not jnp.issubdtype(dtype, jnp.floating):
             dtype = jnp.result_type(float)
-        q, qd, qdd = (jnp.moveaxis(x.astype(dtype), -1, 0) for x in motion)
-        algebra = self.network.algebra
-        tables = (algebra.mass, algebra.velocity, algebra.gravity)
-        used = tuple(dict.fromkeys(monomial for table in tables for monomial in table.inputs))
-        values = input_layer(algebra.ring, used, list(q))
-        mass, velocity, gravity = (
-            jnp.stack([values(monomial) for monomial in table.inputs])
-            if table.inputs
-            else jnp.zeros((0, *q.shape[1:]), q.dtype)
-            for table in tables
-        )
-        motion = [list(x) for x in (q, qd, qdd)]
-        friction = [
-            jnp.stack(term.inputs(JAX_FUNCTIONS, *motion)) for term in self.network.input_terms
-        ]
-        present = [(mass, (qdd,)), (velocity, (qd, qd)), (gravity, ())]
-        parts = [part for part, table in zip(present, tables, strict=True) if table.links]
-        parts += [(term, ()) for term in friction]
-        return Signals(tuple(x for x, _ in parts), tuple(context for _, context in parts))
+        return _signals(self.network, *(x.astype(dtype) for x in motion))
+
+
+@eqx.filter_jit
+def _signals(
+    network: CSLC,
+    q: Float[Array, "*batch joints"],
+    qd: Float[Array, "*batch joints"],
+    qdd: Float[Array, "*batch joints"],
+) -> Signals:
+    """What the subnetworks see of a motion, units first."""
+    q, qd, qdd = (jnp.moveaxis(x, -1, 0) for x in (q, qd, qdd))
+    algebra = network.algebra
+    tables = (algebra.mass, algebra.velocity, algebra.gravity)
+    used = tuple(dict.fromkeys(monomial for table in tables for monomial in table.inputs))
+    values = input_layer(algebra.ring, used, list(q))
+    mass, velocity, gravity = (
+        jnp.stack([values(monomial) for monomial in table.inputs])
+        if table.inputs
+        else jnp.zeros((0, *q.shape[1:]), q.dtype)
+        for table in tables
+    )
+    motion = [list(x) for x in (q, qd, qdd)]
+    friction = [jnp.stack(term.inputs(JAX_FUNCTIONS, *motion)) for term in network.input_terms]
+    present = [(mass, (qdd,)), (velocity, (qd, qd)), (gravity, ())]
+    parts = [part for part, table in zip(present, tables, strict=True) if table.links]
+    parts += [(term, ()) for term in friction]
+    return Signals(tuple(x for x, _ in parts), tuple(context for _, context in parts))
 
 
 def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:

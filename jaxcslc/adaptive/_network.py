@@ -1,9 +1,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -172,26 +174,7 @@ class AdaptiveNetwork(eqx.Module):
         """
         if weights.shape != (self.size,):
             raise ValueError(f"weights: expected shape ({self.size},), got {weights.shape}")
-        passage = Passage([], [], [], [])
-        for subnetwork, inputs, contexts in zip(
-            self.subnetworks, signals.inputs, signals.contexts, strict=True
-        ):
-            layer_inputs: list[Array] = []
-            sums: list[Array] = []
-            values: list[Array] = []
-            value = inputs
-            for layer in subnetwork.layers:
-                layer_inputs.append(layer.with_bias(value))
-                sums.append(jnp.tensordot(layer.links.matrix(weights), layer_inputs[-1], 1))
-                value = layer.activation.value(sums[-1])
-            for layer, context in zip(subnetwork.contexts, contexts, strict=True):
-                values.append(value)
-                value = layer.forward(value, context)
-            passage.layer_inputs.append(layer_inputs)
-            passage.sums.append(sums)
-            passage.values.append(values)
-            passage.parts.append(value)
-        return passage
+        return _forward(self.subnetworks, weights, signals)
 
     def outputs(
         self, weights: Float[Array, " weights"], patterns: Any
@@ -211,3 +194,30 @@ class AdaptiveNetwork(eqx.Module):
         """
         total = self.forward(weights, self.signals(patterns)).total
         return jnp.moveaxis(self.activation.value(total), 0, -1)
+
+
+@partial(jax.jit, static_argnums=0)
+def _forward(
+    subnetworks: tuple[Subnetwork, ...], weights: Float[Array, " weights"], signals: Signals
+) -> Passage:
+    """A pass forward: one program, where a CSLC's context layers would be hundreds."""
+    passage = Passage([], [], [], [])
+    for subnetwork, inputs, contexts in zip(
+        subnetworks, signals.inputs, signals.contexts, strict=True
+    ):
+        layer_inputs: list[Array] = []
+        sums: list[Array] = []
+        values: list[Array] = []
+        value = inputs
+        for layer in subnetwork.layers:
+            layer_inputs.append(layer.with_bias(value))
+            sums.append(jnp.tensordot(layer.links.matrix(weights), layer_inputs[-1], 1))
+            value = layer.activation.value(sums[-1])
+        for layer, context in zip(subnetwork.contexts, contexts, strict=True):
+            values.append(value)
+            value = layer.forward(value, context)
+        passage.layer_inputs.append(layer_inputs)
+        passage.sums.append(sums)
+        passage.values.append(values)
+        passage.parts.append(value)
+    return passage

@@ -1,5 +1,5 @@
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import equinox as eqx
@@ -78,9 +78,19 @@ def covered(
     Moduli all the way, so that nothing cancels: what counts is carried back to the links of the
     first layer through whatever is not zero. Hidden nodes are taken to answer something.
     """
-    total = jnp.zeros(network.size, counts.dtype)
+    return _covered(network.subnetworks, network.size, signals, counts)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _covered(
+    subnetworks: tuple[Subnetwork, ...],
+    size: int,
+    signals: Signals,
+    counts: Float[Array, "outputs patterns"],
+) -> Bool[Array, " weights"]:
+    total = jnp.zeros(size, counts.dtype)
     for subnetwork, inputs, contexts in zip(
-        network.subnetworks, signals.inputs, signals.contexts, strict=True
+        subnetworks, signals.inputs, signals.contexts, strict=True
     ):
         back = counts
         for layer, context in zip(reversed(subnetwork.contexts), reversed(contexts), strict=True):
@@ -89,8 +99,8 @@ def covered(
             links = layer.links
             values = jnp.abs(inputs) if number == 0 else jnp.ones((layer.inputs, back.shape[-1]))
             sums = links.at_links(back @ layer.with_bias(values).T)
-            total = total + links.to_weights(sums, network.size)
-            some = links.matrix(jnp.ones(network.size, counts.dtype), magnitude=True)
+            total = total + links.to_weights(sums, size)
+            some = links.matrix(jnp.ones(size, counts.dtype), magnitude=True)
             back = (some.T @ back)[: layer.inputs]
     return total > 0
 
