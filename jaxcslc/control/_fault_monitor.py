@@ -97,7 +97,7 @@ class FaultMonitor(AbstractController):
     - `stop_time`: within which the arm is brought to rest [s].
     - `allowed`: consecutive lost samples that are extrapolated.
 
-    >>> import jax.numpy as jnp, jaxcslc as jc
+    >>> import jax, jax.numpy as jnp, jaxcslc as jc
     >>> from jaxcslc.control import ComputedTorque, FaultMonitor, OutputFeedback, Reference
     >>> robot = jc.puma560()
     >>> network = jc.derive(robot)
@@ -106,8 +106,9 @@ class FaultMonitor(AbstractController):
     >>> monitor = FaultMonitor(feedback, network, k, torque_limit=90.0)
     >>> q = jnp.zeros(6)
     >>> state, reading = monitor.begin(q), q.at[2].set(jnp.nan)
+    >>> step = jax.jit(monitor.step)
     >>> for _ in range(7):
-    ...     torque, state = monitor.step(state, Reference.at_rest(q), reading, 0.002)
+    ...     torque, state = step(state, Reference.at_rest(q), reading, 0.002)
     >>> monitor.report(state)
     ('joint 3: lost samples, detected at 0.010 s',)
     """

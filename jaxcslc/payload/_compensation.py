@@ -48,7 +48,7 @@ class PayloadCompensation(AbstractController):
     - `time_constant`: of the transition to a new estimate [s].
     - `compensation_gain`: 1 to compensate the estimate, 0 to estimate only.
 
-    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+    >>> import jax, jax.numpy as jnp, numpy as np, jaxcslc as jc
     >>> from jaxcslc.control import ComputedTorque, Reference
     >>> from jaxcslc.payload import PayloadCompensation, PayloadEstimator
     >>> network = jc.derive(jc.puma560())
@@ -56,7 +56,8 @@ class PayloadCompensation(AbstractController):
     >>> estimator = PayloadEstimator(network, k, noise=np.full(6, 1e-4))
     >>> controller = PayloadCompensation(ComputedTorque(network, k, 20.0), estimator)
     >>> q = jnp.zeros(6)
-    >>> torque, state = controller.step(controller.begin(q), Reference.at_rest(q), q, 0.002)
+    >>> step = jax.jit(controller.step)
+    >>> torque, state = step(controller.begin(q), Reference.at_rest(q), q, 0.002)
     >>> bool(state.estimator.estimate.carrying)
     False
     """

@@ -80,10 +80,11 @@ def python_step(loop: Any, states: np.ndarray) -> tuple[float, float]:
     The loop is compiled into the step: passing its arrays and its network at every call takes
     longer than the step.
     """
+    begin = jax.jit(loop.begin)
     step = jax.jit(lambda state, reference, q: loop.step(state, reference, q, PERIOD))
     rounds: list[tuple[float, float]] = []
     for _ in range(4):  # the first one compiles
-        state = jax.block_until_ready(loop.begin(states[0, 0]))
+        state = jax.block_until_ready(begin(states[0, 0]))
         times: list[float] = []
         for q, _, at, rate, second in states:
             start = time.perf_counter()

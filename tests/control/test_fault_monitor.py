@@ -20,6 +20,8 @@ from jaxcslc.control import (
     Reference,
 )
 
+from .conftest import SmallArm
+
 
 MACHINE = sim.disturbed(sim.puma560(), "quantisation", "static friction")
 LIMIT = np.array(MACHINE.maximum_torque)
@@ -38,6 +40,18 @@ def guard(puma: jc.CSLC) -> FaultMonitor:
         puma, k, 20.0, friction_at="reference", friction_width=0.02, torque_limit=LIMIT
     )
     return FaultMonitor(OutputFeedback(controller), puma, k, torque_limit=LIMIT)
+
+
+@pytest.fixture(scope="module")
+def small_guard(small_arm: SmallArm) -> FaultMonitor:
+    controller = ComputedTorque(*small_arm, 20.0, torque_limit=LIMIT[:2])
+    return FaultMonitor(OutputFeedback(controller), *small_arm, torque_limit=LIMIT[:2])
+
+
+@pytest.fixture(scope="module")
+def step(small_guard: FaultMonitor) -> Any:
+    """`small_guard.step`, compiled."""
+    return eqx.filter_jit(small_guard.step)
 
 
 def _performed(guard: FaultMonitor, *faults: sim.Fault) -> tuple[sim.ClosedLoop, tuple[str, ...]]:
@@ -129,26 +143,29 @@ def test_an_arm_with_a_spring_at_rest() -> None:
     assert guard.report(state) == ()
 
 
-def test_the_report_names_joint_fault_and_time(guard: FaultMonitor) -> None:
-    q = jnp.asarray(START)
-    state, step = guard.begin(q), eqx.filter_jit(guard.step)
-    gone = q.at[3].set(jnp.nan)
+def test_the_report_names_joint_fault_and_time(small_guard: FaultMonitor, step: Any) -> None:
+    q = jnp.asarray(START[:2])
+    state = small_guard.begin(q)
+    gone = q.at[1].set(jnp.nan)
     for n in range(20):
         torque, state = step(state, Reference.at_rest(q), gone if n >= 5 else q, 0.002)
         assert np.all(np.isfinite(torque))
-    assert guard.report(state) == ("joint 4: lost samples, detected at 0.020 s",)
-    assert guard.report(guard.begin(q)) == ()
+    assert small_guard.report(state) == ("joint 2: lost samples, detected at 0.020 s",)
+    assert small_guard.report(small_guard.begin(q)) == ()
 
 
-def test_side_by_side_as_alone(guard: FaultMonitor, rng: np.random.Generator) -> None:
-    q = START + 0.01 * rng.normal(size=(3, 6))
+def test_side_by_side_as_alone(
+    small_guard: FaultMonitor, step: Any, rng: np.random.Generator
+) -> None:
+    q = START[:2] + 0.01 * rng.normal(size=(3, 2))
     reference = Reference(q, 0 * q, 0 * q)
-    states = jax.vmap(guard.begin)(q)
-    step = eqx.filter_jit(eqx.filter_vmap(guard.step, in_axes=(0, 0, 0, None)))
-    torque, states = step(states, reference, q, 0.002)
-    alone, _ = eqx.filter_jit(guard.step)(guard.begin(q[1]), Reference.at_rest(q[1]), q[1], 0.002)
+    states = jax.jit(jax.vmap(small_guard.begin))(q)
+    together = eqx.filter_jit(eqx.filter_vmap(small_guard.step, in_axes=(0, 0, 0, None)))
+    torque, states = together(states, reference, q, 0.002)
+    one = jnp.asarray(q[1])
+    alone, _ = step(small_guard.begin(one), Reference.at_rest(one), one, 0.002)
     np.testing.assert_allclose(torque[1], alone, atol=1e-9)
-    assert states.fault.shape == (3, 6)
+    assert states.fault.shape == (3, 2)
 
 
 def test_refusals(puma: jc.CSLC, puma_k: Array, guard: FaultMonitor) -> None:

@@ -10,6 +10,8 @@ from jaxtyping import Array
 import jaxcslc as jc
 from jaxcslc.control import PID, ComputedTorque, JointLimitAvoidance, Reference
 
+from .conftest import SmallArm
+
 
 RANGE = np.array([[-2.0, 2.0], [-2.2, 0.4], [-0.5, 2.5], [-1.5, 1.5], [-1.5, 1.5], [-3.0, 3.0]])
 LIMIT = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])
@@ -43,17 +45,17 @@ def test_targets_beyond_the_range_are_not_reached(puma: jc.CSLC, puma_k: Array) 
     np.testing.assert_allclose(at[-1], ends, atol=0.02)
 
 
-def test_far_from_the_ends_nothing_changes(
-    puma: jc.CSLC, puma_k: Array, rng: np.random.Generator
-) -> None:
-    controller = ComputedTorque(puma, puma_k, 10.0, torque_limit=LIMIT)
-    kept = JointLimitAvoidance(controller, puma, puma_k, RANGE, torque_limit=LIMIT)
-    q, qd = START + rng.uniform(-0.2, 0.2, (4, 6)), rng.uniform(-0.3, 0.3, (4, 6))
+def test_far_from_the_ends_nothing_changes(small_arm: SmallArm, rng: np.random.Generator) -> None:
+    network, k = small_arm
+    controller = ComputedTorque(network, k, 10.0, torque_limit=LIMIT[:2])
+    kept = JointLimitAvoidance(controller, network, k, RANGE[:2], torque_limit=LIMIT[:2])
+    q, qd = START[:2] + rng.uniform(-0.2, 0.2, (4, 2)), rng.uniform(-0.3, 0.3, (4, 2))
     reference = Reference(q + 0.01, qd, 0 * q)
     state = controller.begin(q)
-    step, plain_step = eqx.filter_jit(kept.step), eqx.filter_jit(controller.step)
+    # Not compiled: as a part of another program, the same law may be rounded otherwise.
     np.testing.assert_array_equal(
-        step(state, reference, q, 0.002, qd)[0], plain_step(state, reference, q, 0.002, qd)[0]
+        kept.step(state, reference, q, 0.002, qd)[0],
+        controller.step(state, reference, q, 0.002, qd)[0],
     )
 
 
