@@ -15,6 +15,7 @@ import sim
 from jaxcslc.control import ComputedTorque, LowPassChain, OutputFeedback
 from jaxcslc.inertia import nearest_body, pseudo_inertia
 from jaxcslc.payload import PayloadCompensation, PayloadEstimate, PayloadEstimator, torque_noise
+from scripts.studies.payload.loops import LoopBatch
 
 
 BODY = jc.LinkParameters(1.0, np.array([0.02, -0.03, 0.10]), 0.002 * np.eye(3))
@@ -63,13 +64,14 @@ def _carried(
         torque_limit=np.array(MACHINE.maximum_torque),
     )
 
-    def one(gain: Array) -> PayloadCompensation:
-        return PayloadCompensation(controller, estimator, compensation_gain=gain)
-
-    loops = eqx.filter_vmap(one)(jnp.array([0.0, 1.0]))
-    trajectory = sim.Trajectory(
-        "carrying", START, loops, samples, loads=loads, path=PATH, per_machine=True
+    # One after the other: side by side, the estimator would update at every sample.
+    loops = LoopBatch.of(
+        [
+            PayloadCompensation(controller, estimator, compensation_gain=jnp.asarray(gain))
+            for gain in (0.0, 1.0)
+        ]
     )
+    trajectory = sim.Trajectory("carrying", START, loops, samples, loads=loads, path=PATH)
 
     def seen(state: Any) -> dict[str, Array]:
         return state.estimator.estimate._asdict()

@@ -96,6 +96,7 @@ def test_a_tiny_run_and_one_that_goes_on(
 
     # All there: nothing is simulated again, and the rows stay as they are.
     monkeypatch.setattr(budget.sim, "record_each", lambda jobs: iter(()) if not jobs else 1 / 0)
+    monkeypatch.setattr("scripts.studies.disturbances.summary.save_picture", lambda *_: None)
     assert budget.main([*tiny, "--seeds", "2"]) == 0
     assert rows.read_text(encoding="utf-8") == after
 

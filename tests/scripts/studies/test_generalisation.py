@@ -176,6 +176,14 @@ def test_a_tiny_run_and_its_repetition(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    recordings: list[jc.Recording] = []
+    record = study.recorded
+
+    def recorded_once(options: argparse.Namespace) -> list[jc.Recording]:
+        recordings[:] = recordings or record(options)
+        return recordings
+
+    monkeypatch.setattr(study, "recorded", recorded_once)
     folder = tmp_path / "study"
     arguments = ["--quick", "-o", str(folder), "--tolerance", "0.1"]
     assert study.main(arguments) == 0

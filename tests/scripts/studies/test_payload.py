@@ -127,6 +127,7 @@ def test_a_small_run(
     kept = (tmp_path / "rows.jsonl").read_text()
     (tmp_path / "rows.jsonl").write_text(kept + '{"case": "encoders", "half')
     monkeypatch.setattr(study, "film", impossible)
+    monkeypatch.setattr(study, "draw", lambda *_: [])  # as before
     assert study.main(options) == 0
     assert "no film: film: no OpenGL\n" in capsys.readouterr().err
     assert (tmp_path / "rows.jsonl").read_text().startswith(kept)
