@@ -71,6 +71,12 @@ def comparison_errors(machine: str, model: str) -> list[float]:
     return [float(table[name]) for name in names]
 
 
+def hand_over_errors() -> list[float]:
+    """ε on the training patterns at which PERAL takes part, of PUMA A and PUMA B [N m]."""
+    tables = (rows("demo", f"training_{machine}.csv") for machine in ("a", "b"))
+    return [float(table[0]["training ε at hand-over [N m]"]) for table in tables]
+
+
 def peak_torques(machine: str) -> list[float]:
     """Of each joint in the comparison trajectory [N m]."""
     return [float(row[f"{machine} [N m]"]) for row in rows("demo", "peaks.csv")]
