@@ -2,9 +2,10 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from jaxcslc.plotting import COLOURS, new_figure
-from scripts.studies.figures import QUIET
+from scripts.studies.figures import QUIET, readable_decades
 from scripts.studies.peral_classes.results import (
     BACKPROPAGATION,
     GOALS,
@@ -27,7 +28,7 @@ def switch_picture(results: Results) -> Figure:
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
     figure = new_figure(3.4 * columns + 0.4, 2.7 * rows + 0.8)
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axes, name in zip(panels, names, strict=False):
         for i, noise in enumerate(noises):
             if (name, noise) not in results.compared:
@@ -45,11 +46,16 @@ def switch_picture(results: Results) -> Figure:
         axes.axhline(1.0, color=QUIET, lw=1.0, zorder=0.5)
         axes.set_xscale("log")
         axes.set_yscale("log")
+        readable_decades(axes, (1.0,))
+        plain = FuncFormatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_major_formatter(plain)
+        axes.yaxis.set_minor_formatter(plain)
         axes.set_title(name, fontsize="medium")
         axes.grid(alpha=0.25)
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     for axes in panels[max(0, len(names) - columns) : len(names)]:
+        axes.tick_params(labelbottom=True)
         axes.set_xlabel("switch after [epochs] (1: at once)")
     for axes in panels[::columns]:
         axes.set_ylabel("time / without a switch")

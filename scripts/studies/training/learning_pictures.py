@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from jaxcslc.plotting import COLOURS, STYLES, new_figure
 from scripts.studies.figures import QUIET
@@ -123,10 +124,16 @@ def conditions_picture(rows: Sequence[Mapping[str, Any]], starts: int) -> Figure
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_ylim(0.015, 70.0)
+        patterns = sorted({row["patterns"] for row in rows})
+        axes.set_xlim(patterns[0] / 1.5, patterns[-1] * 1.5)
+        axes.xaxis.set_major_locator(FixedLocator(patterns))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.set_xlabel("patterns")
         axes.set_title(goal, fontsize="medium")
         axes.grid(alpha=0.25)
-    axes_of[0].set_ylabel("epochs of backpropagation / of PERAL")
+    axes_of[0].set_ylabel("epochs of backpropagation / of PERAL\n(0.02: PERAL never arrives)")
     handles, labels = axes_of[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(f"Ultrasound scene, from the hand-over on: medians of {starts} starts")
