@@ -68,13 +68,18 @@ def torque_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
     )
 
 
+# Samples about a reversal: those that splines are laid through, and the few that are drawn, where
+# counts are coarse beside the motion. The first two are multiples of three, as the splines' knots.
+_NEAR, _BEFORE, _BEHIND = 60, 6, 18
+
+
 def spline_figures(puma: IdentifiedMachine) -> dict[str, Figure]:
     """Figs. 7.3-1 and 7.3-2, on joint 3's encoder where it turns round."""
     recording, truth = puma.training
     resolution = puma.machine.encoder_resolution[2]
     turn = clean_turn(truth.rotor_velocity[:, 2])
-    near = slice(turn - 60, turn + 60)
-    drawn = slice(turn - 18, turn + 19)
+    near = slice(turn - _NEAR, turn + _NEAR)
+    drawn = slice(turn - _BEFORE, turn + _BEHIND + 1)
     time = recording.time[near]
     counts = (recording.position[near, 2] - recording.position[turn, 2]) / resolution
     true = (truth.rotor_position[near, 2] - recording.position[turn, 2]) / resolution
@@ -82,7 +87,7 @@ def spline_figures(puma: IdentifiedMachine) -> dict[str, Figure]:
     splines = [CubicSpline(time[start::3], counts[start::3])(fine) for start in range(3)]
     ms = 1e3 * (fine - recording.time[turn])
     samples = 1e3 * (recording.time[drawn] - recording.time[turn])
-    readings = counts[42:79]
+    readings = counts[_NEAR - _BEFORE : _NEAR + _BEHIND + 1]
     return {
         "7.3-1": spline_subsets_picture(
             samples, readings, ms, splines, title=f"{puma.name}, joint 3: three splines"
