@@ -53,6 +53,10 @@ def identify_command(
         Path | None,
         typer.Option(help="The identification.json of a previous run, for --reidentify."),
     ] = None,
+    systematic: Annotated[
+        bool,
+        typer.Option(help="Widen a robot's intervals by errors of smoothing and of missing terms."),
+    ] = True,
 ) -> None:
     """Identify a robot's coefficients from a recording of positions and torques.
 
@@ -94,6 +98,7 @@ def identify_command(
             options if settings is None else load_settings(settings),
             previous=None if saved is None else saved.fit,
             groups=None if reidentify is None else names_in(reidentify),
+            systematic=systematic,
             progress=step,
         )
         step("writing")

@@ -26,6 +26,12 @@ from ._settings import (
     settings_from as settings_from,
 )
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
+from ._systematic import (
+    SystematicError as SystematicError,
+    standard_uncertainty as standard_uncertainty,
+    systematic_error as systematic_error,
+    uncertainty_interval as uncertainty_interval,
+)
 from .report import (
     DerivationReport as DerivationReport,
     ErrorTable as ErrorTable,

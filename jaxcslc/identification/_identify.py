@@ -11,6 +11,7 @@ from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
+from ._systematic import systematic_error
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import Candidates, choose_settings
 from .solver import Identification, LeastSquares, Previous
@@ -24,6 +25,7 @@ def identify(
     *,
     previous: Previous | None = None,
     groups: Sequence[str] | None = None,
+    systematic: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Identifies a robot's coefficients from a recording, and judges the result.
@@ -45,6 +47,8 @@ def identify(
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
     - `groups`: coefficients to re-identify, by group (`"viscous"`, `"dry"`, ...) or name.
+    - `systematic`: widen intervals by errors that residuals do not show, and let verdicts know
+      them; see `systematic_error`. It costs about one more fit.
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** a `Report`.
@@ -120,6 +124,10 @@ def identify(
         held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
     elif previous is None:
         held_out = cross_validated_error(network, patterns["training"], settings, fit=fit)
+    shifts = None
+    if systematic:
+        step("computing systematic errors")
+        shifts = systematic_error(network, training, settings, fit, groups=groups)
     warnings += () if slopes is None else slopes.warnings
     warnings += () if held_out is None else held_out.warnings
     warnings += fit_warnings(network, training, fit, errors["training"])
@@ -132,6 +140,7 @@ def identify(
         excitation,
         held_out,
         slopes,
+        shifts,
         None if groups is None else tuple(groups),
         tuple(warnings),
     )

@@ -169,11 +169,6 @@ class Preparation:
         inside = slice(trim, samples - trim)
         q, qd, qdd = (values[inside] for values in derivatives)
         torque = self.aligned(recording.time, recording.torque)[inside]
-        fraction = self.threshold_fraction
-        thresholds = self.thresholds
-        if thresholds is None:
-            fraction = DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction
-            thresholds = friction_thresholds(qd, fraction)
         patterns = Patterns(
             time=recording.time[inside],
             q=q,
@@ -183,11 +178,44 @@ class Preparation:
             backlash_mask=~possible_backlash(qd, qdd, torque)
             if self.backlash
             else np.ones(q.shape, dtype=bool),
-            friction_mask=friction_mask(qd, thresholds)
+            friction_mask=friction_mask(qd, self.speed_thresholds(qd).tolist())
             & away_from_reversals(qd, self.reversal_margin),
         )
         check_some_left(patterns)
         return patterns
+
+    def speed_thresholds(
+        self, qd: Float[np.ndarray, "samples joints"]
+    ) -> Float[np.ndarray, " thresholds"]:
+        """The speeds below which pairs of joint and sample are left out.
+
+        **Arguments**
+
+        - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
+
+        **Returns**
+
+        One speed for each joint, shape `(joints,)` [rad/s or m/s].
+
+        **Raises**
+
+        - `ValueError`: fractions of another number of joints.
+
+        >>> import numpy as np, jaxcslc as jc
+        >>> jc.Preparation(threshold_fraction=0.1).speed_thresholds(np.array([[2.0], [-4.0]]))
+        array([0.4])
+        """
+        if self.thresholds is None:
+            fraction = self.threshold_fraction
+            return friction_thresholds(
+                qd, DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction
+            )
+        one = isinstance(self.thresholds, float | int)
+        return (
+            np.full(qd.shape[1], self.thresholds, float)
+            if one
+            else np.array(self.thresholds, float)
+        )
 
     def trimmed(self, recording: Recording) -> int:
         """How many samples `patterns` drops at both ends of a recording.

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...network import AbstractLinearNetwork
+from .._systematic import SystematicError, uncertainty_interval
 from ..solver import Identification
 from ._excitation import Excitation
 from ._output import text_table
@@ -21,6 +22,7 @@ def coefficient_rows(
     sensitivity: Float[Array | np.ndarray, " _"] | None = None,
     groups: Sequence[str] | None = None,
     excitation: Excitation | None = None,
+    systematic: SystematicError | None = None,
     level: float = 0.95,
 ) -> list[dict[str, str | float | bool]]:
     """One row a coefficient: name, group, unit, expression and, with a fit, value and verdict.
@@ -35,6 +37,7 @@ def coefficient_rows(
     - `sensitivity`: adds the column `sensitivity`; see `jaxcslc.assessment.output_sensitivity`.
     - `excitation`: adds `variance_inflation`, and reasons that name it; see
       `degree_of_excitation`.
+    - `systematic`: adds `systematic_error`, and widens intervals; see `systematic_error`.
     - `level`: of the intervals.
     - `groups`: only the coefficients of these groups, such as `["mass"]` for Fig. B.1-1; by
       default all.
@@ -57,8 +60,12 @@ def coefficient_rows(
     for name, vector in columns.items():
         if vector.shape != (network.size,):
             raise ValueError(f"{name}: expected shape ({network.size},), got {vector.shape}")
-    judged = None if fit is None else verdicts(network, fit, excitation, level=level)
-    interval = None if fit is None else fit.confidence_interval(level)
+    judged = (
+        None
+        if fit is None
+        else verdicts(network, fit, excitation, systematic=systematic, level=level)
+    )
+    interval = None if fit is None else uncertainty_interval(fit, systematic, level)
     rows: list[dict[str, str | float | bool]] = []
     for i, coefficient in enumerate(network.coefficients):
         if groups is not None and coefficient.group not in groups:
@@ -72,6 +79,8 @@ def coefficient_rows(
         if fit is not None and judged is not None and interval is not None:
             value, error = float(fit.k[i]), float(fit.standard_error[i])
             row["value"], row["standard_error"] = value, error
+            if systematic is not None:
+                row["systematic_error"] = float(systematic.total[i])
             row["relative_error"] = abs(error / value) if value else float("inf")
             row["low"], row["high"] = (float(end) for end in interval[i])
             if excitation is not None:

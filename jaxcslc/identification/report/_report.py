@@ -11,6 +11,7 @@ from ...network import CSLC
 from .._held_out import HeldOut
 from .._settings import Settings
 from .._slopes import SlopeFit
+from .._systematic import SystematicError
 from ..solver import Identification
 from ._coefficient_table import coefficient_rows, coefficient_text
 from ._errors import ErrorTable
@@ -38,6 +39,7 @@ class Report:
       a validation recording by cross-validation within the training recording. None after a
       re-identification without a validation recording.
     - `slopes`: the fit of the slopes of static friction; None if there was none.
+    - `systematic`: errors of the fit that no residual shows; None if they were not computed.
     - `groups`: groups or names of the re-identified coefficients; None if all were fitted.
     - `warnings`: one sentence each.
 
@@ -63,6 +65,7 @@ class Report:
     excitation: Excitation | None = None
     held_out: HeldOut | None = None
     slopes: SlopeFit | None = None
+    systematic: SystematicError | None = None
     groups: tuple[str, ...] | None = None
     warnings: tuple[str, ...] = ()
 
@@ -74,7 +77,13 @@ class Report:
     def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]:
         """One row a coefficient: value, interval, verdict and expression; see
         `coefficient_rows`."""
-        return coefficient_rows(self.network, self.fit, excitation=self.excitation, level=level)
+        return coefficient_rows(
+            self.network,
+            self.fit,
+            excitation=self.excitation,
+            systematic=self.systematic,
+            level=level,
+        )
 
     def to_pandas(self, level: float = 0.95) -> Any:
         """`rows()` as a `pandas.DataFrame` indexed by coefficient.
@@ -136,7 +145,7 @@ class Report:
             self.groups is None or c.group in self.groups or c.name in self.groups
             for c in self.network.coefficients
         )
-        return determination_lines(self.fit, fitted, self.excitation)
+        return determination_lines(self.fit, fitted, self.excitation, self.systematic)
 
 
 def _slopes(fit: SlopeFit) -> str:

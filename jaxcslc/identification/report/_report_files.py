@@ -10,7 +10,6 @@ from ...plotting import save_picture, torque_picture
 from .._held_out import HeldOut
 from .._settings import settings_document
 from ..solver import Identification
-from ._coefficient_table import coefficient_rows
 from ._errors import ErrorTable, predicted_torque
 from ._excitation import Excitation
 from ._output import all_or_nothing, write_csv, write_json
@@ -44,6 +43,8 @@ class WritableReport(Protocol):
     @property
     def errors(self) -> Mapping[str, ErrorTable]: ...
 
+    def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]: ...
+
 
 def write_report(
     folder: Path, report: WritableReport, document: Mapping[str, Any], *, pictures: bool
@@ -58,7 +59,7 @@ def write_report(
     """
     network = report.network
     coefficients, identification = folder / "coefficients.csv", folder / "identification.json"
-    write_csv(coefficients, coefficient_rows(network, report.fit, excitation=report.excitation))
+    write_csv(coefficients, report.rows())
     write_json(identification, document)
     written = [coefficients, identification]
     for name, patterns in report.patterns.items():
@@ -123,6 +124,8 @@ def report_document(report: "Report") -> dict[str, Any]:
     }
     if report.excitation is not None:
         document["least_determined"] = report.excitation.worst_combination
+    if report.systematic is not None:
+        document["systematic_error"] = dict(report.systematic.parts)
     if report.held_out is not None:
         document["held_out"] = _held_out(report.held_out)
     return document | {

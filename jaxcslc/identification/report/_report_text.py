@@ -1,18 +1,24 @@
 from .._held_out import HeldOut
+from .._systematic import SystematicError
 from ..solver import Identification
 from ._excitation import Excitation
 
 
 def determination_lines(
-    fit: Identification, fitted: int, excitation: Excitation | None
+    fit: Identification,
+    fitted: int,
+    excitation: Excitation | None,
+    systematic: SystematicError | None = None,
 ) -> list[str]:
     """What the intervals of a fit allow for, and what its patterns determine.
 
     - `fitted`: how many coefficients were fitted.
     """
+    causes = "" if systematic is None else "; and for systematic errors by "
+    causes += "" if systematic is None else ", ".join(systematic.parts)
     lines = [
         f"low and high: 95 % intervals for {fit.errors} errors,"
-        f" {float(fit.degrees_of_freedom):.0f} degrees of freedom",
+        f" {float(fit.degrees_of_freedom):.0f} degrees of freedom{causes}",
         *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
     ]
     text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"

@@ -4,6 +4,7 @@ from typing import Literal
 import numpy as np
 
 from ...network import AbstractLinearNetwork
+from .._systematic import SystematicError, uncertainty_interval
 from ..solver import Identification
 from ._excitation import Excitation
 
@@ -11,6 +12,7 @@ from ._excitation import Excitation
 VerdictKind = Literal[
     "well determined",
     "poorly determined",
+    "systematic error",
     "indistinguishable from zero",
     "wrong sign",
     "not determined",
@@ -19,6 +21,8 @@ VerdictKind = Literal[
 # A standard error of a tenth of the value, the field's rule of thumb (Khalil and Dombre 2002,
 # 12.5).
 _WELL = 0.1
+# A systematic error of half of that: no further recording of the motion makes it smaller.
+_WELL_SYSTEMATIC = 0.05
 # Variance inflation above this: most of a coefficient's variance comes from its correlation with
 # others (Belsley, Kuh and Welsch 1980).
 _CORRELATED = 10.0
@@ -31,11 +35,17 @@ class Verdict:
     **Attributes**
 
     - `name`: of the coefficient.
-    - `kind`: `"well determined"`: the standard error is at most a tenth of the value; `"poorly
-      determined"`: it is larger, or the condition number of the fit makes every value
-      meaningless; `"indistinguishable from zero"`: the confidence interval contains zero;
-      `"wrong sign"`: the coefficient is positive for every possible body and the whole interval is
-      negative; `"not determined"`: the patterns do not determine it.
+    - `kind`:
+        - `"well determined"`: standard and systematic error together are at most a tenth of the
+          value, the systematic error alone at most a twentieth;
+        - `"poorly determined"`: the standard error is more than a tenth, or the condition number
+          of the fit makes every value meaningless;
+        - `"systematic error"`: the standard error is small enough, the systematic error is not:
+          what is needed is another model or smoothing, not more data;
+        - `"indistinguishable from zero"`: the interval, systematic error included, contains zero;
+        - `"wrong sign"`: the coefficient is positive for every possible body and the whole
+          interval is negative;
+        - `"not determined"`: the patterns do not determine it.
     - `reason`: of the verdict.
     """
 
@@ -52,9 +62,10 @@ def verdicts(
     fit: Identification,
     excitation: Excitation | None = None,
     *,
+    systematic: SystematicError | None = None,
     level: float = 0.95,
 ) -> tuple[Verdict, ...]:
-    """Judges each coefficient of a fit by its standard error.
+    """Judges each coefficient of a fit by its standard and systematic errors.
 
     **Arguments**
 
@@ -62,6 +73,7 @@ def verdicts(
     - `fit`: to this network.
     - `excitation`: of the patterns that were fitted; reasons then name correlation with other
       coefficients where it makes one poorly determined.
+    - `systematic`: of the fit, as `systematic_error` computes it; none if omitted.
     - `level`: of the intervals.
 
     **Returns** p verdicts, in the order of the coefficients.
@@ -91,7 +103,8 @@ def verdicts(
             f"the fit has {len(fit.names)} coefficients from {fit.names[0]!r}, the network has"
             f" {network.size} from {network.names[0]!r}; expected a fit of this network"
         )
-    interval = fit.confidence_interval(level)
+    interval = uncertainty_interval(fit, systematic, level)
+    shift = np.zeros(network.size) if systematic is None else systematic.total
     inflation = None if excitation is None else np.asarray(excitation.variance_inflation)
     determined, combinations = np.asarray(fit.determined), _determined_combinations(fit)
     meaningless = not bool(fit.meaningful)
@@ -104,7 +117,13 @@ def verdicts(
         if inflation is not None and relative > _WELL and inflation[i] > _CORRELATED:
             times = f"{np.sqrt(inflation[i]):.2g} times as large"
             reason += f"; correlated with others, which alone makes it {times}"
+        if systematic is not None and shift[i] > error:
+            reason += f", systematic error {_percent(abs(shift[i] / value) if value else np.inf)}"
+            reason += f", most of it by {systematic.main_cause(i)}"
         kind: VerdictKind = "well determined" if relative <= _WELL else "poorly determined"
+        small = np.hypot(error, shift[i]) <= _WELL * abs(value)
+        if relative <= _WELL and not (small and shift[i] <= _WELL_SYSTEMATIC * abs(value)):
+            kind = "systematic error"
         if not determined[i]:
             kind, reason = "not determined", combinations[name]
         elif meaningless:

@@ -19,9 +19,10 @@ from ._least_squares import (
     JointWeights as JointWeights,
     LeastSquares as LeastSquares,
 )
-from ._losses import LOSSES as LOSSES, Loss as Loss
+from ._losses import LOSSES as LOSSES, Loss as Loss, robust_scale as robust_scale, weight as weight
 from ._minimum import (
     Solution as Solution,
+    fold_coefficients as fold_coefficients,
     minimum as minimum,
     residual_weights as residual_weights,
     weighted_minimum as weighted_minimum,

@@ -1,0 +1,344 @@
+import dataclasses
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import jax.numpy as jnp
+import numpy as np
+import scipy
+from jaxtyping import Float, Int
+
+from .._rank import rank_tolerance
+from ..motion import Patterns, Preparation, Recording
+from ..network import CSLC
+from ._missing_terms import (
+    Columns,
+    filtered_inputs,
+    missing_terms,
+    part_of,
+    times,
+    with_columns,
+)
+from ._settings import Settings
+from .solver import (
+    Equations,
+    Fixed,
+    Identification,
+    LeastSquares,
+    Loss,
+    Solution,
+    fold_coefficients,
+    minimum,
+    regressor_of,
+    residual_weights,
+    robust_scale,
+    weight,
+)
+
+
+# Stretches of the recording that are left out in turn, for the noise of a shift.
+_STRETCHES = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class SystematicError:
+    """Errors of a fit that are the same in every recording of a motion: no residual shows them.
+
+    **Attributes**
+
+    - `parts`: by cause, the size of each coefficient's error, (p,), 0 or more; see
+      `systematic_error`.
+
+    >>> import numpy as np
+    >>> from jaxcslc.identification import SystematicError
+    >>> error = SystematicError({"smoothing": np.array([3.0]), "torque offset": np.array([4.0])})
+    >>> error.total.tolist(), error.main_cause(0)
+    ([5.0], 'torque offset')
+    """
+
+    parts: Mapping[str, Float[np.ndarray, " coefficients"]]
+
+    @property
+    def total(self) -> Float[np.ndarray, " coefficients"]:
+        """The root of the sum of the squares of all parts, (p,)."""
+        return np.sqrt(np.sum([part**2 for part in self.parts.values()], axis=0))
+
+    def main_cause(self, index: int) -> str:
+        """The cause of the largest part of a coefficient's error."""
+        return max(self.parts, key=lambda cause: float(self.parts[cause][index]))
+
+
+def standard_uncertainty(
+    fit: Identification, systematic: SystematicError | None
+) -> Float[np.ndarray, " coefficients"]:
+    """Standard error and systematic error of each coefficient together, (p,).
+
+    The root of the sum of their squares, as the Guide to the Expression of Uncertainty in
+    Measurement (JCGM 100:2008, 5.1) combines uncertainties of independent causes.
+
+    **Arguments**
+
+    - `fit`: p coefficients.
+    - `systematic`: of the fit; the standard error alone if None.
+    """
+    error = np.asarray(fit.standard_error)
+    return error if systematic is None else np.sqrt(error**2 + systematic.total**2)
+
+
+def uncertainty_interval(
+    fit: Identification, systematic: SystematicError | None = None, level: float = 0.95
+) -> Float[np.ndarray, "coefficients 2"]:
+    """Lower and upper end of each coefficient's interval, systematic error included, (p, 2).
+
+    Without a systematic error the intervals of `Identification.confidence_interval`; with one,
+    wider by the factor by which `standard_uncertainty` exceeds the standard error.
+
+    **Arguments**
+
+    - `fit`: p coefficients.
+    - `systematic`: of the fit.
+    - `level`: as of `Identification.confidence_interval`.
+
+    **Raises**
+
+    - `ValueError`: a level that is not between 0 and 1.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import SystematicError, uncertainty_interval
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 1.0]), *motion))
+    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> shifted = SystematicError({"smoothing": np.array([0.01, 0.0, 0.0])})
+    >>> bool(np.diff(uncertainty_interval(fit, shifted)[0])[0] > 0.02)
+    True
+    """
+    interval = fit.confidence_interval(level)
+    if systematic is None:
+        return interval
+    quantile = float(scipy.special.stdtrit(float(fit.degrees_of_freedom), 0.5 + 0.5 * level))
+    half = quantile * standard_uncertainty(fit, systematic)
+    k = np.asarray(fit.k)
+    return np.stack([k - half, k + half], axis=-1)
+
+
+def systematic_error(
+    network: CSLC,
+    recording: Recording,
+    settings: Settings,
+    fit: Identification,
+    *,
+    groups: Sequence[str] | None = None,
+) -> SystematicError:
+    """What smoothing and missing terms may do to the coefficients of a fit.
+
+    Standard errors allow for noise, which averages out. Two kinds of errors do not:
+
+    - **Smoothing.** What smoothing and filter take out of the motion is the same in every
+      recording. The smoothed positions are taken for true ones, the network computes the
+      torque of their motion with the fit's coefficients, and both go through smoothing, masks
+      and filter once more. The part is the difference of the coefficients that are then fitted
+      from those that made the torque. (Motion that the first smoothing has removed altogether,
+      it does not see.)
+    - **Missing terms.** Each of `"torque offset"`, `"static friction"` and `"motor saturation"`
+      that joints of the network lack is added to the fit, for all these joints together. What it
+      changes the coefficients by is their bias if the machine has such a term (of which Section
+      7.2 of the thesis warns). Leaving out each eighth of the recording in turn shows the noise
+      of the term's coefficients (the jackknife), and so of this change, whose variance is taken
+      off its square: a term that the recording does not show makes no part.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients, with the slopes of static friction that were fitted.
+    - `recording`: that was fitted.
+    - `settings`: of the fit. Robust losses keep the weights of its equations.
+    - `fit`: of all coefficients or of `groups`.
+    - `groups`: groups or names of the coefficients that were fitted; all if None. The others have
+      no systematic error: it is part of the identification that they are from.
+
+    **Returns** a `SystematicError`; 0 for coefficients that are not determined.
+
+    **Raises**
+
+    - `ValueError`: a recording that the settings cannot be used for, or groups that are not the
+      network's.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import systematic_error
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 1.0]), q, qd, qdd))
+    >>> recording = jc.Recording(t[:, 0], q, torque + 0.3)  # an offset that the network lacks
+    >>> settings = jc.Settings(jc.Preparation(jc.Butterworth(2.0)))
+    >>> fit = settings.fit(network, settings.patterns(recording))
+    >>> tuple(systematic_error(network, recording, settings, fit).parts)
+    ('smoothing', 'torque offset', 'static friction', 'motor saturation')
+    """
+    preparation, solver, k = settings.preparation, settings.solver, np.asarray(fit.k)
+    free = tuple(range(network.size))
+    if groups is not None:
+        free = Fixed.except_for(network, k, groups).free
+    patterns, smoothed = _twice_smoothed(network, recording, preparation, k)
+    equations, again = (
+        part_of(solver.equations(network, some), free, k) for some in (patterns, smoothed)
+    )
+    problem = _Problem.of(equations, len(patterns.q), k[list(free)], solver)
+    shifts = {"smoothing": problem.solution(again).k - k[list(free)]}
+    qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
+    thresholds = preparation.speed_thresholds(qd)
+    terms = missing_terms(network, qd, np.asarray(smoothed.torque), mask, thresholds)
+    for cause, inputs in filtered_inputs(terms, patterns, solver.cutoff).items():
+        shifts[cause] = problem.shift(inputs)
+    determined = np.asarray(fit.determined)
+    parts: dict[str, np.ndarray] = {}
+    for cause, shift in shifts.items():
+        whole = np.zeros(network.size)
+        whole[list(free)] = np.abs(shift)
+        parts[cause] = np.where(determined, whole, 0.0)
+    return SystematicError(MappingProxyType(parts))
+
+
+def _twice_smoothed(
+    network: CSLC,
+    recording: Recording,
+    preparation: Preparation,
+    k: Float[np.ndarray, " coefficients"],
+) -> tuple[Patterns, Patterns]:
+    """The patterns of a recording, and those of their own motion with the torque that the network
+    computes for it."""
+    q, qd, qdd = derivatives = preparation.derivatives(recording)
+    patterns = preparation.patterns(recording, derivatives)
+    everything = np.ones(q.shape, bool)
+    qd, qdd = _exact_derivatives(recording.time, q, qd, preparation.velocity == "recorded")
+    whole = Patterns(recording.time, q, qd, qdd, recording.torque, everything, everything)
+    torque = np.asarray(regressor_of(network, whole) @ k)
+    motion = Recording(recording.time, q, torque, velocity=qd)
+    again = preparation.derivatives(motion)
+    if preparation.smooth_torque:
+        torque = preparation.smoothing.low_pass(recording.time, torque)
+    trim = preparation.trimmed(recording)
+    inside = slice(trim, recording.samples - trim)
+    q, qd, qdd, torque = (values[inside] for values in (*again, torque))
+    return patterns, dataclasses.replace(patterns, q=q, qd=qd, qdd=qdd, torque=torque)
+
+
+def _exact_derivatives(
+    time: Float[np.ndarray, " samples"],
+    q: Float[np.ndarray, "samples joints"],
+    qd: Float[np.ndarray, "samples joints"],
+    keep_velocity: bool,
+) -> tuple[Float[np.ndarray, "samples joints"], Float[np.ndarray, "samples joints"]]:
+    """Velocities and accelerations of the cubic splines through smoothed positions.
+
+    Those of a smoothing are not always the derivatives of its positions: a Savitzky-Golay filter
+    that leaves a sinusoid's positions alone takes some of its acceleration.
+
+    - `keep_velocity`: the velocities themselves were measured; accelerations are theirs.
+    """
+    spline = scipy.interpolate.CubicSpline(time, qd if keep_velocity else q, axis=0)
+    moves = np.any(qd != 0.0, axis=0)  # elsewhere rounding, whose sign would be a direction
+    if keep_velocity:
+        return qd, np.where(moves, spline(time, 1), 0.0)
+    return np.where(moves, spline(time, 1), 0.0), np.where(moves, spline(time, 2), 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Problem:
+    """The equations of a fit with the weights that it ended with.
+
+    - `weights`: of joints.
+    - `roots`: for each joint, the roots of its equations' weights under a robust loss.
+    - `stretch`: of each sample, from 0.
+    """
+
+    equations: Equations
+    weights: Float[np.ndarray, " joints"]
+    roots: tuple[Float[np.ndarray, " _"], ...]
+    rcond: float | None
+    stretch: Int[np.ndarray, " samples"]
+
+    @classmethod
+    def of(
+        cls,
+        equations: Equations,
+        samples: int,
+        k: Float[np.ndarray, " unknowns"],
+        solver: LeastSquares,
+    ) -> "_Problem":
+        """Of equations of so many samples that were fitted by `k`."""
+        errors = [
+            rows[:, -1] - rows[:, :-1] @ k[list(support)]
+            for support, rows in zip(equations.unknowns.support, equations.rows, strict=True)
+        ]
+        roots = tuple(_robust_roots(error, solver.loss) for error in errors)
+        counts = np.array([float(len(error)) for error in errors])
+        if solver.joint_weights == "residual":
+            squares = [np.sum((r * e) ** 2) for r, e in zip(roots, errors, strict=True)]
+            weights = residual_weights(np.sqrt(squares / np.maximum(counts, 1.0)), counts)
+        elif isinstance(solver.joint_weights, str):
+            weights = np.ones(len(errors))
+        else:
+            weights = np.asarray(solver.joint_weights, float)
+        stretch = np.arange(samples) * min(_STRETCHES, samples) // samples
+        return cls(equations, np.asarray(weights), roots, solver.rcond, stretch)
+
+    def solution(self, equations: Equations) -> Solution:
+        """The minimum of other equations of the same pairs, with the same weights."""
+        factors = times(equations, self.roots).factors()
+        return minimum(equations.unknowns, factors, self.weights, self.rcond)
+
+    def shift(self, inputs: Columns) -> Float[np.ndarray, " unknowns"]:
+        """What further unknowns change the others by, beyond the noise of this change.
+
+        Each change is linear in the further unknowns, whose values without each stretch of the
+        recording in turn differ by noise alone if the machine has such a term. (The changes
+        themselves would differ because the stretches show the term in different ways, too.)
+
+        - `inputs`: of the further unknowns, for each joint's equations.
+        """
+        size = self.equations.unknowns.size
+        wider = with_columns(self.equations, inputs)
+        determined = np.asarray(self.solution(wider).determined)[size:]
+        if not np.all(determined):  # such as an offset where a joint moves one way only
+            ends = np.cumsum([columns.shape[1] for columns in inputs])[:-1]
+            parts = np.split(determined, ends)
+            inputs = [columns[:, kept] for columns, kept in zip(inputs, parts, strict=True)]
+            wider = with_columns(self.equations, inputs)
+        weighted = times(wider, self.roots)
+        k = self.solution(wider).k[size:]
+        without = fold_coefficients(
+            wider.unknowns,
+            weighted.factors_of_folds(self.stretch, int(self.stretch[-1]) + 1),
+            tuple(self.weights.tolist()),
+            self.rcond,
+        )[:, size:]
+        change = _changes(weighted.factors().stacked(wider.unknowns, self.weights), size)
+        stretches = len(without)
+        spread = np.sum(((without - np.mean(without, axis=0)) @ change.T) ** 2, axis=0)
+        return np.sqrt(np.maximum((change @ k) ** 2 - (stretches - 1) / stretches * spread, 0.0))
+
+
+def _changes(
+    stacked: Float[np.ndarray, "rows columns"], size: int
+) -> Float[np.ndarray, "unknowns further"]:
+    """What a unit of each further unknown changes the first unknowns by, if it is left out.
+
+    - `stacked`: the columns of the unknowns, of the further ones, and the torque.
+    """
+    columns, further = stacked[:, :size], stacked[:, size:-1]
+    length = np.linalg.norm(columns, axis=0)
+    length = np.where(length > 0.0, length, 1.0)
+    tolerance = rank_tolerance(size, np.float64(len(stacked)))
+    return np.linalg.lstsq(columns / length, further, rcond=tolerance)[0] / length[:, None]
+
+
+def _robust_roots(error: Float[np.ndarray, " equations"], loss: Loss) -> Float[np.ndarray, " _"]:
+    """The roots of the weights that a joint's equations have in a fit that leaves these errors."""
+    if loss == "squared" or not error.size:
+        return np.ones(len(error))
+    column = jnp.asarray(error)[:, None]
+    scale = float(robust_scale(column, jnp.ones_like(column))[0])
+    return np.sqrt(np.asarray(weight(loss, column[:, 0] / (scale or 1.0))))

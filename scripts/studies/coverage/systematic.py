@@ -1,0 +1,178 @@
+"""How often intervals contain the truth where smoothing and missing terms bias the coefficients.
+
+PUMA A and PUMA B perform the training trajectory, with quantised encoders alone and with every
+disturbance of Section 7.2, each several times with other encoder phases and starts. Each recording
+is identified with settings that cross-validation prefers for prediction (splines of 17 samples,
+parallel filter at 8 Hz). Printed: how many of the coefficients' intervals contained the true value,
+with standard errors alone and with systematic errors (`jaxcslc.identification.systematic_error`),
+what each cause alone would give, how much wider intervals become, and the verdicts on coefficients
+whose error is the most standard errors.
+
+Finished rows are kept in `rows.jsonl`; an interrupted run goes on from there.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+import jaxcslc as jc
+import sim
+from jaxcslc.identification import (
+    SystematicError,
+    coefficient_rows,
+    systematic_error,
+    uncertainty_interval,
+)
+from jaxcslc.identification.report import write_csv
+from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
+from scripts.studies.tables import rows_table
+from scripts.studies.truth import true_coefficients
+
+
+jax.config.update("jax_enable_x64", True)
+
+
+SETTINGS = jc.Settings(
+    jc.Preparation(jc.AveragedSplines(17), torque_alignment="mean", threshold_fraction=0.03),
+    jc.LeastSquares(cutoff=8.0),
+)
+MACHINES = {"PUMA A": sim.puma_a, "PUMA B": sim.puma_b}
+CASES = {"encoders": ("quantisation",), "all disturbances": ()}
+NOISE, ALL = "standard error", "all causes"
+
+
+def machine_of(name: str, case: str) -> sim.Machine:
+    """PUMA A or B with the disturbances of a case."""
+    return sim.disturbed(MACHINES[name](), *CASES[case])
+
+
+def identified(
+    network: jc.CSLC, recording: jc.Recording, truth: np.ndarray, level: float
+) -> dict[str, Any]:
+    """Intervals of one recording's fit beside the truth."""
+    fit = SETTINGS.fit(network, SETTINGS.patterns(recording))
+    error = systematic_error(network, recording, SETTINGS, fit)
+    causes = {cause: SystematicError({cause: part}) for cause, part in error.parts.items()}
+    covered: dict[str, list[bool]] = {}
+    for name, some in {NOISE: None, **causes, ALL: error}.items():
+        low, high = uncertainty_interval(fit, some, level).T
+        covered[name] = ((low <= truth) & (truth <= high)).tolist()
+    rows = coefficient_rows(network, fit, systematic=error, level=level)
+    plain = coefficient_rows(network, fit, level=level)
+    k, deviation = np.asarray(fit.k), np.asarray(fit.standard_error)
+    narrow, wide = (np.ptp(uncertainty_interval(fit, e, level), axis=1) for e in (None, error))
+    return {
+        "covered": covered,
+        "off": ((k - truth) / deviation).tolist(),
+        "relative error": np.abs(k / truth - 1.0).tolist(),
+        "systematic": (error.total / np.abs(k)).tolist(),
+        "wider": (wide / narrow).tolist(),
+        "half width": (0.5 * wide / np.abs(k)).tolist(),
+        "half width, standard error": (0.5 * narrow / np.abs(k)).tolist(),
+        "verdict": [row["verdict"] for row in rows],
+        "verdict, standard error": [row["verdict"] for row in plain],
+    }
+
+
+def summary(rows: Sequence[dict[str, Any]], machine: str, case: str) -> dict[str, Any]:
+    """The line of a machine and a case: means over recordings, medians over coefficients."""
+    some = [row for row in rows if (row["machine"], row["case"]) == (machine, case)]
+    count = {
+        name: np.mean([np.sum(row["covered"][name]) for row in some]) for name in some[0]["covered"]
+    }
+    before, after = "half width, standard error", "half width"
+    return {
+        "machine": machine,
+        "case": case,
+        **{f"{name}": float(value) for name, value in count.items()},
+        "times as wide": float(np.median([row["wider"] for row in some])),
+        f"{before} [%]": 100 * float(np.median([row[before] for row in some])),
+        f"{after} [%]": 100 * float(np.median([row[after] for row in some])),
+    }
+
+
+def worst_rows(
+    names: Sequence[str], rows: Sequence[dict[str, Any]], case: str, count: int = 6
+) -> list[dict[str, Any]]:
+    """The coefficients that are off by the most standard errors, and the verdicts on them."""
+    lines: list[dict[str, Any]] = []
+    for machine in MACHINES:
+        some = [row for row in rows if (row["machine"], row["case"]) == (machine, case)]
+        off = np.mean([row["off"] for row in some], axis=0)
+        for index in np.argsort(-np.abs(off))[:count]:
+            lines.append(
+                {
+                    "machine": machine,
+                    "coefficient": names[index],
+                    "error [standard errors]": float(off[index]),
+                    "error [%]": 100 * _mean(some, "relative error", index),
+                    "systematic error [%]": 100 * _mean(some, "systematic", index),
+                    "verdict before": some[0]["verdict, standard error"][index],
+                    "verdict": some[0]["verdict"][index],
+                }
+            )
+    return lines
+
+
+def _mean(rows: Sequence[dict[str, Any]], name: str, index: int) -> float:
+    return float(np.mean([row[name][index] for row in rows]))
+
+
+def study(options: argparse.Namespace) -> int:
+    """Identifies all recordings, prints the tables and writes the files."""
+    network = jc.derive(jc.puma560())
+    names = network.names
+    digest = made_of({"level": options.level}, [Path(__file__)])
+    finished = Rows(options.output / "rows.jsonl", ("machine", "case", "seed"), digest)
+    seeds = range(options.recordings)
+    wanted = [(m, c, s) for m in MACHINES for c in CASES for s in seeds]
+    missing = [key for key in wanted if key not in finished]
+    print(f"{len(missing)} of {len(wanted)} recordings to identify, some 15 s each on one core")
+    for machine, case, seed in tqdm(missing, unit="recording", disable=None):
+        simulated = machine_of(machine, case)
+        # See `sim.training` for why each compensates its own gravity.
+        trajectory = sim.training(robot=simulated.robot)
+        (recording, _) = sim.record([sim.Job(simulated, trajectory, seed)])[0]
+        truth = np.asarray(true_coefficients(network, simulated))
+        row = identified(network, recording, truth, options.level)
+        finished.add({"machine": machine, "case": case, "seed": seed, **row})
+    rows = [finished[key] for key in wanted]
+    table = [summary(rows, machine, case) for machine in MACHINES for case in CASES]
+    worst = worst_rows(names, rows, "all disturbances")
+    print(
+        f"\nof {len(names)} intervals of {100 * options.level:g} %, how many contained the truth"
+        f" (mean of {options.recordings} recordings), by what they allow for; median widths\n"
+    )
+    print(rows_table(table, digits=3))
+    print("\nall disturbances: the coefficients that are off by the most standard errors\n")
+    print(rows_table(worst, digits=3))
+    write_csv(options.output / "systematic.csv", table)
+    write_csv(options.output / "worst.csv", worst)
+    print(f"\nwrote systematic.csv and worst.csv into {options.output}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "systematic_study")
+    parser.add_argument("--recordings", type=int, default=8, help="how many of each kind")
+    parser.add_argument(
+        "--quick", action="store_true", help="one recording of each kind: a trial run"
+    )
+    parser.add_argument("--level", type=float, default=0.95, help="of the intervals")
+    options = parser.parse_args(argv)
+    if options.quick:
+        options.recordings = 1
+    command.require_least(parser, options, recordings=1)
+    if not 0.0 < options.level < 1.0:
+        parser.error(f"--level is {options.level}; expected more than 0 and less than 1")
+    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
