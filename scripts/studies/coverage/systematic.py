@@ -18,7 +18,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
@@ -133,8 +132,7 @@ def study(options: argparse.Namespace) -> int:
     seeds = range(options.recordings)
     wanted = [(m, c, s) for m in MACHINES for c in CASES for s in seeds]
     missing = [key for key in wanted if key not in finished]
-    print(f"{len(missing)} of {len(wanted)} recordings to identify, some 15 s each on one core")
-    for machine, case, seed in tqdm(missing, unit="recording", disable=None):
+    for machine, case, seed in command.progress(missing, desc="recordings", unit="recording"):
         simulated = machine_of(machine, case)
         # See `sim.training` for why each compensates its own gravity.
         trajectory = sim.training(robot=simulated.robot)
@@ -161,17 +159,17 @@ def study(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "systematic_study")
     parser.add_argument("--recordings", type=int, default=8, help="how many of each kind")
-    parser.add_argument(
-        "--quick", action="store_true", help="one recording of each kind: a trial run"
-    )
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals")
-    options = parser.parse_args(argv)
-    if options.quick:
-        options.recordings = 1
+    options = command.parse(parser, argv, recordings=1)
     command.require_least(parser, options, recordings=1)
     if not 0.0 < options.level < 1.0:
         parser.error(f"--level is {options.level}; expected more than 0 and less than 1")
-    return command.run(parser, lambda: study(options), options.output / "rows.jsonl")
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=20 + 20 * options.recordings,
+    )
 
 
 if __name__ == "__main__":
