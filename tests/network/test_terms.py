@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
 from jaxcslc.manipulator import FRICTION_TERMS
-from jaxcslc.network import AbstractTerm
+from jaxcslc.network import AbstractManipulatorTerm
 
 
 ROWS = [(0.0, 0.0, 0.3, 0.0), ("pi/2", 0.1, 0.0, 0.2)]
@@ -33,9 +33,10 @@ def network_with(kind: str) -> jc.CSLC:
     return network.with_payload(1) if kind == "payload" else network
 
 
-def term_of(network: jc.CSLC, kind: str) -> AbstractTerm:
+def term_of(network: jc.CSLC, kind: str) -> AbstractManipulatorTerm:
     name = "rigid_body" if kind == "recursion" else kind
     (term,) = (term for term in network.terms if term.kind == name)
+    assert isinstance(term, AbstractManipulatorTerm)
     return term
 
 

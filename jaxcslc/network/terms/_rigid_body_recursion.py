@@ -280,7 +280,7 @@ def _mass_matrix_of_block(
     motion = link_motion(geometry, jnp.zeros(3, position.dtype), position, still, still)
     inertia, first, mass = _composite(geometry, links, motion)
     # Velocities of the whole at the base's origin, for a unit rate of each joint.
-    turns = geometry.turning[:, None, None]
+    turns = jnp.asarray(geometry.turning)[:, None, None]
     axis = motion.axes[:, 2]
     angular = turns * axis
     linear = turns * cross(motion.origin, axis) + (1 - turns) * axis
@@ -362,7 +362,7 @@ def _torque_of_block(
     force, moment = (
         (carries @ x.reshape(x.shape[0], 3 * x.shape[2])).reshape(x.shape) for x in (force, moment)
     )
-    turns = geometry.turning[:, None, None]
+    turns = jnp.asarray(geometry.turning)[:, None, None]
     axis = motion.axes[:, 2]
     along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
     return jnp.sum(axis * along, axis=1) + links.motor[:, None] * qdd
