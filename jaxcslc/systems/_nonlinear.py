@@ -159,10 +159,12 @@ def _first_weights(
     points = low + (high - low) * (0.5 + 0.5 * np.sin(_spread(_TRIED, len(low), 0)))
     plain = dataclasses.replace(solver, loss="squared", errors="independent", cutoff=None)
     fits = [
-        plain.fit(network.with_nonlinear(point), patterns, throw=False).torque_error
+        np.asarray(plain.fit(network.with_nonlinear(point), patterns, throw=False).torque_error)
         for point in points
     ]
-    return _weights_of(np.nanmedian(np.stack(fits), axis=0))
+    errors = np.stack(fits)
+    errors[:, np.all(np.isnan(errors), axis=0)] = 0.0  # outputs without an equation
+    return _weights_of(np.nanmedian(errors, axis=0))
 
 
 def _weights_of(error: Float[np.ndarray, " outputs"]) -> Float[np.ndarray, " outputs"]:
