@@ -106,7 +106,7 @@ class FaultMonitor(AbstractController):
     >>> monitor = FaultMonitor(feedback, network, k, torque_limit=90.0)
     >>> q = jnp.zeros(6)
     >>> state, reading = monitor.begin(q), q.at[2].set(jnp.nan)
-    >>> step = jax.jit(monitor.step)
+    >>> step = jax.jit(lambda *inputs: monitor.step(*inputs))
     >>> for _ in range(7):
     ...     torque, state = step(state, Reference.at_rest(q), reading, 0.002)
     >>> monitor.report(state)

@@ -56,7 +56,7 @@ class PayloadCompensation(AbstractController):
     >>> estimator = PayloadEstimator(network, k, noise=np.full(6, 1e-4))
     >>> controller = PayloadCompensation(ComputedTorque(network, k, 20.0), estimator)
     >>> q = jnp.zeros(6)
-    >>> step = jax.jit(controller.step)
+    >>> step = jax.jit(lambda *inputs: controller.step(*inputs))
     >>> torque, state = step(controller.begin(q), Reference.at_rest(q), q, 0.002)
     >>> bool(state.estimator.estimate.carrying)
     False

@@ -80,7 +80,7 @@ def python_step(loop: Any, states: np.ndarray) -> tuple[float, float]:
     The loop is compiled into the step: passing its arrays and its network at every call takes
     longer than the step.
     """
-    begin = jax.jit(loop.begin)
+    begin = jax.jit(lambda q: loop.begin(q))
     step = jax.jit(lambda state, reference, q: loop.step(state, reference, q, PERIOD))
     rounds: list[tuple[float, float]] = []
     for _ in range(4):  # the first one compiles
