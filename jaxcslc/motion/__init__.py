@@ -27,9 +27,8 @@ from ._preparation import (
     DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,
     Preparation as Preparation,
     VelocitySource as VelocitySource,
-    as_recorded as as_recorded,
-    prepare as prepare,
 )
+from ._prepare import as_recorded as as_recorded, prepare as prepare
 from ._recording import (
     MINIMUM_SAMPLES as MINIMUM_SAMPLES,
     Fault as Fault,

@@ -171,6 +171,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     quick = {"seeds": 1, "samples": 1000, "time_step": 2e-4, "methods": ["masked", "moving pairs"]}
     options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=1)
+    if not options.time_step > 0.0:
+        parser.error(f"--time-step is {options.time_step}; expected more than 0")
     command.require_some_of(parser, "method", options.methods, METHODS)
     simulation = 4e-4 / options.time_step * options.samples / 3300
     return command.run(
