@@ -315,7 +315,8 @@ class _Problem:
             tuple(self.weights.tolist()),
             self.rcond,
         )[:, size:]
-        change = _changes(weighted.factors().stacked(wider.unknowns, self.weights), size)
+        stacked = np.asarray(weighted.factors().stacked(wider.unknowns, self.weights))
+        change = _changes(stacked, size)
         stretches = len(without)
         spread = np.sum(((without - np.mean(without, axis=0)) @ change.T) ** 2, axis=0)
         return np.sqrt(np.maximum((change @ k) ** 2 - (stretches - 1) / stretches * spread, 0.0))

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -17,6 +18,9 @@ from jaxcslc.identification import (
     verdicts,
 )
 
+
+# Time, position, velocity and acceleration.
+Motion: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 INTERVAL = 0.005  # s
 TERMS = ("torque offset", "static friction", "motor saturation")
@@ -35,7 +39,7 @@ def arm() -> jc.CSLC:
 
 
 @pytest.fixture(scope="module")
-def swing() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def swing() -> Motion:
     """Time, position, velocity and acceleration of a sum of three sinusoids, 8 s."""
     t = np.arange(1600)[:, None] * INTERVAL
     parts = [(0.4, 2.0, 0.3), (0.2, 5.1, 1.0), (0.1, 9.3, 2.0)]
@@ -48,7 +52,7 @@ def swing() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def recorded(
     network: jc.CSLC,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    motion: Motion,
     further: Callable[[np.ndarray], np.ndarray] | None = None,
     noise: np.ndarray | float = 0.0,
 ) -> jc.Recording:
@@ -83,7 +87,7 @@ def test_smoothing_of_a_sinusoid(arm: jc.CSLC) -> None:
 @pytest.mark.parametrize("cutoff", [None, 10.0])
 def test_missing_terms_against_dense_least_squares(
     arm: jc.CSLC,
-    swing: tuple[np.ndarray, ...],
+    swing: Motion,
     rng: np.random.Generator,
     cutoff: float | None,
 ) -> None:
@@ -128,13 +132,14 @@ def test_missing_terms_against_dense_least_squares(
 )
 def test_intervals_contain_the_truth_in_spite_of_missing_terms(
     arm: jc.CSLC,
-    swing: tuple[np.ndarray, ...],
+    swing: Motion,
     rng: np.random.Generator,
     term: str,
     torque: Callable[[np.ndarray], np.ndarray],
 ) -> None:
     """A third of the motion only: the offset is not orthogonal to the other terms."""
-    part = tuple(x[:500] for x in swing)
+    t, q, qd, qdd = (x[:500] for x in swing)
+    part = (t, q, qd, qdd)
     noise = 0.02 * rng.normal(size=part[1].shape)
     recording = recorded(arm, part, torque, noise)
     settings = GENTLE.with_options(thresholds=0.1)
@@ -151,7 +156,7 @@ def test_intervals_contain_the_truth_in_spite_of_missing_terms(
     assert "systematic error" in verdict.reason
 
 
-def test_noise_alone_hardly_widens(arm: jc.CSLC, swing: tuple[np.ndarray, ...]) -> None:
+def test_noise_alone_hardly_widens(arm: jc.CSLC, swing: Motion) -> None:
     """Terms that the machine does not have: their changes are noise, which is taken off."""
     wider: list[np.ndarray] = []
     for seed in range(10):
@@ -165,7 +170,7 @@ def test_noise_alone_hardly_widens(arm: jc.CSLC, swing: tuple[np.ndarray, ...]) 
     assert np.mean(wider) < 1.6
 
 
-def test_terms_that_the_network_has(swing: tuple[np.ndarray, ...]) -> None:
+def test_terms_that_the_network_has(swing: Motion) -> None:
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
     network = jc.derive(robot.with_friction("viscous", "static", "offset"), lengths="numeric")
     t, q, qd, qdd = swing
@@ -199,7 +204,7 @@ def test_what_no_recording_of_the_motion_can_tell_apart(arm: jc.CSLC) -> None:
     assert np.all(np.isinf(uncertainty_interval(fit, error)[lost]))
 
 
-def test_fixed_coefficients_have_none(arm: jc.CSLC, swing: tuple[np.ndarray, ...]) -> None:
+def test_fixed_coefficients_have_none(arm: jc.CSLC, swing: Motion) -> None:
     recording = recorded(arm, swing, lambda qd: 0 * qd + 0.5)
     patterns = GENTLE.patterns(recording)
     fit = GENTLE.reidentify(arm, patterns, np.array([0.4, 2.0, 1.0]), ["viscous", "dry"])
@@ -208,7 +213,7 @@ def test_fixed_coefficients_have_none(arm: jc.CSLC, swing: tuple[np.ndarray, ...
 
 
 def test_robust_loss_keeps_its_weights(
-    arm: jc.CSLC, swing: tuple[np.ndarray, ...], rng: np.random.Generator
+    arm: jc.CSLC, swing: Motion, rng: np.random.Generator
 ) -> None:
     """One torque in fifty is wild: the parts are those of the recording without them."""
     clean = 0.05 * rng.normal(size=swing[1].shape)
@@ -222,9 +227,13 @@ def test_robust_loss_keeps_its_weights(
     assert_allclose(totals[1], totals[0], rtol=0.15, atol=1e-3)
 
 
-def test_report(arm: jc.CSLC, swing: tuple[np.ndarray, ...], tmp_path: Path) -> None:
+def test_report(arm: jc.CSLC, swing: Motion, tmp_path: Path) -> None:
     """Table, files and verdicts with the systematic error, and without it."""
-    recording = recorded(arm, tuple(x[:500] for x in swing), lambda qd: 0 * qd + 0.8)
+    recording = recorded(
+        arm,
+        (swing[0][:500], swing[1][:500], swing[2][:500], swing[3][:500]),
+        lambda qd: 0 * qd + 0.8,
+    )
     with_it = jc.identify(arm, recording, settings=GENTLE)
     without = jc.identify(arm, recording, settings=GENTLE, systematic=False)
     assert with_it.systematic is not None and without.systematic is None
@@ -234,7 +243,8 @@ def test_report(arm: jc.CSLC, swing: tuple[np.ndarray, ...], tmp_path: Path) -> 
         with_it.rows(), without.rows(), with_it.systematic.total, strict=True
     ):
         assert row["systematic_error"] == total and "systematic_error" not in plain
-        assert row["low"] <= plain["low"] <= plain["high"] <= row["high"]
+        lows, highs = ([float(r[name]) for r in (row, plain)] for name in ("low", "high"))
+        assert lows[0] <= lows[1] <= highs[1] <= highs[0]
     kinds = {str(row["verdict"]) for row in with_it.rows()}
     assert "systematic error" in kinds and {row["verdict"] for row in without.rows()} != kinds
     with_it.save(tmp_path, pictures=False)
@@ -247,7 +257,7 @@ def test_report(arm: jc.CSLC, swing: tuple[np.ndarray, ...], tmp_path: Path) -> 
 
 
 def test_intervals_scale_with_the_uncertainty(
-    arm: jc.CSLC, swing: tuple[np.ndarray, ...], rng: np.random.Generator
+    arm: jc.CSLC, swing: Motion, rng: np.random.Generator
 ) -> None:
     recording = recorded(arm, swing, noise=rng.normal(size=swing[1].shape))
     fit = GENTLE.fit(arm, GENTLE.patterns(recording))
