@@ -111,6 +111,21 @@ class Manipulator:
         return "".join(joint.kind for joint in self.joints)
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints' names in the robot's file, or `"joint 1"` to `"joint n"`.
+
+        >>> Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)]).joint_names
+        ('joint 1', 'joint 2')
+        """
+        names = (None,) * self.joint_count if self.source is None else self.source.joints
+        return tuple(name or f"joint {i}" for i, name in enumerate(names, start=1))
+
+    @property
+    def has_joint_names(self) -> bool:
+        """Whether the robot's file names a joint."""
+        return self.joint_names != tuple(f"joint {i}" for i in range(1, self.joint_count + 1))
+
+    @property
     def torque_units(self) -> tuple[str, ...]:
         """`"N m"` for each revolute joint, `"N"` for each prismatic one."""
         return tuple("N m" if kind == "R" else "N" for kind in self.kinds)

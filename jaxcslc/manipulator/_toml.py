@@ -32,7 +32,7 @@ _ROBOT_KEYS = {
 _DEFAULT_KEYS = {"inertia", "motor_inertia"}
 _JOINT_KEYS = {
     *("kind", "alpha", "a", "d", "theta", "gamma", "b", "parent", "link", "viscous", "dry"),
-    *("friction", "static_slope"),
+    *("name", "friction", "static_slope"),
 }
 _LINK_KEYS = {
     *("inertia", "motor", "zero", "equal"),
@@ -58,7 +58,7 @@ def read_toml(path: Path) -> Manipulator:
         raise RobotError(f"{path}: not valid TOML: {error}") from None
     robot = _robot(document, str(path))
     n = robot.joint_count
-    names = tuple(f"joint {i}" for i in range(1, n + 1))
+    names = _joint_names(document["joint"], str(path))
     links = tuple(f"link {i}" for i in range(1, n + 1))
     source = Source(str(path), "toml", names, links, (np.eye(4),) * n, (None,) * n)
     return dataclasses.replace(robot, source=source)
@@ -296,6 +296,20 @@ def _static_slopes(entries: list[Any], robot: Manipulator, where: str) -> tuple[
             if "static" not in robot.friction_per_joint[i - 1]:
                 raise RobotError(f"{at}: the joint has no static friction among its terms")
     return tuple(slopes) if any("static_slope" in entry for entry in entries) else None
+
+
+def _joint_names(entries: list[Any], where: str) -> tuple[str, ...]:
+    names: list[str] = []
+    for i, entry in enumerate(entries, start=1):
+        name = entry.get("name", f"joint {i}")
+        if not isinstance(name, str) or not name.strip() or name != name.strip():
+            raise RobotError(f"{where}, joint {i}, name: expected a text, got {name!r}")
+        if name in names:
+            raise RobotError(
+                f"{where}, joint {i}, name: joint {names.index(name) + 1} is {name!r} too"
+            )
+        names.append(name)
+    return tuple(names)
 
 
 def _joint_friction(entries: list[Any], where: str) -> tuple[tuple[str, ...] | None, ...] | None:

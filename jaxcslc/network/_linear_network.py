@@ -53,7 +53,7 @@ class AbstractLinearNetwork(eqx.Module):
     @property
     @abc.abstractmethod
     def output_labels(self) -> tuple[str, ...]:
-        """What tells the outputs apart: of a robot, the numbers of its joints."""
+        """What tells the outputs apart: of a robot, its joints."""
 
     @property
     @abc.abstractmethod

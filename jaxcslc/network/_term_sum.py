@@ -47,8 +47,15 @@ class AbstractTermSum(AbstractLinearNetwork):
 
     @property
     def output_labels(self) -> tuple[str, ...]:
-        """`"1"` to `"n"`."""
+        """The joints' names, where the robot has such, or else `"1"` to `"n"`."""
+        if self.robot.has_joint_names:
+            return self.robot.joint_names
         return tuple(str(joint) for joint in range(1, self.robot.joint_count + 1))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The joints' names, or `"joint 1"` to `"joint n"`."""
+        return self.robot.joint_names
 
     @property
     def output_units(self) -> tuple[str, ...]:

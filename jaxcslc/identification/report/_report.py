@@ -17,7 +17,7 @@ from ._coefficient_table import coefficient_rows, coefficient_text
 from ._errors import ErrorTable
 from ._excitation import Excitation
 from ._report_files import report_document, save_report
-from ._report_text import determination_lines, held_out_lines
+from ._report_text import determination_lines, held_out_lines, joint_lines
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class Report:
         return "\n\n".join("\n".join(section) for section in self._sections() if section)
 
     def _sections(self) -> Iterator[list[str]]:
-        yield [str(self.network), f"settings: {self.settings}"]
+        yield [str(self.network), *joint_lines(self.network), f"settings: {self.settings}"]
         if self.groups is not None:
             yield [
                 f"re-identified: {', '.join(self.groups)}; all other coefficients are fixed at"
@@ -151,9 +151,9 @@ class Report:
 def _slopes(fit: SlopeFit) -> str:
     network = fit.network
     listed = ", ".join(
-        f"joint {joint} {slope:.4g} ± {error:.2g}"
-        for joint, slope, error, terms in zip(
-            range(1, network.joint_count + 1),
+        f"{name} {slope:.4g} ± {error:.2g}"
+        for name, slope, error, terms in zip(
+            network.output_names,
             fit.slopes.tolist(),
             fit.slope_error.tolist(),
             network.robot.friction_per_joint,

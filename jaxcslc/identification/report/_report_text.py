@@ -1,7 +1,19 @@
+from textwrap import fill
+
+from ...network import CSLC
 from .._held_out import HeldOut
 from .._systematic import SystematicError
 from ..solver import Identification
 from ._excitation import Excitation
+
+
+def joint_lines(network: CSLC) -> list[str]:
+    """The numbers that coefficients' names have, with the joints' names where they have such."""
+    robot = network.robot
+    if not robot.has_joint_names:
+        return []
+    joints = ", ".join(f"{i} {name}" for i, name in enumerate(robot.joint_names, start=1))
+    return [fill(f"joints: {joints}", 96, subsequent_indent="    ", break_on_hyphens=False)]
 
 
 def determination_lines(

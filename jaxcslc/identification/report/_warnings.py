@@ -25,19 +25,20 @@ def fit_warnings(
     half, as with a wrong unit.
     """
     yield from condition_warning(fit)
-    for joint in np.flatnonzero(np.ptp(recording.position, axis=0) == 0) + 1:
+    names = network.output_names
+    for joint in np.flatnonzero(np.ptp(recording.position, axis=0) == 0):
         yield (
-            f"joint {joint} does not move: coefficients that only its motion shows are not"
+            f"{names[joint]} does not move: coefficients that only its motion shows are not"
             " determined"
         )
     deviation = np.std(recording.torque, axis=0)
-    rows = zip(np.asarray(errors.rms[0]), deviation, network.output_units, strict=True)
-    for joint, (rms, size, unit) in enumerate(rows, 1):
+    rows = zip(names, np.asarray(errors.rms[0]), deviation, network.output_units, strict=True)
+    for name, rms, size, unit in rows:
         if size == 0:
-            yield f"joint {joint}: the measured torque is constant"
+            yield f"{name}: the measured torque is constant"
         elif rms > np.sqrt(0.5) * size:
             yield (
-                f"joint {joint}: training RMS {rms:.3g} {unit}, torque standard deviation"
+                f"{name}: training RMS {rms:.3g} {unit}, torque standard deviation"
                 f" {size:.3g} {unit}: the model explains less than half of the variance; check"
                 " units (rad, N m) and the signs of positions and torques"
             )
