@@ -62,6 +62,19 @@ def require_least(
             parser.error(f"--{shown} is {value}; expected {lowest:g} or more")
 
 
+def require_between(
+    parser: argparse.ArgumentParser,
+    options: argparse.Namespace,
+    **limits: tuple[float, float],
+) -> None:
+    """Ends the program with one line if an option is not strictly between its limits."""
+    for name, (low, high) in limits.items():
+        value = getattr(options, name)
+        if not low < value < high:
+            shown = name.replace("_", "-")
+            parser.error(f"--{shown} is {value}; expected more than {low:g} and less than {high:g}")
+
+
 def require_some_of(
     parser: argparse.ArgumentParser, kind: str, names: list[str], allowed: tuple[str, ...]
 ) -> None:

@@ -4,15 +4,18 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
+from jaxcslc.identification import SystematicError, uncertainty_interval
 from jaxcslc.motion import as_recorded
 
 
 # Slower than this a joint may stick, where no model of sliding friction predicts its torque.
 MOVING = 1e-3  # rad/s
+# What intervals allow for, beside the causes of systematic errors.
+STANDARD_ERROR, ALL_CAUSES = "standard error", "all causes"
 
 
 def true_coefficients(network: jc.CSLC, machine: sim.Machine, **friction: Any) -> jax.Array:
@@ -30,6 +33,27 @@ def published_coefficients(network: jc.CSLC) -> jax.Array:
     robot = jc.puma560()
     assert robot.links is not None
     return network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
+
+
+def truth_within_intervals(
+    fit: jc.Identification,
+    error: SystematicError,
+    truth: Float[np.ndarray, " coefficients"],
+    level: float = 0.95,
+) -> dict[str, Bool[np.ndarray, " coefficients"]]:
+    """Whether each coefficient's interval contains the true value, by what intervals allow for.
+
+    **Returns** one vector for the standard error alone, one for each cause of systematic errors
+    beside it, and one for all of them.
+    """
+    allowed: dict[str, SystematicError | None] = {STANDARD_ERROR: None}
+    allowed |= {cause: SystematicError({cause: part}) for cause, part in error.parts.items()}
+    allowed[ALL_CAUSES] = error
+    within: dict[str, np.ndarray] = {}
+    for name, some in allowed.items():
+        low, high = uncertainty_interval(fit, some, level).T
+        within[name] = (low <= truth) & (truth <= high)
+    return within
 
 
 def moving_patterns(

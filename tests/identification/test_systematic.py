@@ -1,6 +1,7 @@
 """Systematic errors: what smoothing and terms that the network lacks do to coefficients."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
@@ -153,7 +154,9 @@ def test_intervals_contain_the_truth_in_spite_of_missing_terms(
     assert np.all((wide[:, 0] <= truth) & (truth <= wide[:, 1]))
     assert error.parts[term][worst] > 0.4 * off[worst]
     (verdict,) = [v for v in verdicts(arm, fit, systematic=error) if v.name == arm.names[worst]]
-    assert "systematic error" in verdict.reason
+    assert re.search(
+        rf"; systematic error [\d.]+ (% of|times) the value, mostly from {term}$", verdict.reason
+    )
 
 
 def test_noise_alone_hardly_widens(arm: jc.CSLC, swing: Motion) -> None:

@@ -26,6 +26,8 @@ _WELL_SYSTEMATIC = 0.05
 # Variance inflation above this: most of a coefficient's variance comes from its correlation with
 # others (Belsley, Kuh and Welsch 1980).
 _CORRELATED = 10.0
+# Errors of more times the value are printed beside it.
+_FAR = 100.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,13 +115,13 @@ def verdicts(
         name, (low, high) = coefficient.name, interval[i]
         value, error = float(fit.k[i]), float(fit.standard_error[i])
         relative = abs(error / value) if value else np.inf
-        reason = f"standard error {_percent(relative)} of it"
+        reason = f"standard error {_compared(error, value)}"
         if inflation is not None and relative > _WELL and inflation[i] > _CORRELATED:
             times = f"{np.sqrt(inflation[i]):.2g} times as large"
-            reason += f"; correlated with others, which alone makes it {times}"
+            reason += f", which correlation with other coefficients makes {times}"
         if systematic is not None and shift[i] > error:
-            reason += f", systematic error {_percent(abs(shift[i] / value) if value else np.inf)}"
-            reason += f", most of it by {systematic.main_cause(i)}"
+            reason += f"; systematic error {_compared(shift[i], value)}"
+            reason += f", mostly from {systematic.main_cause(i)}"
         kind: VerdictKind = "well determined" if relative <= _WELL else "poorly determined"
         small = np.hypot(error, shift[i]) <= _WELL * abs(value)
         if relative <= _WELL and not (small and shift[i] <= _WELL_SYSTEMATIC * abs(value)):
@@ -136,8 +138,12 @@ def verdicts(
     return tuple(result)
 
 
-def _percent(part: float) -> str:
-    return f"{100 * part:.2g} %" if part < 1.0 else f"{min(part, 1e9):.2g} times"
+def _compared(error: float, value: float) -> str:
+    """An error beside its value: '12 % of the value', '1.4 times the value'."""
+    part = error / abs(value) if value else np.inf
+    if part > _FAR:
+        return f"{error:.2g} for a value of {value:.2g}"
+    return f"{100 * part:.2g} % of the value" if part < 0.995 else f"{part:.2g} times the value"
 
 
 def _determined_combinations(fit: Identification) -> dict[str, str]:

@@ -192,8 +192,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals")
     options = command.parse(parser, argv, recordings=5)
     command.require_least(parser, options, recordings=2)
-    if not 0.0 < options.level < 1.0:
-        parser.error(f"--level is {options.level}; expected more than 0 and less than 1")
+    command.require_between(parser, options, level=(0.0, 1.0))
     return command.run(
         parser,
         lambda: study(options),

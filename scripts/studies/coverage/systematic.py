@@ -6,7 +6,7 @@ is identified with settings that cross-validation prefers for prediction (spline
 parallel filter at 8 Hz). Printed: how many of the coefficients' intervals contained the true value,
 with standard errors alone and with systematic errors (`jaxcslc.identification.systematic_error`),
 what each cause alone would give, how much wider intervals become, and the verdicts on coefficients
-whose error is the most standard errors.
+whose error is the most standard errors. Percentages are of the true value.
 
 Finished rows are kept in `rows.jsonl`; an interrupted run goes on from there.
 """
@@ -21,17 +21,12 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import (
-    SystematicError,
-    coefficient_rows,
-    systematic_error,
-    uncertainty_interval,
-)
-from jaxcslc.identification.report import write_csv
+from jaxcslc.identification import coefficient_rows, systematic_error, uncertainty_interval
+from jaxcslc.identification.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table
-from scripts.studies.truth import true_coefficients
+from scripts.studies.truth import true_coefficients, truth_within_intervals
 
 
 jax.config.update("jax_enable_x64", True)
@@ -43,7 +38,6 @@ SETTINGS = jc.Settings(
 )
 MACHINES = {"PUMA A": sim.puma_a, "PUMA B": sim.puma_b}
 CASES = {"encoders": ("quantisation",), "all disturbances": ()}
-NOISE, ALL = "standard error", "all causes"
 
 
 def machine_of(name: str, case: str) -> sim.Machine:
@@ -57,23 +51,19 @@ def identified(
     """Intervals of one recording's fit beside the truth."""
     fit = SETTINGS.fit(network, SETTINGS.patterns(recording))
     error = systematic_error(network, recording, SETTINGS, fit)
-    causes = {cause: SystematicError({cause: part}) for cause, part in error.parts.items()}
-    covered: dict[str, list[bool]] = {}
-    for name, some in {NOISE: None, **causes, ALL: error}.items():
-        low, high = uncertainty_interval(fit, some, level).T
-        covered[name] = ((low <= truth) & (truth <= high)).tolist()
+    covered = truth_within_intervals(fit, error, truth, level)
     rows = coefficient_rows(network, fit, systematic=error, level=level)
     plain = coefficient_rows(network, fit, level=level)
     k, deviation = np.asarray(fit.k), np.asarray(fit.standard_error)
     narrow, wide = (np.ptp(uncertainty_interval(fit, e, level), axis=1) for e in (None, error))
     return {
-        "covered": covered,
+        "covered": {name: within.tolist() for name, within in covered.items()},
         "off": ((k - truth) / deviation).tolist(),
         "relative error": np.abs(k / truth - 1.0).tolist(),
-        "systematic": (error.total / np.abs(k)).tolist(),
+        "systematic": (error.total / np.abs(truth)).tolist(),
         "wider": (wide / narrow).tolist(),
-        "half width": (0.5 * wide / np.abs(k)).tolist(),
-        "half width, standard error": (0.5 * narrow / np.abs(k)).tolist(),
+        "half width": (0.5 * wide / np.abs(truth)).tolist(),
+        "half width, standard error": (0.5 * narrow / np.abs(truth)).tolist(),
         "verdict": [row["verdict"] for row in rows],
         "verdict, standard error": [row["verdict"] for row in plain],
     }
@@ -112,7 +102,7 @@ def worst_rows(
                     "error [standard errors]": float(off[index]),
                     "error [%]": 100 * _mean(some, "relative error", index),
                     "systematic error [%]": 100 * _mean(some, "systematic", index),
-                    "verdict before": some[0]["verdict, standard error"][index],
+                    "verdict, standard error": some[0]["verdict, standard error"][index],
                     "verdict": some[0]["verdict"][index],
                 }
             )
@@ -150,8 +140,9 @@ def study(options: argparse.Namespace) -> int:
     print(rows_table(table, digits=3))
     print("\nall disturbances: the coefficients that are off by the most standard errors\n")
     print(rows_table(worst, digits=3))
-    write_csv(options.output / "systematic.csv", table)
-    write_csv(options.output / "worst.csv", worst)
+    with all_or_nothing(options.output) as folder:
+        write_csv(folder / "systematic.csv", table)
+        write_csv(folder / "worst.csv", worst)
     print(f"\nwrote systematic.csv and worst.csv into {options.output}")
     return 0
 
@@ -162,8 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals")
     options = command.parse(parser, argv, recordings=1)
     command.require_least(parser, options, recordings=1)
-    if not 0.0 < options.level < 1.0:
-        parser.error(f"--level is {options.level}; expected more than 0 and less than 1")
+    command.require_between(parser, options, level=(0.0, 1.0))
     return command.run(
         parser,
         lambda: study(options),

@@ -45,6 +45,7 @@ from scripts.studies.puma560.tables import (
     agreement_rows,
     coefficient_table_rows,
     error_rows,
+    interval_rows,
     mask_rows,
     peak_rows,
     training_rows,
@@ -178,6 +179,10 @@ def experiment(options: argparse.Namespace) -> int:
     tables: Tables = {}
     for puma in both:
         tables |= machine_tables(network, puma)
+    tables["intervals"] = (
+        "How many of the 95 % intervals contain the true coefficient, by what they allow for",
+        interval_rows(both),
+    )
     tables["peaks"] = ("Peak torques of the comparison trajectory", peak_rows(both))
     tables["demands"] = (
         "Greatest demands beside the motors' limits of linearity (7.2.3)",

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
+from jaxcslc.identification import SystematicError, systematic_error
 from scripts.studies.motor.linearity import limited
 from scripts.studies.training.thesis_route import ThesisRoute, thesis_route
 from scripts.studies.truth import published_coefficients, true_coefficients
@@ -46,6 +47,7 @@ class IdentifiedMachine:
       at rest.
     - `validation_patterns`: of the same recording under `settings`, as `jaxcslc identify
       --validate` judges.
+    - `systematic`: errors of the fit that no residual shows, as `jc.identify` computes them.
     - `vectors`: coefficients by model.
     - `routes`: trainings as in 7.5, by what their masks leave out; the first is the thesis's. None
       in a quick run.
@@ -60,6 +62,7 @@ class IdentifiedMachine:
     comparison_patterns: jc.Patterns
     validation_patterns: jc.Patterns
     fit: jc.Identification
+    systematic: SystematicError
     vectors: Mapping[str, Float[Array, " coefficients"]]
     routes: Mapping[str, ThesisRoute]
 
@@ -142,6 +145,7 @@ def identified(
         judged,
         settings.patterns(comparison.recording),
         fit,
+        systematic_error(network, training.recording, settings, fit),
         vectors,
         routes,
     )

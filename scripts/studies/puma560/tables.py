@@ -9,8 +9,9 @@ from jaxtyping import Array, Float
 import jaxcslc as jc
 import sim
 from jaxcslc.assessment import agreement, mask_quality, output_sensitivity
-from jaxcslc.identification import coefficient_rows
+from jaxcslc.identification import coefficient_rows, uncertainty_interval
 from scripts.studies.puma560.machines import TRAINED, IdentifiedMachine
+from scripts.studies.truth import truth_within_intervals
 
 
 Rows = list[dict[str, Any]]
@@ -127,4 +128,26 @@ def coefficient_table_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
             "thesis": sim.thesis_coefficients(puma.letter).coefficients,
         },
         sensitivity=output_sensitivity(network, puma.patterns),
+        systematic=puma.systematic,
     )
+
+
+def interval_rows(machines: Sequence[IdentifiedMachine]) -> Rows:
+    """How many of each machine's 95 % intervals contain the true coefficients."""
+    rows: Rows = []
+    for puma in machines:
+        truth = np.asarray(puma.vectors["true"])
+        within = truth_within_intervals(puma.fit, puma.systematic, truth)
+        narrow, wide = (
+            np.ptp(uncertainty_interval(puma.fit, error), axis=1)
+            for error in (None, puma.systematic)
+        )
+        rows.append(
+            {
+                "": puma.name,
+                "intervals": len(truth),
+                **{name: int(np.sum(some)) for name, some in within.items()},
+                "times as wide, median": float(np.median(wide / narrow)),
+            }
+        )
+    return rows

@@ -3,11 +3,12 @@
 For each system: the number of coefficients that exact separation finds; the numeric rank of their
 regressor at random states; and how many coefficients the equations need, as a rank that knows
 nothing of separation: what the equations say at random states, for many random sets of constants.
-All three are to be the same. Takes half a minute for the examples and 100 random systems.
+All three are to be the same. An interrupted run begins again: it takes half a minute.
 
     .venv/bin/python -m scripts.studies.systems.minimal_sets
 """
 
+import argparse
 import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,7 @@ from sympy.physics.mechanics import dynamicsymbols
 
 from jaxcslc._rank import numerical_rank
 from jaxcslc.systems import Constant, System, Variable
+from scripts.studies import command
 from scripts.studies.systems.example import Example
 from scripts.studies.systems.examples import (
     CART_POLE,
@@ -160,24 +162,17 @@ def example_system(example: Example) -> System:
     return example.system.with_values({name: example.truth[name] for name in searched})
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def study(options: argparse.Namespace) -> int:
     """Prints a line for each system whose numbers differ, and how many agree."""
-    from scripts.studies.command import new_parser, require_least
-
-    parser = new_parser(__doc__, "systems")
-    parser.add_argument("--systems", type=int, default=100, help="how many are drawn")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(arguments)
-    require_least(parser, options, systems=1)
     rng = np.random.default_rng(options.seed)
     differing = 0
     for example in EXAMPLES:
         ranks = ranks_of(example_system(example), rng, example.truth)
         differing += not ranks.agree
-        print(f"{example.name}: {ranks}")
-    print(f"drawing {options.systems} systems: about {0.2 * options.systems:.0f} s", flush=True)
+        print(f"{example.name}: {ranks}", flush=True)
     agreeing, coefficients = 0, []
-    for number in range(1, options.systems + 1):
+    numbers = range(1, options.systems + 1)
+    for number in command.progress(numbers, desc="random systems", unit="system"):
         system = random_system(rng)
         ranks = ranks_of(system, rng)
         agreeing += ranks.agree
@@ -189,6 +184,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f" {min(coefficients)} to {max(coefficients)} of them"
     )
     return 0 if agreeing == options.systems and not differing else 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--systems", type=int, default=100, help="how many are drawn")
+    parser.add_argument("--seed", type=int, default=0)
+    options = command.parse(parser, arguments, systems=20)
+    command.require_least(parser, options, systems=1, seed=0)
+    return command.run(parser, lambda: study(options), seconds=12 + 0.2 * options.systems)
 
 
 if __name__ == "__main__":

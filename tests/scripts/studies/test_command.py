@@ -22,6 +22,19 @@ def test_a_trial_run_replaces_defaults_and_not_options() -> None:
     assert parsed(["--seeds", "5", "--quick", "--noise", "0"]) == (5, 0.0, True)
 
 
+@pytest.mark.parametrize("value", [-1.0, 0.0, 1.0, float("nan")])
+def test_values_between_limits(capsys: pytest.CaptureFixture[str], value: float) -> None:
+    parser = command.new_parser("A study.", "some_study")
+    parser.add_argument("--the-level", type=float)
+    inside = parser.parse_args(["--the-level", "0.5"])
+    command.require_between(parser, inside, the_level=(0.0, 1.0))
+    with pytest.raises(SystemExit):
+        outside = parser.parse_args([f"--the-level={value}"])
+        command.require_between(parser, outside, the_level=(0.0, 1.0))
+    expected = f"--the-level is {value}; expected more than 0 and less than 1"
+    assert expected in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("seconds", "text"),
     [

@@ -34,6 +34,7 @@ JUDGED = jc.Preparation(jc.AveragedSplines(17), torque_alignment="mean", thresho
 QUICK = jc.Settings(
     jc.Preparation(jc.AveragedSplines(13), torque_alignment="mean"), jc.LeastSquares(cutoff=8.0)
 )
+LEAST_SHARE = 0.8  # of 95 % intervals that contain the truth in spite of every disturbance
 SAMPLES = 1500  # of a quick run's longest recording
 # Tables have all digits; predictions come from another order of the same sums.
 assert_same = functools.partial(assert_allclose, rtol=1e-9, atol=1e-12)
@@ -181,6 +182,9 @@ def test_command_judges_as_the_table_says(demo: Demo, puma: jc.CSLC) -> None:
     (row,) = (row for row in demo.rows("errors_a") if row[""].endswith("identify judges"))
     assert_allclose(float(report.errors["validation"].epsilon[0]), float(row["CSLC"]), rtol=1e-6)
     assert_allclose(report.k, demo.column("coefficients_a", "value"), rtol=1e-6, atol=1e-9)
+    assert report.systematic is not None
+    shown = demo.column("coefficients_a", "systematic_error")
+    assert_allclose(report.systematic.total, shown, rtol=1e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize("letter", ["a", "b"])
@@ -217,9 +221,23 @@ def test_coefficients_and_their_intervals(demo: Demo, puma: jc.CSLC, letter: str
     assert_allclose(
         demo.column(table, "thesis"), sim.thesis_coefficients(letter.upper()).coefficients
     )
-    # A short recording leaves a bias of smoothing and backlash; most intervals still hold the
-    # truth, and hardly any would by chance: they are narrower than coefficients are far apart.
-    assert np.mean((low <= true) & (true <= high)) > 0.5
+    # One quantile of Student's t for all; systematic errors are in, and they make a difference.
+    standard, systematic = (
+        demo.column(table, "standard_error"),
+        demo.column(table, "systematic_error"),
+    )
+    quantile = 0.5 * (high - low) / np.hypot(standard, systematic)
+    assert_allclose(quantile, quantile[0], rtol=1e-9)
+    assert 1.9 < quantile[0] < 2.6
+    within = np.abs(value - true) <= quantile[0] * np.hypot(standard, systematic)
+    (row,) = (row for row in demo.rows("intervals") if row[""] == f"PUMA {letter.upper()}")
+    assert int(row["intervals"]) == puma.size
+    assert int(row["all causes"]) == within.sum()
+    assert int(row["standard error"]) == (np.abs(value - true) <= quantile[0] * standard).sum()
+    # A short recording, and disturbances that are none of the causes; hardly any interval would
+    # contain the truth by chance: they are narrower than coefficients are far apart.
+    assert within.mean() > LEAST_SHARE
+    assert np.median(0.5 * (high - low) / np.abs(true)) < 1.0
 
 
 def test_demands_stay_within_linearity(demo: Demo) -> None:

@@ -9,13 +9,14 @@ import pytest
 
 import sim
 from scripts.studies.coverage import systematic as study
+from scripts.studies.truth import ALL_CAUSES, STANDARD_ERROR
 
 
 def row(machine: str, case: str, covered: list[bool], wider: float) -> dict[str, Any]:
     return {
         "machine": machine,
         "case": case,
-        "covered": {study.NOISE: [False, False], study.ALL: covered},
+        "covered": {STANDARD_ERROR: [False, False], ALL_CAUSES: covered},
         "wider": [1.0, wider],
         "half width": [0.2, 0.2],
         "half width, standard error": [0.1, 0.1],
@@ -29,7 +30,7 @@ def test_counts_what_was_covered() -> None:
         row("PUMA B", "encoders", [False, False], 1.0),
     ]
     line = study.summary(rows, "PUMA A", "encoders")
-    assert line[study.NOISE] == 0.0 and line[study.ALL] == 1.5
+    assert line[STANDARD_ERROR] == 0.0 and line[ALL_CAUSES] == 1.5
     assert line["times as wide"] == 2.0
     assert line["half width [%]"] == pytest.approx(20.0)
 
@@ -51,8 +52,8 @@ def test_a_tiny_run(
     assert "all causes" in capsys.readouterr().out
     with (tmp_path / "systematic.csv").open(encoding="utf-8") as file:
         (line,) = csv.DictReader(file)
-    counts = {name: float(line[name]) for name in (study.NOISE, "static friction", study.ALL)}
-    assert counts[study.NOISE] <= counts["static friction"] <= counts[study.ALL] <= 43
+    counts = {name: float(line[name]) for name in (STANDARD_ERROR, "static friction", ALL_CAUSES)}
+    assert counts[STANDARD_ERROR] <= counts["static friction"] <= counts[ALL_CAUSES] <= 43
     assert float(line["times as wide"]) >= 1.0
     with (tmp_path / "worst.csv").open(encoding="utf-8") as file:
         off = [abs(float(entry["error [standard errors]"])) for entry in csv.DictReader(file)]
