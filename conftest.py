@@ -16,11 +16,20 @@ from types import CodeType
 from typing import Any
 
 
-# Read once, when the libraries below are loaded, and inherited by the workers of `pytest -n`. One
-# thread each: workers that share cores with each other's threads took twice as long over products
-# and factorisations. Pictures are drawn to files, on machines with and without a screen.
+# Read once, when the libraries below are loaded, and inherited by the workers of `pytest -n`, by
+# the kernels of notebooks and by every other program that a test starts. One thread each: workers
+# that share cores with each other's threads took twice as long over products and factorisations.
+# Pictures are drawn to files, on machines with and without a screen.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MPLBACKEND"] = "Agg"
+
+# Optimise less (a third less time with an empty cache), and keep every program, for the other
+# worker, for later runs, and for this worker after it has forgotten its programs: reading one takes
+# half the time of compiling the smallest.
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parent / ".cache" / "jax")
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 
 # Compiling is most of the suite's time. XLA's fusion emitters lower every loop through several
 # dialects of MLIR: without them, programs of this size compile in three quarters of the time.
@@ -42,17 +51,10 @@ import pytest
 
 
 # Identification is float64 work, and an axis that JAX adds silently is a mistake. MJX broadcasts
-# so inside: call it under `jax.numpy_rank_promotion("allow")`.
+# so inside: call it under `jax.numpy_rank_promotion("allow")`. Programs that tests start switch
+# float64 on themselves.
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-
-# Optimise less (a third less time with an empty cache), and keep every program, for the other
-# worker, for later runs, and for this worker after it has forgotten its programs: reading one takes
-# half the time of compiling the smallest.
-jax.config.update("jax_disable_most_optimizations", True)
-jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parent / ".cache" / "jax"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 # The same examples in every run, however slow the machine.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)

@@ -41,10 +41,8 @@ def test_there_are_notebooks() -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_it_runs_from_top_to_bottom(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # The kernel keeps what it compiled where the other tests do.
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))
-    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+def test_it_runs_from_top_to_bottom(path: Path) -> None:
+    # The kernel compiles as the tests do: `conftest.py` sets that in the environment.
     executed = execute_notebooks.execute(path)
     assert kinds(executed) == kinds(read(path)), "renew it: scripts/tools/execute_notebooks.py"
 
