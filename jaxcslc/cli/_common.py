@@ -10,7 +10,8 @@ from rich.console import Console
 
 from .._environment import MissingExtraError
 from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560, tx40
-from ..motion import RecordingError
+from ..motion import Recording, RecordingError
+from ..motion.files import load_recording
 from ..network import CSLC, derive
 
 
@@ -72,6 +73,21 @@ SettingsOption = Annotated[
         " of --previous if omitted, or else chosen by cross-validation within the recording."
     ),
 ]
+
+
+ColumnsOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="MAPPING.TOML",
+        help="Names, units and torque constants of the recordings' columns, where their format"
+        " does not say them (docs/recordings.md).",
+    ),
+]
+
+
+def recording_of(path: Path, robot: Manipulator, columns: Path | None) -> Recording:
+    """A recording of a robot, its joints in the robot's order."""
+    return load_recording(path, joints=robot.joint_names, columns=columns)
 
 
 def names_in(text: str) -> list[str]:

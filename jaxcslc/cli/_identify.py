@@ -6,9 +6,9 @@ import typer
 
 from ..identification import identify
 from ..identification.report import check_output_folder, load_report, load_settings
-from ..motion.files import load_recording
 from ._common import (
     BaseOption,
+    ColumnsOption,
     CoupledOption,
     FrictionOption,
     LengthsOption,
@@ -21,6 +21,7 @@ from ._common import (
     network_of,
     one_line_errors,
     progress,
+    recording_of,
     robot_named,
     with_drives,
 )
@@ -41,6 +42,7 @@ def identify_command(
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     settings: SettingsOption = None,
+    columns: ColumnsOption = None,
     reidentify: Annotated[
         str | None,
         typer.Option(
@@ -74,6 +76,7 @@ def identify_command(
                 coupled=coupled,
                 reidentify=reidentify,
                 previous=previous,
+                columns=columns,
             )
             text = _identify_system(robot, train, validate, output, settings, step)
             typer.echo(text)
@@ -93,8 +96,8 @@ def identify_command(
         options = saved.settings if saved is not None else None
         report = identify(
             network,
-            load_recording(train, joints=network.joint_count),
-            None if validate is None else load_recording(validate, joints=network.joint_count),
+            recording_of(train, network.robot, columns),
+            None if validate is None else recording_of(validate, network.robot, columns),
             options if settings is None else load_settings(settings),
             previous=None if saved is None else saved.fit,
             groups=None if reidentify is None else names_in(reidentify),

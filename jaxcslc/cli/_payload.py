@@ -5,14 +5,15 @@ import typer
 
 from ..identification import identify_payload
 from ..identification.report import check_output_folder, load_report, load_settings
-from ..motion.files import load_recording
 from ._common import (
     BaseOption,
+    ColumnsOption,
     RobotArgument,
     SettingsOption,
     TipOption,
     one_line_errors,
     progress,
+    recording_of,
     robot_named,
 )
 
@@ -39,16 +40,16 @@ def payload_command(
     base: BaseOption = None,
     tip: TipOption = None,
     settings: SettingsOption = None,
+    columns: ColumnsOption = None,
 ) -> None:
     """Identify a payload: its mass, centre of gravity and inertia, in the last link's frame."""
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
         saved = load_report(previous, robot_named(robot, base, tip))
-        joints = saved.network.joint_count
         report = identify_payload(
             saved.network,
-            load_recording(loaded, joints=joints),
-            None if unloaded is None else load_recording(unloaded, joints=joints),
+            recording_of(loaded, saved.network.robot, columns),
+            None if unloaded is None else recording_of(unloaded, saved.network.robot, columns),
             saved.settings if settings is None else load_settings(settings),
             previous=saved.fit if unloaded is None else None,
             progress=step,

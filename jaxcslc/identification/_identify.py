@@ -82,8 +82,10 @@ def identify(
             choose_settings(network, training).settings if settings is None else settings
         )
         by_recording["training"] = base_settings.for_network(network)
-    warnings = [f"training recording: {sentence}" for sentence in base_settings.check(training)]
+    warnings = [f"training recording: {sentence}" for sentence in training.notes]
+    warnings += [f"training recording: {sentence}" for sentence in base_settings.check(training)]
     if validation is not None:
+        warnings += [f"validation recording: {sentence}" for sentence in validation.notes]
         recordings["validation"] = validation
         by_recording["validation"], sentences = _for_validation(
             network, by_recording["training"], training, validation, choose=settings is None

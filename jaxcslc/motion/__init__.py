@@ -61,6 +61,7 @@ from ._smoothing import (
 from ._spacing import choose_spacing as choose_spacing, left_out_error as left_out_error
 from ._splines import AveragedSplines as AveragedSplines
 from .files import (
+    ColumnMapping as ColumnMapping,
     RecordingChunk as RecordingChunk,
     iterate_recording as iterate_recording,
     load_columns as load_columns,

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import scipy
 from jaxtyping import Float, Int
@@ -100,6 +102,8 @@ def resample(
         between(fresh.torque),
         None if fresh.velocity is None else between(fresh.velocity),
         None if fresh.acceleration is None else between(fresh.acceleration),
+        fresh.joint_names,
+        fresh.notes,
     )
 
 
@@ -184,7 +188,7 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
             f"a clock of {period:g} s strays from the time stamps by {strayed:.3g} s; "
             "expected less than 1 % of the recording"
         )
-    return Recording(time, fresh.position, fresh.torque, fresh.velocity, fresh.acceleration)
+    return dataclasses.replace(fresh, time=time)
 
 
 def _time_passed(

@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -103,13 +103,19 @@ def column_names(quantity: str, joints: int) -> list[str]:
 
 def as_columns(
     time: Float[np.ndarray, " samples"],
+    joint_names: Sequence[str] | None = None,
     **quantities: Float[np.ndarray, "samples joints"] | None,
 ) -> dict[str, Float[np.ndarray, " samples"]]:
-    """A recording's arrays as the columns of a file, those that are absent left out."""
+    """A recording's arrays as the columns of a file, those that are absent left out.
+
+    Columns are numbered, or called by the joints' names.
+    """
     columns = {"time": time}
     for quantity, values in quantities.items():
         if values is not None:
             names = column_names(quantity, values.shape[1])
+            if joint_names is not None:
+                names = [f"{quantity}_{joint}" for joint in joint_names]
             columns.update(zip(names, values.T, strict=True))
     return columns
 
@@ -127,8 +133,10 @@ class Recording(eqx.Module):
     - `torque`: joint torques or forces, shape `(samples, joints)` [N m or N].
     - `velocity`, `acceleration`: shape `(samples, joints)`, or `None` where they were not
         recorded [rad/s, rad/s² or m/s, m/s²].
+    - `joint_names`: of the joints, where the recording has such.
+    - `notes`: sentences about what was decided in reading it; `identify` repeats them.
 
-    All are float64 arrays.
+    Those of motion are float64 arrays.
 
     >>> import numpy as np
     >>> from jaxcslc.motion import Recording
@@ -143,6 +151,8 @@ class Recording(eqx.Module):
     torque: Float[np.ndarray, "samples joints"]
     velocity: Float[np.ndarray, "samples joints"] | None
     acceleration: Float[np.ndarray, "samples joints"] | None
+    joint_names: tuple[str, ...] | None = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -151,6 +161,8 @@ class Recording(eqx.Module):
         torque: ArrayLike,
         velocity: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
+        joint_names: Sequence[str] | None = None,
+        notes: Sequence[str] = (),
     ):
         """**Arguments**
 
@@ -169,6 +181,8 @@ class Recording(eqx.Module):
         self.acceleration = (
             None if acceleration is None else _as_float("acceleration", acceleration, 2)
         )
+        self.joint_names = None if joint_names is None else tuple(joint_names)
+        self.notes = tuple(notes)
         # Checked here and not in `__check_init__`, so that the message is this one whether or
         # not a run-time checker of the shape annotations is at work.
         quantities = {
@@ -184,6 +198,10 @@ class Recording(eqx.Module):
                     f"{name} has shape {values.shape}; expected ({samples}, {joints}): "
                     f"one row for each of the {samples} times, one column a joint of position"
                 )
+        if self.joint_names is not None and len(self.joint_names) != joints:
+            raise RecordingError(
+                f"{len(self.joint_names)} names of joints; expected {joints}, one for each column"
+            )
         if joints == 0:
             raise RecordingError("position has no columns; expected one column a joint")
         if samples < MINIMUM_SAMPLES:
@@ -226,6 +244,8 @@ class Recording(eqx.Module):
             self.torque[selected],
             None if self.velocity is None else self.velocity[selected],
             None if self.acceleration is None else self.acceleration[selected],
+            self.joint_names,
+            self.notes,
         )
 
 

@@ -1,3 +1,4 @@
+from ._column_mapping import ColumnMapping as ColumnMapping
 from ._named_columns import load_columns as load_columns
 from ._recording_files import (
     RecordingChunk as RecordingChunk,

@@ -1,12 +1,13 @@
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from .. import MINIMUM_SAMPLES, RecordingError
+from ._layout import Header
 
 
 @dataclasses.dataclass(frozen=True)
@@ -14,6 +15,9 @@ class NamedColumns:
     """Columns of a file that are read by their names."""
 
     names: list[str]
+    time: str = "time"
+    relative: bool = False
+    factors: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 def load_columns(
@@ -23,7 +27,7 @@ def load_columns(
 
     **Arguments**
 
-    - `path`: of a `.csv` or `.parquet` file with a column `time` [s].
+    - `path`: of a `.csv`, `.parquet` or `.npz` file with a column `time` [s].
     - `names`: of the columns to read beside it, which may be in any order among others; all if
       omitted.
 
@@ -46,7 +50,8 @@ def load_columns(
     """
     from ._recording_tables import open_table  # loads Arrow, which others need not wait for
 
-    def checked(file: str, header: Sequence[str]) -> NamedColumns:
+    def checked(file: str, columns: Header) -> NamedColumns:
+        header = columns.names
         wanted = [name for name in header if name != "time"] if names is None else list(names)
         wanted = list(dict.fromkeys(["time", *wanted]))
         for name in wanted:

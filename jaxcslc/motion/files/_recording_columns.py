@@ -1,47 +1,17 @@
-import dataclasses
 import re
-from collections.abc import Mapping, Sequence
-
-import numpy as np
-from jaxtyping import Float
+from collections.abc import Sequence
 
 from .. import RecordingError, column_names
+from ._layout import QUANTITIES, REQUIRED, Column, Layout
 
 
-REQUIRED = ("position", "torque")
-OPTIONAL = ("velocity", "acceleration")
 EXPECTED = (
     "expected time, position_1..n, torque_1..n and, optionally, velocity_1..n, acceleration_1..n"
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class Columns:
-    """Which columns a recording file has, once they are checked."""
-
-    joints: int
-    optional: tuple[str, ...]
-
-    @property
-    def names(self) -> list[str]:
-        """All columns in the order in which this package writes them."""
-        quantities = (*REQUIRED, *self.optional)
-        return ["time", *(name for q in quantities for name in column_names(q, self.joints))]
-
-    def split(
-        self, table: Mapping[str, Float[np.ndarray, " rows"]]
-    ) -> dict[str, Float[np.ndarray, "rows joints"] | None]:
-        """The columns of a table put together, one array a quantity; `None` for absent ones."""
-        return {
-            quantity: np.stack([table[name] for name in column_names(quantity, self.joints)], 1)
-            if quantity in REQUIRED or quantity in self.optional
-            else None
-            for quantity in (*REQUIRED, *OPTIONAL)
-        }
-
-
-def checked_columns(file: str, names: Sequence[str]) -> Columns:
-    """Tells the joints and quantities of a file from its header.
+def checked_columns(file: str, names: Sequence[str]) -> Layout:
+    """The layout of a file as this package writes it: SI units, joints numbered from 1.
 
     **Arguments**
 
@@ -63,7 +33,7 @@ def checked_columns(file: str, names: Sequence[str]) -> Columns:
     duplicates = sorted({name for name in names if names.count(name) > 1})
     if duplicates:
         raise wrong(f"column {_listed(duplicates)} occurs more than once")
-    numbers: dict[str, set[int]] = {quantity: set() for quantity in (*REQUIRED, *OPTIONAL)}
+    numbers: dict[str, set[int]] = {quantity: set() for quantity in QUANTITIES}
     unknown: list[str] = []
     for name in names:
         parts = re.fullmatch(r"(position|torque|velocity|acceleration)_([1-9][0-9]*)", name)
@@ -71,8 +41,6 @@ def checked_columns(file: str, names: Sequence[str]) -> Columns:
             numbers[parts[1]].add(int(parts[2]))
         elif name != "time":
             unknown.append(name)
-    if len(names) == 1 and unknown and re.search(r"[;\t]", names[0]):
-        raise wrong(f"one column named {names[0]!r}; cells are to be separated by commas")
     if unknown:
         raise wrong(f"unknown column {_listed(unknown)}")
     if "time" not in names:
@@ -92,7 +60,15 @@ def checked_columns(file: str, names: Sequence[str]) -> Columns:
                 f"{joints} position columns but {len(present)} {quantity} columns "
                 "(as many of each are needed)"
             )
-    return Columns(joints, tuple(quantity for quantity in OPTIONAL if numbers[quantity]))
+    return Layout(
+        Column("time"),
+        {
+            quantity: tuple(Column(name) for name in column_names(quantity, joints))
+            for quantity, present in numbers.items()
+            if present
+        },
+        relative=False,
+    )
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -1,6 +1,7 @@
 import os
+import re
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -8,7 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
-from ._recording_columns import checked_columns
+from ._column_mapping import ColumnMapping
+from ._layout import Header, Layout, is_numbered
+from ._layouts import layout_of
+
+
+# Names of joints that a CSV header can hold, and that are read back as such.
+_COLUMN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 
 
 class RecordingChunk(eqx.Module):
@@ -39,27 +46,36 @@ class RecordingChunk(eqx.Module):
         return self.position.shape[0]
 
 
-def load_recording(path: str | os.PathLike[str], joints: int | None = None) -> Recording:
-    """Reads a recording from a CSV or Parquet file.
+def load_recording(
+    path: str | os.PathLike[str],
+    joints: int | Sequence[str] | None = None,
+    columns: ColumnMapping | str | os.PathLike[str] | None = None,
+) -> Recording:
+    """Reads a recording from a file.
 
-    One row a sample; columns `time`, `position_1` to `position_n`, `torque_1` to `torque_n` and,
-    optionally, `velocity_i` and `acceleration_i`, in any order; SI units.
+    CSV, Parquet and NumPy's `.npz`; logs of Universal Robots (RTDE) and of libfranka. Which columns
+    are what follows from their names, or from `columns`; see `docs/recordings.md`.
 
     **Arguments**
 
-    - `path`: ends in `.csv` or `.parquet`.
-    - `joints`: of the robot, where the recording is to be of a certain one.
+    - `path`: of the file, whose type is told by its suffix or its first bytes.
+    - `joints`: of the robot, where the recording is to be of a certain one: how many, or their
+        names (`robot.joint_names`), by which the recording's joints are put in order.
+    - `columns`: names and units of the columns, where the format does not say them: a mapping, or
+        the path of its TOML file.
 
     **Returns**
 
-    The recording.
+    The recording, in SI units. `joint_names` are the file's, where it names joints; `notes` say
+    what was decided in reading it.
 
     **Raises**
 
     - `RecordingError`: a file that is missing, unreadable or empty; missing, unknown or duplicate
         columns; cells that are no finite numbers; time that does not increase; repeated rows; too
-        few samples; another number of joints. The message is one line and names the file,
-        the column and the row (data rows from 1 and, in CSV files, the line).
+        few samples; another number of joints, or joints of other names; motor currents without
+        torque constants. The message is one line and names the file, the column and the row (data
+        rows from 1 and, in CSV files, the line).
 
     >>> import pathlib, tempfile
     >>> from jaxcslc.motion import load_recording
@@ -70,26 +86,31 @@ def load_recording(path: str | os.PathLike[str], joints: int | None = None) -> R
     ...     load_recording(path).torque[:, 0].tolist()
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     """
-    from ._recording_tables import open_table  # loads Arrow, which others need not wait for
-
     path = Path(path)
-    columns, pieces = open_table(path, checked_columns)
-    _check_joints(path, columns.joints, joints)
+    layout, pieces = _opened(path, joints, columns)
     tables = list(pieces)
+    keys = ["time", *(name for name in layout.names if name != layout.time)]
     table = {
-        name: np.concatenate([piece[name] for piece in tables] or [np.empty(0)])
-        for name in columns.names
+        name: np.concatenate([piece[name] for piece in tables] or [np.empty(0)]) for name in keys
     }
     samples = table["time"].size
     if samples < MINIMUM_SAMPLES:
         raise RecordingError(
             f"{path}: {samples or 'no'} rows of samples; expected at least {MINIMUM_SAMPLES}"
         )
-    return Recording(table["time"], **columns.split(table))  # pyright: ignore[reportArgumentType]
+    return Recording(
+        table["time"],
+        **layout.split(table),  # pyright: ignore[reportArgumentType]
+        joint_names=layout.joint_names,
+        notes=layout.notes,
+    )
 
 
 def iterate_recording(
-    path: str | os.PathLike[str], chunk_rows: int, joints: int | None = None
+    path: str | os.PathLike[str],
+    chunk_rows: int,
+    joints: int | Sequence[str] | None = None,
+    columns: ColumnMapping | str | os.PathLike[str] | None = None,
 ) -> Iterator[RecordingChunk]:
     """Reads a recording of any length, a chunk at a time.
 
@@ -100,7 +121,7 @@ def iterate_recording(
 
     - `path`: as for `load_recording`.
     - `chunk_rows`: of every chunk but the last, which may be shorter.
-    - `joints`: as for `load_recording`.
+    - `joints`, `columns`: as for `load_recording`.
 
     **Returns**
 
@@ -124,11 +145,8 @@ def iterate_recording(
     """
     if chunk_rows < 1:
         raise ValueError(f"chunks of {chunk_rows} rows; expected 1 or more")
-    from ._recording_tables import open_table  # loads Arrow, which others need not wait for
-
     path = Path(path)
-    columns, pieces = open_table(path, checked_columns)
-    _check_joints(path, columns.joints, joints)
+    layout, pieces = _opened(path, joints, columns)
 
     def chunks() -> Iterator[RecordingChunk]:
         waiting: list[dict[str, Float[np.ndarray, " rows"]]] = []
@@ -138,7 +156,7 @@ def iterate_recording(
             return {name: np.concatenate([part[name] for part in waiting]) for name in waiting[0]}
 
         def chunk(table: dict[str, Float[np.ndarray, " rows"]]) -> RecordingChunk:
-            return RecordingChunk(first=first, time=table["time"], **columns.split(table))  # pyright: ignore[reportArgumentType]
+            return RecordingChunk(first=first, time=table["time"], **layout.split(table))  # pyright: ignore[reportArgumentType]
 
         for piece in pieces:
             waiting.append(piece)
@@ -165,6 +183,8 @@ def save_recording(
     recording: Recording | Iterable[Recording | RecordingChunk], path: str | os.PathLike[str]
 ) -> None:
     """Writes a recording to a CSV or Parquet file, from which it is read back bit for bit.
+
+    Columns are `time`, `position_1` and so on, or `position_shoulder` where joints have names.
 
     The file appears when it is complete: until then, one of that name stays as it was.
 
@@ -206,19 +226,47 @@ def save_recording(
         raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
+def _opened(
+    path: Path,
+    joints: int | Sequence[str] | None,
+    columns: ColumnMapping | str | os.PathLike[str] | None,
+) -> tuple[Layout, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
+    """A file's layout, and its rows piece by piece."""
+    from ._recording_tables import open_table  # loads Arrow, which others need not wait for
+
+    mapping = columns
+    if columns is not None and not isinstance(columns, ColumnMapping):
+        mapping = ColumnMapping.load(columns)
+    assert mapping is None or isinstance(mapping, ColumnMapping)
+
+    def check(file: str, header: Header) -> Layout:
+        return layout_of(file, header, joints, mapping)
+
+    if mapping is None:
+        return open_table(path, check, joints=_names_of(joints))
+    return open_table(
+        path,
+        check,
+        delimiter=mapping.delimiter,
+        topic=mapping.topic,
+        joints=mapping.file_joints or mapping.joints or _names_of(joints),
+    )
+
+
+def _names_of(joints: int | Sequence[str] | None) -> Sequence[str] | None:
+    """Names of joints that a recording can have: not those of joints that are only numbered."""
+    if joints is None or isinstance(joints, int) or is_numbered(joints):
+        return None
+    return joints
+
+
 def _columns_of(part: Recording | RecordingChunk) -> dict[str, Float[np.ndarray, " rows"]]:
+    names = part.joint_names if isinstance(part, Recording) else None
     return as_columns(
         part.time,
+        names if names is not None and all(map(_COLUMN_NAME.fullmatch, names)) else None,
         position=part.position,
         torque=part.torque,
         velocity=part.velocity,
         acceleration=part.acceleration,
     )
-
-
-def _check_joints(path: Path, count: int, expected: int | None) -> None:
-    if expected is not None and count != expected:
-        raise RecordingError(
-            f"{path}: {count} position columns; expected {expected}, one for each joint "
-            "of the robot"
-        )

@@ -1,5 +1,4 @@
-import csv
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
@@ -11,72 +10,99 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from .. import Fault, RecordingError, first_fault
+from ._bag import read_bag
+from ._csv_table import line_of, read_csv, read_csv_header
+from ._errors import one_line
+from ._layout import Header
+from ._npz_table import read_npz
+from ._parquet_table import read_parquet, read_parquet_header, time_unit
 
-
-READ_BYTES = 1 << 20
-"""How much of a file is read at a time: enough for speed, little beside a chunk's arrays."""
 
 ROW_GROUP = 1 << 16
 """Rows of a Parquet row group: what its readers must be able to hold at a time."""
 
+_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".npz": "npz"}
+_SUFFIXES |= dict.fromkeys((".bag", ".mcap", ".db3"), "bag")
+_BEGINNINGS = {b"PAR1": "parquet", b"PK\x03\x04": "npz"}
+_EXPECTED = ".csv, .parquet, .npz, .bag, .mcap, .db3"
+
 
 @runtime_checkable
 class TableColumns(Protocol):
-    """Which columns of a file are read."""
+    """Which columns of a file are read, and how they become SI units."""
 
     @property
     def names(self) -> list[str]: ...
 
+    @property
+    def time(self) -> str:
+        """The column of time."""
+        ...
+
+    @property
+    def factors(self) -> Mapping[str, float]:
+        """SI units in one unit of a column; 1 for those that it does not name."""
+        ...
+
+    @property
+    def relative(self) -> bool:
+        """Whether time counts from the first sample."""
+        ...
+
 
 C = TypeVar("C", bound=TableColumns)
-Check = Callable[[str, Sequence[str]], C]
+Check = Callable[[str, Header], C]
+Table = dict[str, Float[np.ndarray, " rows"]]
+Pieces = Iterator[dict[str, np.ndarray]]
 
 
 def open_table(
-    path: Path, check: Check[C]
-) -> tuple[C, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
+    path: Path,
+    check: Check[C],
+    *,
+    delimiter: str | None = None,
+    topic: str | None = None,
+    joints: Sequence[str] | None = None,
+) -> tuple[C, Iterator[Table]]:
     """Opens a recording file, and reads it piece by piece.
 
     **Arguments**
 
-    - `path`: of a `.csv` or `.parquet` file.
-    - `check`: from the file's name and its header to the columns that are read, as
-      `checked_columns`; raises `RecordingError` for wrong ones.
+    - `path`: of a file of a known type, by its suffix or, where it has another, its first bytes.
+    - `check`: from the file's name and its header to the columns that are read, as `layout_of`;
+      raises `RecordingError` for wrong ones.
+    - `delimiter`: between the cells of a CSV file; by default what its header shows.
+    - `topic`, `joints`: of a bag's joint states; by default those of the only topic that has any.
 
     **Returns**
 
-    Its columns, and an iterator over its rows: one table of float64 columns after another, of
-    whatever size they come in. Every row has been checked on its own and against the one before.
+    Its columns, and an iterator over its rows: one table of float64 columns in SI units after
+    another, of whatever size they come in, `time` among them. Every row has been checked on its
+    own and against the one before.
 
     **Raises**
 
     - `RecordingError`: at once for a file that cannot be opened or has wrong columns; from the
         iterator for a wrong cell or row.
     """
-    if path.suffix.lower() not in (".csv", ".parquet"):
-        raise RecordingError(
-            f"{path}: unknown file type {path.suffix!r}; expected .csv or .parquet"
-        )
-    if path.is_dir():
-        raise RecordingError(f"{path}: is a folder; expected a .csv or .parquet file")
-    if not path.exists():
-        raise RecordingError(f"{path}: no such file")
     try:
+        kind = _kind_of(path)
         if path.stat().st_size == 0:
             raise RecordingError(
                 f"{path}: the file is empty; expected a header and rows of samples"
             )
-        columns, pieces = (_open_csv if path.suffix.lower() == ".csv" else _open_parquet)(
-            path, check
-        )
+        if kind == "csv":
+            return _open_csv(path, check, delimiter)
+        if kind == "parquet":
+            return _open_parquet(path, check)
+        if kind == "bag":
+            return _open_columns(path, check, *read_bag(path, joints, topic))
+        return _open_columns(path, check, *read_npz(path))
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {_one_line(error)}") from error
-    return columns, _checked(path, pieces)
+        raise RecordingError(f"{path}: cannot be read: {one_line(error)}") from error
 
 
-def write_tables(
-    tables: Iterable[dict[str, Float[np.ndarray, " rows"]]], unfinished: Path, path: Path
-) -> None:
+def write_tables(tables: Iterable[Table], unfinished: Path, path: Path) -> None:
     """Writes successive tables of columns into one file.
 
     **Arguments**
@@ -115,158 +141,122 @@ def _writer(unfinished: Path, schema: pa.Schema) -> pq.ParquetWriter | pacsv.CSV
     )
 
 
-def _open_csv(
-    path: Path, check: Check[C]
-) -> tuple[C, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header = next((row for row in csv.reader(file) if row), [])
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{path}: is no CSV text in UTF-8: {_one_line(error)}") from error
+def _kind_of(path: Path) -> str:
+    """The type of a recording file: the one place that chooses a reader."""
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file")
+    if path.is_dir():
+        if (path / "metadata.yaml").exists():
+            return "bag"
+        raise RecordingError(
+            f"{path}: is a folder without the metadata.yaml of a ROS 2 bag; expected a file:"
+            f" {_EXPECTED}"
+        )
+    kind = _SUFFIXES.get(path.suffix.lower())
+    if kind is None:
+        with path.open("rb") as file:
+            beginning = file.read(16)
+        kind = next((k for start, k in _BEGINNINGS.items() if beginning.startswith(start)), None)
+    if kind is None:
+        raise RecordingError(f"{path}: unknown file type {path.suffix!r}; expected {_EXPECTED}")
+    return kind
+
+
+def _checked_header(path: Path, header: Header, check: Check[C]) -> C:
     columns = check(str(path), header)
-    return columns, _read_csv(path, columns)
+    for name in columns.names:
+        if header.names.count(name) > 1:
+            raise RecordingError(f"{path}: column {name!r} occurs more than once")
+    return columns
 
 
-def _read_csv(path: Path, columns: TableColumns) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
-    options = pacsv.ConvertOptions(
-        column_types={name: pa.float64() for name in columns.names}, null_values=[]
-    )
-    try:
-        with pacsv.open_csv(
-            path,
-            # Reading ahead on other threads would hold blocks that no one has asked for.
-            read_options=pacsv.ReadOptions(block_size=READ_BYTES, use_threads=False),
-            convert_options=options,
-        ) as reader:
-            for batch in reader:
-                yield _as_numpy(batch, columns)
-    except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-        # Arrow names the cell of some faults only, and not its line: look again, slowly.
-        raise _faulty_cell(path, columns.names) or RecordingError(
-            f"{path}: {_one_line(error)}"
-        ) from error
+def _open_csv(path: Path, check: Check[C], delimiter: str | None) -> tuple[C, Iterator[Table]]:
+    header = read_csv_header(path, delimiter)
+    columns = _checked_header(path, Header(header.names), check)
+    batches = read_csv(path, header, columns.names, time=columns.time)
+    pieces = (_as_numpy(batch) for batch in batches)
+    return columns, _checked(path, pieces, columns, line=lambda row: line_of(path, header, row))
 
 
-def _faulty_cell(path: Path, columns: Sequence[str]) -> RecordingError | None:
-    """Looks for the first cell of a CSV file that is no number, or row of a wrong length.
-
-    - `columns`: that are to hold numbers.
-    """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            rows = (cells for cells in reader if cells)
-            header = next(rows)
-            for number, cells in enumerate(rows, start=1):
-                where = f"{path}: row {number} (line {reader.line_num})"
-                if len(cells) != len(header):
-                    return RecordingError(
-                        f"{where}: {len(cells)} cells; expected {len(header)}, one a column"
-                    )
-                for name, cell in zip(header, cells, strict=True):
-                    if name in columns and not _is_number(cell):
-                        shown = "an empty cell" if not cell.strip() else repr(cell)
-                        return RecordingError(f"{where}, column {name}: {shown}; expected a number")
-    except (UnicodeDecodeError, csv.Error) as error:
-        return RecordingError(f"{path}: is no CSV text in UTF-8: {_one_line(error)}")
-    return None
+def _open_parquet(path: Path, check: Check[C]) -> tuple[C, Iterator[Table]]:
+    columns = _checked_header(path, Header(read_parquet_header(path)), check)
+    batches = read_parquet(path, columns.names, time=columns.time)
+    pieces = (_as_numpy(batch) for batch in batches)
+    return columns, _checked(path, pieces, columns, seconds=time_unit(path, columns.time))
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell
+def _open_columns(
+    path: Path, check: Check[C], header: Header, arrays: Mapping[str, np.ndarray]
+) -> tuple[C, Iterator[Table]]:
+    columns = _checked_header(path, header, check)
+    piece = {name: arrays[name] for name in columns.names}
+    sizes = {name: values.size for name, values in piece.items()}
+    if len(set(sizes.values())) > 1:
+        listed = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise RecordingError(f"{path}: arrays of different lengths: {listed}")
+    return columns, _checked(path, iter([piece]), columns)
 
 
-def _line_of(path: Path, row: int) -> int | None:
-    """On which line of a CSV file a data row ends, counting rows from 0 and lines from 1."""
-    if path.suffix.lower() != ".csv":
-        return None
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.reader(file)
-        rows = (cells for cells in reader if cells)
-        for number, _ in enumerate(rows, start=-1):
-            if number == row:
-                return reader.line_num
-    return None
-
-
-def _open_parquet(
-    path: Path, check: Check[C]
-) -> tuple[C, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
-    try:
-        with pq.ParquetFile(path) as file:
-            schema = file.schema_arrow
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
-        if isinstance(error, PermissionError):
-            raise
-        raise RecordingError(f"{path}: is no readable Parquet file: {_one_line(error)}") from error
-    columns = check(str(path), schema.names)
-    for field in (schema.field(name) for name in columns.names):
-        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
-            raise RecordingError(
-                f"{path}: column {field.name} holds {field.type}; expected numbers"
-            )
-    return columns, _read_parquet(path, columns)
-
-
-def _read_parquet(
-    path: Path, columns: TableColumns
-) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
-    row = 0
-    try:
-        # Buffered reading takes pages as they are needed; a row group may be the whole file.
-        with pq.ParquetFile(path, buffer_size=READ_BYTES, pre_buffer=False) as file:
-            for batch in file.iter_batches(batch_size=1 << 14, use_threads=False):
-                for name in columns.names:
-                    nulls = batch.column(name).is_null().to_numpy(zero_copy_only=False)
-                    if nulls.any():
-                        raise RecordingError(
-                            f"{path}: row {row + int(np.argmax(nulls)) + 1}, column {name}: "
-                            "an empty cell; expected a number"
-                        )
-                yield _as_numpy(batch, columns)
-                row += batch.num_rows
-    except (pa.ArrowInvalid, OSError) as error:
-        raise RecordingError(f"{path}: is damaged after row {row}: {_one_line(error)}") from error
-
-
-def _as_numpy(
-    batch: pa.RecordBatch, columns: TableColumns
-) -> dict[str, Float[np.ndarray, " rows"]]:
+def _as_numpy(batch: pa.RecordBatch) -> dict[str, np.ndarray]:
     return {
-        name: batch.column(name).to_numpy(zero_copy_only=False).astype(np.float64, copy=False)
-        for name in columns.names
+        name: column.to_numpy(zero_copy_only=False)
+        for name, column in zip(batch.schema.names, batch.columns, strict=True)
     }
 
 
 def _checked(
-    path: Path, pieces: Iterator[dict[str, Float[np.ndarray, " rows"]]]
-) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
+    path: Path,
+    pieces: Pieces,
+    columns: TableColumns,
+    *,
+    seconds: float | None = None,
+    line: Callable[[int], int | None] | None = None,
+) -> Iterator[Table]:
+    """Pieces in SI units, every row checked.
+
+    - `seconds`: in one tick of a column of time stamps, where the file says so itself.
+    - `line`: on which a row stands, counted from 0.
+    """
     before: dict[str, float] | None = None
     row = 0
+    start = None
+    factors = columns.factors
     for piece in pieces:
-        rows = piece["time"].size
+        rows = piece[columns.time].size
         if rows == 0:
             continue
-        fault = first_fault(piece, before)
+        time = piece[columns.time]
+        if columns.relative or seconds is not None:
+            # Nanoseconds since 1970 have more digits than float64: subtracted as integers.
+            start = time[0] if start is None else start
+            with np.errstate(invalid="ignore"):  # infinite times are a fault that is named below
+                time = time - start
+        time = time * (factors.get(columns.time, 1.0) if seconds is None else seconds)
+        table = {"time": np.asarray(time, np.float64)}
+        table |= {
+            name: np.asarray(values * factors.get(name, 1.0), np.float64)
+            for name, values in piece.items()
+            if name != columns.time
+        }
+        fault = first_fault(table, before)
         if fault is not None:
-            raise _located(path, fault, row)
-        yield piece
-        before = {name: float(values[-1]) for name, values in piece.items()}
+            raise _located(path, fault, row, columns.time, line)
+        yield table
+        before = {name: float(values[-1]) for name, values in table.items()}
         row += rows
 
 
-def _located(path: Path, fault: Fault, before: int) -> RecordingError:
+def _located(
+    path: Path,
+    fault: Fault,
+    before: int,
+    time: str,
+    line: Callable[[int], int | None] | None,
+) -> RecordingError:
     assert fault.row is not None
     row = before + fault.row
-    line = _line_of(path, row)
-    where = f"{path}: row {row + 1}" + ("" if line is None else f" (line {line})")
-    column = "" if fault.column is None else f", column {fault.column}"
+    number = None if line is None else line(row)
+    where = f"{path}: row {row + 1}" + ("" if number is None else f" (line {number})")
+    name = time if fault.column == "time" else fault.column
+    column = "" if fault.column is None else f", column {name}"
     return RecordingError(f"{where}{column}: {fault.problem}")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -1,0 +1,196 @@
+import dataclasses
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .. import RecordingError
+
+
+REQUIRED = ("position", "torque")
+OPTIONAL = ("velocity", "acceleration")
+QUANTITIES = (*REQUIRED, *OPTIONAL)
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """What a file says of its columns before they are read.
+
+    **Attributes**
+
+    - `names`: of the columns.
+    - `joint_names`: of the joints in the columns' order, where the file has them apart.
+    - `notes`: what its reader decided.
+    - `hint`: why a quantity may be missing, for messages.
+    """
+
+    names: list[str]
+    joint_names: tuple[str, ...] | None = None
+    notes: tuple[str, ...] = ()
+    hint: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """A column of a file, and the factor that makes SI units of its values."""
+
+    name: str
+    factor: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Which columns of a file are a recording's, and in which units.
+
+    **Attributes**
+
+    - `time_column`: of the samples' instants.
+    - `quantities`: for `"position"`, `"torque"` and further ones, one column a joint.
+    - `joint_names`: in the order of the columns; None where joints are numbered.
+    - `relative`: whether time counts from the first sample, as where the file counts from 1970.
+    - `notes`: sentences about what was decided in reading the file.
+    - `hint`: why a quantity is missing, for messages.
+    """
+
+    time_column: Column
+    quantities: Mapping[str, tuple[Column, ...]]
+    joint_names: tuple[str, ...] | None = None
+    relative: bool = True
+    notes: tuple[str, ...] = ()
+    hint: str = ""
+
+    @property
+    def joints(self) -> int:
+        """How many joints the columns are of."""
+        return max((len(columns) for columns in self.quantities.values()), default=0)
+
+    @property
+    def names(self) -> list[str]:
+        """The columns to read, time first."""
+        ordered = (self.quantities.get(quantity, ()) for quantity in QUANTITIES)
+        return [self.time_column.name, *(column.name for some in ordered for column in some)]
+
+    @property
+    def time(self) -> str:
+        """The name of the time column."""
+        return self.time_column.name
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """SI units in one unit of each column that is read."""
+        columns = (column for some in self.quantities.values() for column in some)
+        return {column.name: column.factor for column in (self.time_column, *columns)}
+
+    def split(
+        self, table: Mapping[str, Float[np.ndarray, " rows"]]
+    ) -> dict[str, Float[np.ndarray, "rows joints"] | None]:
+        """The columns of a table put together, one array a quantity; `None` for absent ones."""
+        return {
+            quantity: np.stack([table[column.name] for column in self.quantities[quantity]], 1)
+            if quantity in self.quantities
+            else None
+            for quantity in QUANTITIES
+        }
+
+    def checked(self, file: str) -> "Layout":
+        """The layout, if a recording can be made of it.
+
+        **Raises** `RecordingError` for a quantity that is missing, numbers of columns that differ,
+        or a column that is used twice.
+        """
+        for quantity in REQUIRED:
+            if not self.quantities.get(quantity):
+                reason = self.hint or "the file has no column of it"
+                raise RecordingError(f"{file}: no {quantity}: {reason}")
+        for quantity, columns in self.quantities.items():
+            if len(columns) != self.joints:
+                raise RecordingError(
+                    f"{file}: {len(columns)} columns of {quantity}; expected {self.joints}, one for"
+                    " each joint"
+                )
+        names = self.names
+        if repeated := sorted({name for name in names if names.count(name) > 1}):
+            raise RecordingError(f"{file}: column {repeated[0]!r} is used more than once")
+        return self
+
+    def of_joints(self, file: str, joints: int | Sequence[str] | None) -> "Layout":
+        """The layout with the columns of a robot's joints, in their order.
+
+        **Arguments**
+
+        - `file`: as it is named in messages.
+        - `joints`: of the robot: their names, or how many.
+
+        **Raises** `RecordingError` where joints cannot be matched.
+        """
+        if joints is None:
+            return self
+        names = () if isinstance(joints, int) else tuple(joints)
+        count = joints if isinstance(joints, int) else len(names)
+        unnamed = bool(names) and is_numbered(names)
+        if not names or unnamed or self.joint_names is None:
+            return self._in_file_order(file, count, numbered=unnamed)
+        missing = [name for name in names if name not in self.joint_names]
+        if missing:
+            raise RecordingError(
+                f"{file}: no joint {_listed(missing)}; the recording has"
+                f" {_listed(self.joint_names)}; expected the names of the robot's file, or"
+                " joints = {robot's name = 'recording's name'} in a file of --columns"
+            )
+        others = [name for name in self.joint_names if name not in names]
+        notes = self.notes
+        if others:
+            notes = (*notes, f"not of the robot, and not read: {_listed(others)}")
+        order = [self.joint_names.index(name) for name in names]
+        return dataclasses.replace(
+            self,
+            quantities={
+                quantity: tuple(columns[i] for i in order)
+                for quantity, columns in self.quantities.items()
+            },
+            joint_names=names,
+            notes=notes,
+        )
+
+    def _in_file_order(self, file: str, count: int, *, numbered: bool) -> "Layout":
+        if self.joints != count:
+            had = "" if self.joint_names is None else f" ({_listed(self.joint_names)})"
+            raise RecordingError(
+                f"{file}: {self.joints} position columns{had}; expected {count}, one for each joint"
+                " of the robot"
+            )
+        if numbered and self.joint_names is not None and not _count_up(self.joint_names):
+            raise RecordingError(
+                f"{file}: joints {_listed(self.joint_names)}, but the robot's joints have no names;"
+                " name them in the robot's file (name = ... of each [[joint]]), or list the"
+                " recording's in the robot's order: joints = [...] in a file of --columns"
+            )
+        return self
+
+
+def is_numbered(names: Sequence[str]) -> bool:
+    """Whether joints are called `joint 1`, `joint 2` and on, as those without names are.
+
+    >>> is_numbered(["joint 1", "joint 2"]), is_numbered(["shoulder", "elbow"])
+    (True, False)
+    """
+    return list(names) == [f"joint {i}" for i in range(1, len(names) + 1)]
+
+
+def _count_up(names: Sequence[str]) -> bool:
+    """Whether names differ in a number alone, which counts upwards: the order is then theirs."""
+    parts = [re.fullmatch(r"(.*?)([0-9]+)(\D*)", name) for name in names]
+    stems = {(part[1], part[3]) for part in parts if part is not None}
+    numbers = [int(part[2]) for part in parts if part is not None]
+    return (
+        len(numbers) == len(names)
+        and len(stems) == 1
+        and all(after == before + 1 for before, after in itertools.pairwise(numbers))
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(repr(name) if not name.isidentifier() else name for name in names[:12])
+    return shown if len(names) <= 12 else f"{shown} and {len(names) - 12} more"
