@@ -1,3 +1,5 @@
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float
 
@@ -216,9 +218,9 @@ def zero_phase(
             f"cut-off is {cutoff} Hz; expected more than 0 and less than half the sampling rate "
             f"of {1.0 / interval:.6g} Hz"
         )
-    from scipy.signal import butter, sosfiltfilt  # takes a second to import
+    from scipy.signal import sosfiltfilt  # takes a second to import
 
-    sections = butter(order, cutoff, fs=1.0 / interval, output="sos")
+    sections = _sections(order, cutoff, interval)
     fewest = 3 * (order + 1)
     if signal.shape[0] < fewest:
         raise ValueError(
@@ -228,3 +230,10 @@ def zero_phase(
     # remembers: scipy's default is a few samples, of which a slow filter leaves transients.
     padding = min(int(np.ceil(MEMORY / (cutoff * interval))), signal.shape[0] - 1)
     return sosfiltfilt(sections, signal, axis=0, padlen=padding)
+
+
+@lru_cache(maxsize=256)  # selection designs the same few filters for every candidate and fold
+def _sections(order: int, cutoff: float, interval: float) -> Float[np.ndarray, "sections _"]:
+    from scipy.signal import butter
+
+    return butter(order, cutoff, fs=1.0 / interval, output="sos")

@@ -119,11 +119,12 @@ class AbstractLinearNetwork(eqx.Module):
     def support(self) -> tuple[tuple[int, ...], ...]:
         """For each output, the coefficients that it can depend on, in ascending order."""
         indices = self.layout.split(np.arange(self.size))
+        supports = [term.support for term in self.terms]
         return tuple(
             tuple(
                 int(of_term[index])
-                for of_term, term in zip(indices, self.terms, strict=True)
-                for index in term.support[joint]
+                for of_term, support in zip(indices, supports, strict=True)
+                for index in support[joint]
             )
             for joint in range(self.joint_count)
         )

@@ -1,4 +1,6 @@
 from collections.abc import Callable, Sequence
+from fractions import Fraction
+from functools import lru_cache
 from typing import TypeVar
 
 import equinox as eqx
@@ -53,12 +55,7 @@ class RigidBodyTables(AbstractManipulatorTerm):
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:
-        reach: list[set[int]] = [set() for _ in range(self.joint_count)]
-        for table, outputs in ((self.mass, 2), (self.velocity, 1), (self.gravity, 1)):
-            for link in table.links:
-                for joint in table.columns[link.column][:outputs]:
-                    reach[joint] |= {coefficient for coefficient, _ in link.weights}
-        return tuple(tuple(sorted(coefficients)) for coefficients in reach)
+        return _support(self.mass, self.velocity, self.gravity, self.joint_count)
 
     def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
         entries = self._entries(list(q), list(qd), list(qdd))
@@ -173,6 +170,19 @@ class RigidBodyTables(AbstractManipulatorTerm):
         return jnp.stack([total.get(joint, zero) for joint in range(self.joint_count)], axis=-1)
 
 
+@lru_cache(maxsize=64)  # tables are compared by identity
+def _support(
+    mass: Table, velocity: Table, gravity: Table, joints: int
+) -> tuple[tuple[int, ...], ...]:
+    """For each joint, the coefficients of the elements that enter its torque."""
+    reach: list[set[int]] = [set() for _ in range(joints)]
+    for table, outputs in ((mass, 2), (velocity, 1), (gravity, 1)):
+        for link in table.links:
+            for joint in table.columns[link.column][:outputs]:
+                reach[joint] |= {coefficient for coefficient, _ in link.weights}
+    return tuple(tuple(sorted(coefficients)) for coefficients in reach)
+
+
 Inputs = Callable[[tuple[int, ...]], Samples]
 
 
@@ -198,12 +208,13 @@ def _rate_products(qd: Sequence[Samples]) -> Callable[[int, int], Samples]:
 def _sums(table: Table, inputs: Inputs) -> list[tuple[tuple[int, ...], int, Samples]]:
     """For every element and coefficient, the sum over links of multiple times input."""
     sums: dict[tuple[int, int], Samples] = {}
+    multiples: dict[tuple[int, Fraction], Samples] = {}  # each formed once
     for link in table.links:
-        value = inputs(table.inputs[link.input])
         for coefficient, multiple in link.weights:
-            key = link.column, coefficient
-            term = _times(float(multiple), value)
-            sums[key] = sums[key] + term if key in sums else term
+            term = link.input, multiple
+            if term not in multiples:
+                multiples[term] = _times(float(multiple), inputs(table.inputs[link.input]))
+            _add(sums, (link.column, coefficient), multiples[term])
     return [
         (table.columns[column], coefficient, value) for (column, coefficient), value in sums.items()
     ]
@@ -212,11 +223,19 @@ def _sums(table: Table, inputs: Inputs) -> list[tuple[tuple[int, ...], int, Samp
 def _elements(
     table: Table, k: Float[Array, " coefficients"], inputs: Inputs
 ) -> dict[tuple[int, ...], Samples]:
-    """Every element of a table that has links: the sum of weight times input."""
+    """Every element of a table that has links: the sum of weight times input.
+
+    Each coefficient is taken out of `k` once and each weight formed once: many links have the same,
+    and every operation less is less to compile.
+    """
+    entries = {index: k[index] for index in sorted(table.coefficients)}
+    weights: dict[tuple[tuple[int, Fraction], ...], Samples] = {}
     elements: dict[tuple[int, ...], Samples] = {}
     for link in table.links:
-        weight = sum(_times(float(multiple), k[index]) for index, multiple in link.weights)
-        term = weight * inputs(table.inputs[link.input])
+        if link.weights not in weights:
+            first, *others = [_times(float(x), entries[index]) for index, x in link.weights]
+            weights[link.weights] = sum(others, first)
+        term = weights[link.weights] * inputs(table.inputs[link.input])
         column = table.columns[link.column]
         elements[column] = elements[column] + term if column in elements else term
     return elements
