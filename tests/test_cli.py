@@ -47,7 +47,7 @@ class TestIdentify:
         _, output = identified
         names = {path.name for path in output.iterdir()}
         assert names == {
-            *("coefficients.csv", "identification.json"),
+            *("index.html", "coefficients.csv", "identification.json"),
             *("errors_training.csv", "torque_training.csv", "torque_training.png"),
             *("errors_validation.csv", "torque_validation.csv", "torque_validation.png"),
         }
@@ -64,6 +64,27 @@ class TestIdentify:
             assert np.sqrt(np.mean(kept**2)) == pytest.approx(
                 document["torque_error_rms"][name][0], rel=1e-6
             )
+
+    def test_page_says_how_to_repeat_it(
+        self, identified: tuple[Result, Path], recordings: tuple[Path, Path]
+    ) -> None:
+        _, output = identified
+        page = (output / "index.html").read_text("utf-8")
+        train, compare = recordings
+        assert f"jaxcslc identify puma560 {train} --validate {compare} -o {output}" in page
+        assert "Identification of PUMA 560" in page and "trials" in page
+
+    def test_a_result_agrees_with_itself(
+        self, identified: tuple[Result, Path], tmp_path: Path
+    ) -> None:
+        _, output = identified
+        result = run("compare", output, output, "-o", tmp_path / "same.html")
+        assert result.exit_code == 0, result.output
+        assert "agree within their uncertainty" in result.output
+        assert "kM26" in (tmp_path / "same.html").read_text("utf-8")
+        for wrong in ([output, tmp_path / "none"], [output, output, "-o", tmp_path]):
+            refused = run("compare", *wrong)
+            assert refused.exit_code == 2 and len(refused.stderr.strip().splitlines()) == 1
 
     def test_settings_can_be_passed(
         self, identified: tuple[Result, Path], recordings: tuple[Path, Path], tmp_path: Path

@@ -7,6 +7,7 @@ from typing import Annotated
 import jax
 import typer
 
+from ._compare import compare_command
 from ._derive import derive_command
 from ._export import export_command
 from ._identify import identify_command
@@ -21,6 +22,7 @@ app = typer.Typer(
 )
 app.command("derive")(derive_command)
 app.command("identify")(identify_command)
+app.command("compare")(compare_command)
 app.command("export")(export_command)
 app.command("payload")(payload_command)
 

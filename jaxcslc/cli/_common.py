@@ -1,4 +1,5 @@
 import contextlib
+import shlex
 import sys
 import tomllib
 from collections.abc import Callable, Generator
@@ -109,6 +110,24 @@ def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | N
                 f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got {text!r}"
             ) from None
     return robot.with_coupling(*pairs) if pairs else robot
+
+
+def command_text(context: typer.Context) -> str:
+    """The command line that a command was called by: what was typed, defaults left out."""
+    words = ["jaxcslc", context.info_name or ""]
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if source is None or source.name != "COMMANDLINE":
+            continue
+        value = context.params[name]
+        option = parameter.param_type_name == "option"
+        if isinstance(value, bool):
+            words.append((parameter.opts if value else parameter.secondary_opts)[0])
+            continue
+        for text in value if isinstance(value, list | tuple) else [value]:
+            words += [parameter.opts[0], str(text)] if option else [str(text)]
+    return shlex.join(words)
 
 
 def is_system(name: str) -> bool:

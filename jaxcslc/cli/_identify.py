@@ -16,6 +16,7 @@ from ._common import (
     SettingsOption,
     TipOption,
     check_no_robot_options,
+    command_text,
     is_system,
     names_in,
     network_of,
@@ -28,6 +29,7 @@ from ._common import (
 
 
 def identify_command(
+    context: typer.Context,
     robot: RobotOrSystemArgument,
     train: Annotated[Path, typer.Argument(metavar="TRAIN", help="Recording to fit.")],
     validate: Annotated[
@@ -105,7 +107,7 @@ def identify_command(
             progress=step,
         )
         step("writing")
-        paths = report.save(output)
+        paths = report.save(output, command=command_text(context))
     typer.echo(f"{report}\n\nwrote " + ", ".join(str(path) for path in paths))
 
 

@@ -78,9 +78,11 @@ def identify(
     recordings = {"training": training}
     by_recording: dict[str, Settings] = {}
     with recording_named("training"):
-        base_settings = (
-            choose_settings(network, training).settings if settings is None else settings
-        )
+        if settings is None:
+            selection = choose_settings(network, training)
+            base_settings = selection.settings
+        else:
+            selection, base_settings = None, settings
         by_recording["training"] = base_settings.for_network(network)
     warnings = [f"training recording: {sentence}" for sentence in training.notes]
     warnings += [f"training recording: {sentence}" for sentence in base_settings.check(training)]
@@ -145,6 +147,7 @@ def identify(
         shifts,
         None if groups is None else tuple(groups),
         tuple(warnings),
+        selection,
     )
 
 

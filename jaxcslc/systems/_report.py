@@ -21,6 +21,8 @@ from ..identification.report import (
     all_or_nothing,
     determination_lines,
     held_out_lines,
+    quality_document,
+    report_data,
     save_report,
     write_csv,
     write_json,
@@ -117,7 +119,9 @@ class SystemReport:
 
         **Raises** as `Report.save`.
         """
-        return save_report(Path(folder), self, _document(self), pictures=pictures)
+        data = report_data(self)
+        document = _document(self) | quality_document(data)
+        return save_report(Path(folder), self, document, data, pictures=pictures)
 
     def __repr__(self) -> str:
         return f"SystemReport({self.network.name}; {self.fit!r})"

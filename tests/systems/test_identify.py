@@ -133,6 +133,7 @@ def test_report_is_printed_and_saved(report: SystemReport, tmp_path: Path) -> No
     assert "mean |e rail|" in text and "ε" not in text
     files = report.save(tmp_path / "results", pictures=False)
     assert {path.name for path in files} == {
+        "index.html",
         "coefficients.csv",
         "identification.json",
         *(f"{stem}_{name}.csv" for stem in ("errors", "known_sides") for name in report.patterns),

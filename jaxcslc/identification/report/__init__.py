@@ -2,6 +2,11 @@ from ._coefficient_table import (
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,
 )
+from ._comparison import (
+    ReportComparison as ReportComparison,
+    SavedResult as SavedResult,
+    compare_reports as compare_reports,
+)
 from ._derivation_report import (
     DerivationReport as DerivationReport,
     derivation_document as derivation_document,
@@ -22,7 +27,7 @@ from ._output import (
 )
 from ._payload_report import PayloadReport as PayloadReport
 from ._report import Report as Report
-from ._report_files import save_report as save_report
+from ._report_files import quality_document as quality_document, save_report as save_report
 from ._report_text import (
     determination_lines as determination_lines,
     held_out_lines as held_out_lines,
@@ -34,3 +39,4 @@ from ._saved import (
 )
 from ._verdicts import Verdict as Verdict, verdicts as verdicts
 from ._warnings import condition_warning as condition_warning, fit_warnings as fit_warnings
+from .page import fit_quality as fit_quality, report_data as report_data, report_page as report_page

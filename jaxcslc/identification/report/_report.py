@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +9,18 @@ from ..._environment import require
 from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import HeldOut
+from .._physical_parameters import PhysicalParameters
 from .._settings import Settings
 from .._slopes import SlopeFit
 from .._systematic import SystematicError
+from ..selection import Selection
 from ..solver import Identification
 from ._coefficient_table import coefficient_rows, coefficient_text
 from ._errors import ErrorTable
 from ._excitation import Excitation
 from ._report_files import report_document, save_report
 from ._report_text import determination_lines, held_out_lines, joint_lines
+from .page import report_data
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,6 +45,8 @@ class Report:
     - `systematic`: errors of the fit that no residual shows; None if they were not computed.
     - `groups`: groups or names of the re-identified coefficients; None if all were fitted.
     - `warnings`: one sentence each.
+    - `selection`: of the settings, with every trial; None if they were set.
+    - `bodies`: possible bodies nearest to the fit, for the page; see `physical_parameters`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -68,6 +73,8 @@ class Report:
     systematic: SystematicError | None = None
     groups: tuple[str, ...] | None = None
     warnings: tuple[str, ...] = ()
+    selection: Selection | None = None
+    bodies: PhysicalParameters | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -96,17 +103,30 @@ class Report:
 
         return pandas.DataFrame(self.rows(level)).set_index("name").rename_axis("coefficient")
 
-    def save(self, folder: str | Path, *, pictures: bool = True) -> tuple[Path, ...]:
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        pictures: bool = True,
+        findings: Sequence[str] = (),
+        command: str | None = None,
+    ) -> tuple[Path, ...]:
         """Writes the report into a folder: all of its files or, if writing fails, none.
 
-        `coefficients.csv`; `identification.json`, which `load_report` reads; and for each recording
+        `index.html`, a page to read and to show, in one file; `coefficients.csv`;
+        `identification.json`, which `load_report` reads; and for each recording
         `errors_NAME.csv`, `torque_NAME.csv` and `torque_NAME.png`. Files of these names that an
         earlier report left and this one does not have are removed.
+
+        The page's pictures can be zoomed with the extra `report`; without it they are static, and
+        without the extra `plot` too there are none, on the page and beside it.
 
         **Arguments**
 
         - `folder`: is made if it is missing.
-        - `pictures`: whether to draw measured and predicted torque.
+        - `pictures`: whether to draw, on the page and as `torque_NAME.png`.
+        - `findings`: about the recordings, a sentence each, for the page.
+        - `command`: that repeats the identification, for the page.
 
         **Returns** the files.
 
@@ -116,7 +136,15 @@ class Report:
           registered and has no name in a file.
         - `OSError`: the folder cannot be written.
         """
-        return save_report(Path(folder), self, report_document(self), pictures=pictures)
+        data = report_data(
+            self,
+            selection=self.selection,
+            bodies=self.bodies,
+            findings=findings,
+            command=command,
+        )
+        document = report_document(self, data)
+        return save_report(Path(folder), self, document, data, pictures=pictures)
 
     def __repr__(self) -> str:
         return f"Report({self.network.robot.name}; {self.fit!r})"

@@ -1,18 +1,19 @@
+import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
+from ...page import render
 from ...plotting import save_picture, torque_picture
 from .._held_out import HeldOut
 from .._settings import settings_document
-from ..solver import Identification
 from ._errors import ErrorTable, predicted_torque
-from ._excitation import Excitation
 from ._output import all_or_nothing, write_csv, write_json
+from .page import WritableReport, report_page
 
 
 if TYPE_CHECKING:
@@ -24,58 +25,49 @@ RECORDINGS = ("training", "validation")
 _STATES = 100
 
 
-@runtime_checkable
-class WritableReport(Protocol):
-    """What a report has, of a robot or of another system, that files are written from."""
-
-    @property
-    def network(self) -> AbstractLinearNetwork: ...
-
-    @property
-    def fit(self) -> Identification: ...
-
-    @property
-    def excitation(self) -> Excitation | None: ...
-
-    @property
-    def patterns(self) -> Mapping[str, Patterns]: ...
-
-    @property
-    def errors(self) -> Mapping[str, ErrorTable]: ...
-
-    def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]: ...
-
-
 def write_report(
-    folder: Path, report: WritableReport, document: Mapping[str, Any], *, pictures: bool
+    folder: Path,
+    report: WritableReport,
+    document: Mapping[str, Any],
+    data: Mapping[str, Any],
+    *,
+    pictures: bool,
 ) -> list[Path]:
     """Writes the files of a report into a folder that exists.
 
     - `document`: what `identification.json` holds.
+    - `data`: what the page shows, from `report_data`.
 
-    **Returns** the files: `coefficients.csv`, `identification.json`, and for every recording
-    `errors_NAME.csv`, `torque_NAME.csv` and, with `pictures`, `torque_NAME.png`; of another system
-    than a robot, its known sides in place of torques.
+    **Returns** the files: `index.html`, `coefficients.csv`, `identification.json`, and for every
+    recording `errors_NAME.csv`, `torque_NAME.csv` and, with `pictures`, `torque_NAME.png`; of
+    another system than a robot, its known sides in place of torques.
     """
     network = report.network
+    page = folder / "index.html"
     coefficients, identification = folder / "coefficients.csv", folder / "identification.json"
+    page.write_text(render(report_page(data, charts=pictures)), encoding="utf-8")
     write_csv(coefficients, report.rows())
     write_json(identification, document)
-    written = [coefficients, identification]
+    written = [page, coefficients, identification]
     for name, patterns in report.patterns.items():
         errors, torque, picture = recording_files(folder, name, network.output_quantity)
         predicted = np.asarray(predicted_torque(network, patterns, report.fit.k))
         write_csv(errors, _error_rows(patterns, report.errors[name]))
         _write_torque(torque, network, patterns, predicted)
         written += [errors, torque]
-        if pictures:
+        if pictures and importlib.util.find_spec("matplotlib") is not None:
             _draw_torque(picture, name, network, patterns, predicted)
             written.append(picture)
     return written
 
 
 def save_report(
-    folder: Path, report: WritableReport, document: Mapping[str, Any], *, pictures: bool
+    folder: Path,
+    report: WritableReport,
+    document: Mapping[str, Any],
+    data: Mapping[str, Any],
+    *,
+    pictures: bool,
 ) -> tuple[Path, ...]:
     """Writes a report into a folder: all of its files or, if writing fails, none.
 
@@ -84,7 +76,8 @@ def save_report(
     **Returns** the files. **Raises** as `Report.save`.
     """
     with all_or_nothing(folder) as scratch:
-        names = [path.name for path in write_report(scratch, report, document, pictures=pictures)]
+        files = write_report(scratch, report, document, data, pictures=pictures)
+        names = [path.name for path in files]
     for recording in RECORDINGS:
         for path in recording_files(folder, recording, report.network.output_quantity):
             if path.name not in names:
@@ -100,10 +93,12 @@ def recording_files(folder: Path, name: str, quantity: str) -> tuple[Path, Path,
     return errors, torque, picture
 
 
-def report_document(report: "Report") -> dict[str, Any]:
+def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]:
     """A report as plain data, without its patterns.
 
     It holds every entry of `Identification.document`, so that `Identification.load` reads it too.
+
+    - `data`: what the page shows, from `report_data`.
     """
     network, fit, errors = report.network, report.fit, report.errors
     document: dict[str, Any] = {
@@ -134,8 +129,18 @@ def report_document(report: "Report") -> dict[str, Any]:
             name: table.rms_all_samples[0] for name, table in errors.items()
         },
         "share_judged": {name: table.share_judged for name, table in errors.items()},
+        **quality_document(data),
         "warnings": report.warnings,
         "motion": _some_motion(report.patterns["training"]),
+    }
+
+
+def quality_document(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The errors that the page of a report shows, as a part of its `identification.json`."""
+    recordings = data["recordings"].items()
+    return {
+        "joints": data["joints"],
+        "quality": {name: recording["quality"] for name, recording in recordings},
     }
 
 

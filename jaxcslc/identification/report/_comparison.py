@@ -1,0 +1,385 @@
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ...page import (
+    Column,
+    Message,
+    Messages,
+    Page,
+    Paragraph,
+    Section,
+    Table,
+    Tone,
+    Value,
+    render,
+)
+from .._systematic import SystematicError, standard_uncertainty
+from ..solver import Identification
+from ._output import text_table
+
+
+# Standard errors beyond which a difference is listed as one.
+_NOTABLE = 2.0
+# Rows of the printed table.
+_PRINTED = 15
+_SAMPLES = {"judged": "samples that masks leave in", "all": "all samples"}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SavedResult:
+    """What is compared of a report's `identification.json`, without its robot.
+
+    **Attributes**
+
+    - `name`: of the folder or file.
+    - `robot`: that was identified, or another system.
+    - `fit`: the `Identification`.
+    - `uncertainty`: (p,) of each coefficient, systematic errors included.
+    - `document`: everything in the file.
+
+    `compare_reports` reads two.
+    """
+
+    name: str
+    robot: str
+    fit: Identification
+    uncertainty: Float[np.ndarray, " coefficients"]
+    document: Mapping[str, Any]
+
+    @classmethod
+    def load(cls, path: str | Path) -> "SavedResult":
+        """Reads the `identification.json` of a folder, or a file of its kind.
+
+        **Raises**
+
+        - `ValueError`: there is no such file, or it holds something else.
+        """
+        file = Path(path) / "identification.json" if Path(path).is_dir() else Path(path)
+        try:
+            fit = Identification.load(file)
+            document = json.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ValueError(f"{file}: no such identification") from None
+        except OverflowError as error:
+            raise ValueError(f"{file}: {error}") from None
+        robot = document.get("robot", document.get("system", ""))
+        uncertainty = standard_uncertainty(fit, _systematic(document, fit, file))
+        return cls(str(path), str(robot), fit, uncertainty, document)
+
+    def entry(self, name: str, default: Any) -> Any:
+        """An entry of the file if it is of the default's type, or else the default."""
+        value = self.document.get(name, default)
+        return value if isinstance(value, type(default)) else default
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReportComparison:
+    """Two reports side by side: coefficients, errors and settings.
+
+    `print` shows the verdict, the coefficients that differ most, and torque errors.
+
+    **Attributes**
+
+    - `first`, `second`: the two.
+    - `rows`: one a coefficient of either: `name`, `unit`, `first`, `second`, `difference`
+      (second less first) and `standard_errors`, the difference over the root of the sum of both
+      variances, systematic errors included. None where only one has the coefficient, where it
+      stands for another combination of link parameters, or where one is not determined.
+
+    >>> import tempfile, numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import compare_reports
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name, inertia in (("a", 0.5), ("b", 0.6)):
+    ...         torque = np.asarray(network.torque(np.array([inertia, 0.3, 0, 0.2, 0.1]), *motion))
+    ...         noisy = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    ...         patterns = jc.Patterns(t[:, 0], *motion, noisy, pairs, pairs)
+    ...         jc.LeastSquares().fit(network, patterns).save(f"{folder}/{name}.json")
+    ...     comparison = compare_reports(f"{folder}/a.json", f"{folder}/b.json")
+    >>> [round(row["difference"], 3) for row in comparison.rows[:2]]
+    [0.1, 0.0]
+    """
+
+    first: SavedResult
+    second: SavedResult
+    rows: tuple[Mapping[str, Any], ...]
+
+    @property
+    def verdict(self) -> tuple[Tone, str, tuple[Message, ...]]:
+        """Whether the coefficients agree: tone, headline, and sentences."""
+        return _verdict(self)
+
+    def page(self) -> Page:
+        """The comparison as a `jaxcslc.page.Page`."""
+        tone, headline, messages = self.verdict
+        robots = dict.fromkeys(name for name in (self.first.robot, self.second.robot) if name)
+        return Page(
+            title=f"Comparison of {self.first.name} and {self.second.name}",
+            subtitle=", ".join(robots),
+            headline=headline,
+            tone=tone,
+            summary=messages,
+            sections=(
+                _coefficient_section(self),
+                _error_section(self),
+                _settings_section(self),
+                _warning_section(self),
+            ),
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Writes the page.
+
+        **Arguments**
+
+        - `path`: of the HTML file.
+
+        **Raises**
+
+        - `OSError`: the file cannot be written.
+        """
+        Path(path).write_text(render(self.page(), interactive=False), encoding="utf-8")
+
+    def __str__(self) -> str:
+        _, headline, messages = self.verdict
+        parts = [headline, *(message.text for message in messages)]
+        shown = sorted(self.rows, key=_size, reverse=True)[:_PRINTED]
+        cells = [
+            [row["name"], *(_number(row[name]) for name in _SHOWN), row["unit"]] for row in shown
+        ]
+        header = ["name", *_SHOWN.values(), "unit"]
+        return "\n".join(parts) + "\n\n" + text_table(header, cells, left=("unit",))
+
+
+_SHOWN = {
+    "first": "first",
+    "second": "second",
+    "difference": "difference",
+    "standard_errors": "standard errors",
+}
+
+
+def compare_reports(first: str | Path, second: str | Path) -> ReportComparison:
+    """Compares two identifications: of two arms, two days, or two ways to fit.
+
+    **Arguments**
+
+    - `first`, `second`: folders that `Report.save` wrote, or their `identification.json`.
+
+    **Returns** a `ReportComparison`.
+
+    **Raises**
+
+    - `ValueError`: a file that is no identification, or two without a common coefficient.
+    """
+    a, b = SavedResult.load(first), SavedResult.load(second)
+    names = dict.fromkeys((*a.fit.names, *b.fit.names))
+    if len(names) == len(a.fit.names) + len(b.fit.names):
+        raise ValueError(f"{first} and {second} have no coefficient in common")
+    columns = [_values(a), _values(b)]
+    return ReportComparison(a, b, tuple(_row(name, *columns) for name in names))
+
+
+def _values(result: SavedResult) -> dict[str, dict[str, Any]]:
+    """By coefficient its value, uncertainty, unit and expression."""
+    names = result.fit.names
+    expressions = result.entry("expressions", [])
+    units = result.entry("units", [])
+    k, determined = np.asarray(result.fit.k), np.asarray(result.fit.determined)
+    return {
+        name: {
+            "value": float(k[i]),
+            "uncertainty": float(result.uncertainty[i]) if determined[i] else float("inf"),
+            "unit": str(units[i]) if len(units) == len(names) else "",
+            "expression": str(expressions[i]) if len(expressions) == len(names) else None,
+        }
+        for i, name in enumerate(names)
+    }
+
+
+def _row(
+    name: str, first: Mapping[str, Mapping[str, Any]], second: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    a, b = first.get(name), second.get(name)
+    some = a or b or {}
+    row: dict[str, Any] = {
+        "name": name,
+        "unit": some["unit"],
+        "first": None if a is None else a["value"],
+        "second": None if b is None else b["value"],
+        "difference": None,
+        "standard_errors": None,
+        "note": "",
+    }
+    if a is None or b is None:
+        return row | {"note": f"only in the {'first' if b is None else 'second'}"}
+    if None not in (a["expression"], b["expression"]) and a["expression"] != b["expression"]:
+        return row | {"note": f"stands for {a['expression']}, and for {b['expression']}"}
+    row["difference"] = b["value"] - a["value"]
+    scale = float(np.hypot(a["uncertainty"], b["uncertainty"]))
+    if not np.isfinite(scale):
+        return row | {"note": "not determined by both"}
+    if scale > 0:
+        row["standard_errors"] = row["difference"] / scale
+    return row
+
+
+def _verdict(comparison: ReportComparison) -> tuple[Tone, str, tuple[Message, ...]]:
+    sizes = [abs(r["standard_errors"]) for r in comparison.rows if r["standard_errors"] is not None]
+    notable = sum(size > _NOTABLE for size in sizes)
+    chance = 2.0 * float(scipy.special.ndtr(-_NOTABLE))
+    # As many as one comparison in a hundred of equal arms has, if coefficients' errors were
+    # independent.
+    limit = float(scipy.stats.binom.isf(0.01, len(sizes), chance)) if sizes else 0.0
+    messages = [
+        Message(
+            f"{notable} of {len(sizes)} coefficients differ by more than {_NOTABLE:g} standard"
+            f" errors; {chance * len(sizes):.2g} would by chance.",
+            "caution" if notable > limit else "good",
+        )
+    ]
+    worst = max(comparison.rows, key=_size)
+    if _size(worst) > _NOTABLE:
+        messages.append(
+            Message(
+                f"Most different: {worst['name']}, by {worst['standard_errors']:.3g} standard"
+                " errors.",
+                "plain",
+            )
+        )
+    apart = sum(bool(row["note"]) for row in comparison.rows)
+    if apart:
+        messages.append(Message(f"{apart} coefficients cannot be compared.", "caution"))
+    robots = comparison.first.robot, comparison.second.robot
+    if robots[0] != robots[1]:
+        messages.append(Message(f"Of different robots: {robots[0]} and {robots[1]}.", "caution"))
+    agree = notable <= limit and bool(sizes)
+    headline = (
+        "The coefficients agree within their uncertainty."
+        if agree
+        else "The coefficients differ by more than their uncertainty."
+    )
+    return "good" if agree and not apart else "caution", headline, tuple(messages)
+
+
+def _coefficient_section(comparison: ReportComparison) -> Section:
+    columns = (
+        Column("name", numeric=False),
+        Column("first"),
+        Column("second"),
+        Column("difference", "second less first"),
+        Column("standard errors", "difference over the uncertainty of both together", digits=3),
+        Column("unit", numeric=False),
+        Column("note", numeric=False, wide=True),
+    )
+    ordered = sorted(comparison.rows, key=_size, reverse=True)
+    names = ("name", *_SHOWN, "unit", "note")
+    rows = tuple(tuple(row[name] for name in names) for row in ordered)
+    return Section(
+        "Coefficients",
+        "The most different first; a click on a title sorts. A difference is in standard errors of"
+        " both together, systematic errors included: beyond 2 it is hardly chance for one"
+        " coefficient, but of forty, two are.",
+        [Table(columns, rows, name="coefficients-table")],
+    )
+
+
+def _error_section(comparison: ReportComparison) -> Section:
+    results = comparison.first, comparison.second
+    qualities = [result.entry("quality", {}) for result in results]
+    joints = [result.entry("joints", []) for result in results]
+    tables: list[Table | Paragraph] = []
+    for recording in qualities[0]:
+        if recording not in qualities[1] or joints[0] != joints[1]:
+            continue
+        for samples, meaning in _SAMPLES.items():
+            values = [quality[recording][samples] for quality in qualities]
+            columns = [Column("joint", numeric=False)]
+            cells: list[list[Value]] = [list(joints[0])]
+            for title, name in (
+                ("RMS", "rms"),
+                ("% of RMS torque", "percent"),
+                ("R²", "r_squared"),
+            ):
+                for which, value in zip(("first", "second"), values, strict=True):
+                    columns.append(Column(f"{title}, {which}"))
+                    cells.append(list(value[name]))
+            rows = tuple(zip(*cells, strict=True))
+            tables.append(Table(tuple(columns), rows, f"{recording} recording, {meaning}"))
+    if not tables:
+        tables.append(Paragraph("The files have no errors of the same joints to compare."))
+    return Section(
+        "Errors",
+        "Measured less predicted, each on its recordings: root mean square (RMS) in N m or N, in %"
+        " of the RMS torque, and R², the share of the variance that the model explains.",
+        tables,
+    )
+
+
+def _settings_section(comparison: ReportComparison) -> Section:
+    flat = [dict(_flat(r.entry("settings", {}))) for r in (comparison.first, comparison.second)]
+    names = dict.fromkeys((*flat[0], *flat[1]))
+    rows = tuple(
+        (name, flat[0].get(name, ""), flat[1].get(name, ""))
+        for name in names
+        if flat[0].get(name) != flat[1].get(name)
+    )
+    columns = tuple(
+        Column(name, numeric=False, wide=True) for name in ("setting", "first", "second")
+    )
+    blocks = [Table(columns, rows)] if rows else [Paragraph("All settings are equal.")]
+    return Section("Settings", "Those that differ.", blocks)
+
+
+def _warning_section(comparison: ReportComparison) -> Section:
+    messages = tuple(
+        Message(f"{which}: {text}")
+        for which, result in (("first", comparison.first), ("second", comparison.second))
+        for text in result.entry("warnings", [])
+    )
+    return Section("Warnings", "", [Messages(messages, empty="Neither has any.")])
+
+
+def _flat(document: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Nested entries as texts, named by their path."""
+    for name, value in document.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", json.dumps(value, ensure_ascii=False)
+
+
+def _size(row: Mapping[str, Any]) -> float:
+    return -1.0 if row["standard_errors"] is None else abs(row["standard_errors"])
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
+
+
+def _systematic(
+    document: Mapping[str, Any], fit: Identification, file: Path
+) -> SystematicError | None:
+    parts = document.get("systematic_error")
+    if parts is None:
+        return None
+    try:
+        arrays = {str(name): np.asarray(values, float) for name, values in parts.items()}
+    except (AttributeError, TypeError, ValueError):
+        raise ValueError(f"{file}: systematic_error: expected numbers by cause") from None
+    for name, values in arrays.items():
+        if values.shape != (len(fit.names),) or not np.all(np.isfinite(values)):
+            raise ValueError(
+                f"{file}: systematic_error, {name}: expected {len(fit.names)} finite numbers"
+            )
+    return SystematicError(arrays) if arrays else None

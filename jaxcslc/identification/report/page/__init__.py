@@ -1,0 +1,3 @@
+from ._data import WritableReport as WritableReport, report_data as report_data
+from ._page import report_page as report_page
+from ._quality import fit_quality as fit_quality

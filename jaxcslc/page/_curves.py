@@ -1,0 +1,115 @@
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+CurveLook = Literal["measured", "predicted", "residual", "points", "fitted"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Curve:
+    """A line, or points, of a panel.
+
+    **Attributes**
+
+    - `name`: in the legend.
+    - `x`, `y`: NaN breaks the line.
+    - `look`: `"measured"`, a broad grey line; `"predicted"` and `"residual"`, thin ones; or
+      `"points"` and `"fitted"`, grey and coloured points.
+
+    >>> Curve("measured", (0.0, 1.0), (2.0, 3.0), "measured").look
+    'measured'
+    """
+
+    name: str
+    x: Sequence[float | None]
+    y: Sequence[float | None]
+    look: CurveLook
+
+
+def envelope(
+    x: Float[np.ndarray, " samples"], y: Float[np.ndarray, " samples"], most: int = 5000
+) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+    """A curve of fewer points that looks the same: its extremes in equal stretches.
+
+    **Arguments**
+
+    - `x`: ascending.
+    - `y`: of each x; a stretch that is NaN throughout stays a gap.
+    - `most`: points that are left at most, two a stretch, and one for each gap.
+
+    **Returns** `x` and `y` of the minimum and maximum of each stretch, in ascending order of x.
+
+    **Raises**
+
+    - `ValueError`: fewer than two points.
+
+    >>> import numpy as np
+    >>> x = np.arange(100.0)
+    >>> y = np.where(x == 37, 5.0, 0.0)
+    >>> fewer_x, fewer_y = envelope(x, y, 10)
+    >>> len(fewer_x) <= 10, float(fewer_y.max())
+    (True, 5.0)
+    """
+    if most < 2:
+        raise ValueError(f"most: expected at least 2 points, got {most}")
+    if len(x) <= most:
+        return x, y
+    edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
+    kept: list[int] = []
+    for start, end in itertools.pairwise(edges):
+        stretch = y[start:end]
+        finite = np.flatnonzero(np.isfinite(stretch))
+        if not finite.size:
+            kept.append(int(start))
+            continue
+        extremes = {
+            int(start + finite[np.argmin(stretch[finite])]),
+            int(start + finite[np.argmax(stretch[finite])]),
+        }
+        kept += sorted(extremes)
+    return x[kept], y[kept]
+
+
+def intervals(
+    x: Float[np.ndarray, " samples"], mask: Bool[np.ndarray, " samples"], most: int = 400
+) -> list[tuple[float, float]]:
+    """The stretches of x where a mask is True, each from half a sample before to half after.
+
+    **Arguments**
+
+    - `x`: ascending.
+    - `mask`: of each x.
+    - `most`: stretches that are left at most: the narrowest gaps between them are closed first.
+
+    **Returns** start and end of each.
+
+    >>> import numpy as np
+    >>> intervals(np.arange(6.0), np.array([False, True, True, False, False, True]))
+    [(0.5, 2.5), (4.5, 5.0)]
+    """
+    if not np.any(mask):
+        return []
+    padded = np.concatenate([[False], mask, [False]]).astype(int)
+    starts = np.flatnonzero(np.diff(padded) == 1)
+    ends = np.flatnonzero(np.diff(padded) == -1)  # one past the last
+    middles = np.concatenate([x[:1], 0.5 * (x[:-1] + x[1:]), x[-1:]])
+    low, high = middles[starts], middles[ends]
+    if len(low) > most:
+        gaps = low[1:] - high[:-1]
+        widest = np.sort(np.argsort(-gaps, kind="stable")[: most - 1])
+        low, high = low[np.concatenate([[0], widest + 1])], high[np.append(widest, len(high) - 1)]
+    return [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
+
+
+def plain(values: Sequence[float | None] | np.ndarray, digits: int = 5) -> list[float | None]:
+    """Numbers to some significant digits, as they stand in a page; None for NaN.
+
+    >>> plain([1.2345678, float("nan")])
+    [1.2346, None]
+    """
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in np.asarray(values, float)]
