@@ -8,6 +8,7 @@ import jax
 import typer
 
 from ._compare import compare_command
+from ._constants import constants_command
 from ._derive import derive_command
 from ._export import export_command
 from ._identify import identify_command
@@ -25,6 +26,7 @@ app.command("identify")(identify_command)
 app.command("compare")(compare_command)
 app.command("export")(export_command)
 app.command("payload")(payload_command)
+app.command("constants")(constants_command)
 
 
 def run() -> None:

@@ -32,6 +32,11 @@ from ._systematic import (
     systematic_error as systematic_error,
     uncertainty_interval as uncertainty_interval,
 )
+from ._torque_constants import (
+    TorqueConstants as TorqueConstants,
+    fit_torque_constants as fit_torque_constants,
+    identify_torque_constants as identify_torque_constants,
+)
 from .report import (
     DerivationReport as DerivationReport,
     ErrorTable as ErrorTable,

@@ -102,8 +102,8 @@ def resample(
         between(fresh.torque),
         None if fresh.velocity is None else between(fresh.velocity),
         None if fresh.acceleration is None else between(fresh.acceleration),
-        fresh.joint_names,
-        fresh.notes,
+        joint_names=fresh.joint_names,
+        notes=fresh.notes,
     )
 
 

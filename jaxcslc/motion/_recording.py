@@ -104,6 +104,7 @@ def column_names(quantity: str, joints: int) -> list[str]:
 def as_columns(
     time: Float[np.ndarray, " samples"],
     joint_names: Sequence[str] | None = None,
+    /,
     **quantities: Float[np.ndarray, "samples joints"] | None,
 ) -> dict[str, Float[np.ndarray, " samples"]]:
     """A recording's arrays as the columns of a file, those that are absent left out.
@@ -161,6 +162,7 @@ class Recording(eqx.Module):
         torque: ArrayLike,
         velocity: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
+        *,
         joint_names: Sequence[str] | None = None,
         notes: Sequence[str] = (),
     ):
@@ -244,8 +246,8 @@ class Recording(eqx.Module):
             self.torque[selected],
             None if self.velocity is None else self.velocity[selected],
             None if self.acceleration is None else self.acceleration[selected],
-            self.joint_names,
-            self.notes,
+            joint_names=self.joint_names,
+            notes=self.notes,
         )
 
 

@@ -74,13 +74,14 @@ class TestWhatIsMissing:
         assert text == "no joint states of topic '/other'; expected /joint_states"
 
     def test_joint_states(self, tmp_path: Path) -> None:
-        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags import rosbag2
         from rosbags.typesys import Stores, get_typestore
 
         types = get_typestore(Stores.ROS2_HUMBLE)
         text = types.types["std_msgs/msg/String"]
         path = tmp_path / "bag"
-        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        plugin = rosbag2.StoragePlugin.MCAP
+        with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
             connection = writer.add_connection("/chatter", text.__msgtype__, typestore=types)
             writer.write(connection, 0, types.serialize_cdr(text(data="hello"), text.__msgtype__))
         assert self.message(path) == (

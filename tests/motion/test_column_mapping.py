@@ -50,6 +50,7 @@ def test_a_mapping_says_everything(log: Path, tmp_path: Path, turned: bool) -> N
     degrees = np.stack([90 + i, -i], 1)[:, order]
     np.testing.assert_allclose(read.position, np.deg2rad(degrees), rtol=1e-15)
     turns = np.stack([6 + 0 * i, 12 * i], 1)[:, order] / 60
+    assert read.velocity is not None
     np.testing.assert_allclose(read.velocity, 2 * np.pi * turns, rtol=1e-15)
     torque = np.stack([(i + 500) * 0.05, 2000 * 0.1 + 0 * i], 1)[:, order] / 10
     np.testing.assert_allclose(read.torque, torque, rtol=1e-15)

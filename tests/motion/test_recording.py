@@ -1,12 +1,14 @@
 """What a recording is, and what it may not be."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from jaxcslc.motion import Recording, RecordingError, restore_clock, stale_rows, without_stale_rows
 
 
-def arrays(samples: int = 8, joints: int = 2) -> dict[str, np.ndarray]:
+def arrays(samples: int = 8, joints: int = 2) -> dict[str, Any]:
     time = np.arange(samples) * 0.002
     grid = np.arange(samples * joints, dtype=float).reshape(samples, joints)
     return {"time": time, "position": grid, "torque": grid + 0.5}

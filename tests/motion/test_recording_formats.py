@@ -54,7 +54,7 @@ class TestUniversalRobots:
         read = load_recording(path, joints=[f"joint {i}" for i in range(1, 7)])
         assert_same(read, motion)
         np.testing.assert_array_equal(read.velocity, motion.velocity)
-        assert read.notes == ()
+        assert not read.notes
 
     def test_the_controllers_model_is_named(self, motion: Recording, tmp_path: Path) -> None:
         path = write_rows(tmp_path / "ur.csv", self.columns(motion, "target_moment"))
@@ -220,11 +220,18 @@ class TestNumpy:
     def test_arrays(self, motion: Recording, tmp_path: Path) -> None:
         path = tmp_path / "motion.npz"
         names = motion.joint_names or ()
-        arrays = {"time": motion.time, "position": motion.position, "effort": motion.torque}
-        np.savez_compressed(path, **arrays, qd=motion.velocity, joint_names=np.array(names))
+        assert motion.velocity is not None
+        np.savez_compressed(
+            path,
+            time=motion.time,
+            position=motion.position,
+            effort=motion.torque,
+            qd=motion.velocity,
+            joint_names=np.array(names),
+        )
         read = load_recording(path, joints=names[::-1])
         np.testing.assert_array_equal(read.torque, motion.torque[:, ::-1])
-        assert read.velocity is not None and motion.velocity is not None
+        assert read.velocity is not None
         np.testing.assert_array_equal(read.velocity, motion.velocity[:, ::-1])
 
     def test_one_joint_and_another_suffix(self, tmp_path: Path) -> None:

@@ -249,7 +249,8 @@ def _factors(
         if current is not None and not mapped.has_constant:
             raise RecordingError(
                 f"{where}: {mapped.unit} is a current; expected constant = ..., the torque constant"
-                " [N m/A] of each joint, and gear = ..., its gear ratio"
+                " [N m/A] of each joint, and gear = ..., its gear ratio; constants that are not"
+                " known: jaxcslc constants, from recordings with and without a known payload"
             )
         factor = current or si_factor(mapped.unit, quantity) or 1.0
         units = [factor] * count

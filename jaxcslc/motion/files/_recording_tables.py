@@ -21,8 +21,10 @@ from ._parquet_table import read_parquet, read_parquet_header, time_unit
 ROW_GROUP = 1 << 16
 """Rows of a Parquet row group: what its readers must be able to hold at a time."""
 
-_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".npz": "npz"}
-_SUFFIXES |= dict.fromkeys((".bag", ".mcap", ".db3"), "bag")
+_SUFFIXES = {
+    **{".csv": "csv", ".parquet": "parquet", ".npz": "npz"},
+    **dict.fromkeys((".bag", ".mcap", ".db3"), "bag"),
+}
 _BEGINNINGS = {b"PAR1": "parquet", b"PK\x03\x04": "npz"}
 _EXPECTED = ".csv, .parquet, .npz, .bag, .mcap, .db3"
 

@@ -23,8 +23,10 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 )
 """SI units in one of each unit, by quantity; those of revolute joints and of prismatic ones."""
 
-_SPELLINGS = {"µ": "u", "μ": "u", "°": "deg", "²": "^2", "s2": "s^2", "**": "^", "·": "", "*": ""}
-_SPELLINGS |= {"degrees": "deg", "degree": "deg"}
+_SPELLINGS = {
+    **{"µ": "u", "μ": "u", "°": "deg", "degrees": "deg", "degree": "deg"},
+    **{"²": "^2", "s2": "s^2", "**": "^", "·": "", "*": ""},
+}
 
 
 def si_factor(unit: str, quantity: str) -> float | None:

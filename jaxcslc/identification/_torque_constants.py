@@ -1,0 +1,245 @@
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..motion import Patterns, Recording
+from ..network import CSLC
+from ._identify import recording_named, without_progress
+from ._settings import Settings
+from .solver import Equations, Identification, LeastSquares, Unknowns, regressor_of
+
+
+# Gauss-Newton from the linear fit: it has ended after five steps in every case that was tried.
+_MOST_STEPS = 30
+_CONVERGED = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TorqueConstants:
+    """Torque per motor current of each joint, from recordings with and without a known payload.
+
+    **Attributes**
+
+    - `joint_names`: of the n joints.
+    - `constants`: (n,) joint torque per unit of what was recorded as torque [N m/A].
+    - `fit`: of the arm's coefficients, the payload's other than its mass, and the constants.
+    - `unit`: of the constants.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import identify_torque_constants
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(arm, lengths="numeric").with_payload()
+    >>> t = np.arange(0.0, 8.0, 0.01)[:, None]
+    >>> q, qd = np.sin([1.1, 1.7] * t), [1.1, 1.7] * np.cos([1.1, 1.7] * t)
+    >>> k = np.linspace(0.5, 1.5, network.size)
+    >>> k[network.layout.payload] = 0.02, 0.02, 0.02, 0, 0, 0, 0.1, 0, 0, 2.0
+    >>> def current(k):
+    ...     torque = np.asarray(network.torque(k, q, qd, -q * [1.1**2, 1.7**2]))
+    ...     return jc.Recording(t[:, 0], q, torque / [0.1, 0.2])
+    >>> loaded, unloaded = current(k), current(np.where(np.arange(len(k)) < k.size - 10, k, 0.0))
+    >>> result = identify_torque_constants(network, unloaded, loaded, 2.0, settings=jc.Settings())
+    >>> np.round(result.constants, 3).tolist()
+    [0.1, 0.2]
+    """
+
+    joint_names: tuple[str, ...]
+    constants: Float[np.ndarray, " joints"]
+    fit: Identification
+    unit: str = "N m/A"
+
+    @property
+    def standard_error(self) -> Float[np.ndarray, " joints"]:
+        """Of the constants; infinite where the recordings do not determine one."""
+        return np.asarray(self.fit.standard_error)[-len(self.constants) :]
+
+    def confidence_interval(self, level: float = 0.95) -> Float[np.ndarray, "joints 2"]:
+        """Lower and upper end for each constant, from Student's t."""
+        return np.asarray(self.fit.confidence_interval(level))[-len(self.constants) :]
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Joints whose constant the recordings do not tell from zero."""
+        low, high = self.confidence_interval().T
+        unclear = ~(np.isfinite(low) & np.isfinite(high)) | ((low <= 0.0) & (high >= 0.0))
+        return tuple(name for name, u in zip(self.joint_names, unclear, strict=True) if u)
+
+    def rows(self, level: float = 0.95) -> list[dict[str, Any]]:
+        """One row a joint: constant, standard error and interval."""
+        low, high = self.confidence_interval(level).T
+        columns = (self.joint_names, self.constants, self.standard_error, low, high)
+        return [
+            {
+                "joint": name,
+                "unit": self.unit,
+                "constant": float(value),
+                "standard_error": float(error),
+                "low": float(start),
+                "high": float(end),
+            }
+            for name, value, error, start, end in zip(*columns, strict=True)
+        ]
+
+    def __str__(self) -> str:
+        width = max(map(len, self.joint_names))
+        lines = [
+            f"{row['joint']:{width}}  {row['constant']:.5g} {self.unit}, 95 % interval"
+            f" {row['low']:.5g} to {row['high']:.5g}"
+            for row in self.rows()
+        ]
+        listed = ", ".join(f"{value:.6g}" for value in self.constants)
+        return "\n".join([*lines, "", "[torque]", f"constant = [{listed}]"])
+
+
+def identify_torque_constants(
+    network: CSLC,
+    unloaded: Recording,
+    loaded: Recording,
+    mass: float,
+    settings: Settings | None = None,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> TorqueConstants:
+    """Identifies the torque constants of all joints with a payload of known mass.
+
+    Currents alone determine an arm's coefficients and torque constants but for one common factor.
+    A payload of known mass, carried through part of the motion, sets it (Gautier and Briot, Global
+    identification of joint drive gains and dynamic parameters of robots, J. Dyn. Syst. Meas.
+    Control 136, 2014). The payload's other parameters may be unknown. Fitted are the currents,
+    which have the noise: least squares of torque over constant, by Gauss and Newton.
+
+    **Arguments**
+
+    - `network`: of the arm, n joints.
+    - `unloaded`, `loaded`: recordings without and with the payload, whose `torque` holds currents.
+    - `mass`: of the payload [kg].
+    - `settings`: of preparation and fit; the library's defaults if None.
+    - `progress`: is called with a few words at the start of each step.
+
+    **Returns** the constants.
+
+    **Raises**
+
+    - `ValueError`: a mass that is not positive; recordings that cannot be used, by name; or
+      recordings that do not determine the constant of some joint, with what is needed.
+    - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
+
+    An example stands at `TorqueConstants`.
+    """
+    step = progress or without_progress
+    settings = (settings or Settings()).for_network(network)
+    step("preparing patterns")
+    patterns: list[Patterns] = []
+    for name, recording in (("unloaded", unloaded), ("loaded", loaded)):
+        with recording_named(name):
+            patterns.append(settings.patterns(recording))
+    step("fitting torque constants")
+    return fit_torque_constants(network, patterns[0], patterns[1], mass, solver=settings.solver)
+
+
+def fit_torque_constants(
+    network: CSLC,
+    unloaded: Patterns,
+    loaded: Patterns,
+    mass: float,
+    *,
+    solver: LeastSquares | None = None,
+) -> TorqueConstants:
+    """The fit of `identify_torque_constants`, to patterns whose torques are currents.
+
+    **Arguments** and **Raises** as there; `solver`: options of the fit.
+    """
+    if not 0.0 < mass < np.inf:
+        raise ValueError(f"mass of the payload is {mass} kg; expected more than 0")
+    whole = network.with_payload() if network.payload is None else network
+    solver = solver or LeastSquares()
+    equations = [
+        CurrentEquations.of(whole, patterns, carried, solver.cutoff)
+        for patterns, carried in ((unloaded, 0.0), (loaded, mass))
+    ]
+    samples = [len(patterns.time) for patterns in (unloaded, loaded)]
+
+    def fitted(k: np.ndarray | None) -> Identification:
+        first, second = (some.about(k) for some in equations)
+        return solver.fit_equations(first.followed_by(second, samples[0]), sum(samples))
+
+    n = whole.joint_count
+    fit = fitted(None)
+    for _ in range(_MOST_STEPS):
+        before = np.asarray(fit.k)
+        if np.any(before[-n:] == 0.0):  # of a joint that nothing is known of
+            break
+        fit = fitted(before)
+        if np.linalg.norm(np.asarray(fit.k) - before) <= _CONVERGED * np.linalg.norm(before):
+            break
+    result = TorqueConstants(whole.output_names, np.asarray(fit.k)[-n:], fit)
+    if result.undetermined:
+        raise ValueError(
+            f"the recordings do not determine the torque constant of"
+            f" {', '.join(result.undetermined)}: give it, or use motions, with and without the"
+            " payload, in which the payload's weight or inertia loads that joint"
+        )
+    return result
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CurrentEquations:
+    """Equations of one recording in the arm's coefficients, the payload's and the constants.
+
+    - `unknowns`: all of them but the payload's mass, which is last in the network.
+    - `regressor`: of the coefficients; `mass_torque`: of the known mass.
+    """
+
+    unknowns: Unknowns
+    regressor: Float[np.ndarray, "samples joints coefficients"]
+    mass_torque: Float[np.ndarray, "samples joints"]
+    patterns: Patterns
+    cutoff: float | None
+
+    @classmethod
+    def of(
+        cls, network: CSLC, patterns: Patterns, mass: float, cutoff: float | None
+    ) -> "CurrentEquations":
+        """Of a network with payload that carries this mass, or nothing."""
+        whole = np.array(regressor_of(network, patterns))
+        payload = network.layout.payload
+        last = payload.stop - 1
+        mass_torque = mass * whole[:, :, last]
+        if mass == 0.0:
+            whole[:, :, payload] = 0.0
+        names = tuple(name for i, name in enumerate(network.names) if i != last)
+        joints = network.joint_count
+        support = tuple(
+            (*(i - (i > last) for i in indices if i != last), len(names) + joint)
+            for joint, indices in enumerate(network.support)
+        )
+        constants = tuple(f"constant of {name}" for name in network.output_names)
+        unknowns = Unknowns((*names, *constants), support)
+        assert len(unknowns.names) == network.size - 1 + joints
+        return cls(unknowns, np.delete(whole, last, axis=2), mass_torque, patterns, cutoff)
+
+    def about(self, k: Float[np.ndarray, " unknowns"] | None) -> Equations:
+        """The equations of currents, linear about some unknowns.
+
+        With torque tau(k) and constants c, the error in current is i - tau(k) / c; times c, to
+        first order about c0 and the current i0 that they predict, c0 (i - i0) - tau(k) + i0 c. With
+        the measured current in place of i0, where nothing is known yet, it is i c - tau(k).
+        """
+        current = np.asarray(self.patterns.torque)
+        joints = current.shape[1]
+        column, constant_part = current, np.zeros_like(current)
+        if k is not None:
+            constants = k[-joints:]
+            column = (self.regressor @ k[:-joints] + self.mass_torque) / constants
+            constant_part = constants * (current - column)
+        diagonal = -column[:, :, None] * np.eye(joints)
+        return Equations.of(
+            self.unknowns,
+            np.concatenate([self.regressor, diagonal], axis=2),
+            constant_part - self.mass_torque,
+            np.asarray(self.patterns.mask),
+            time=np.asarray(self.patterns.time),
+            cutoff=self.cutoff,
+        )
