@@ -1,7 +1,8 @@
+import contextlib
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -21,12 +22,7 @@ def read_npz(path: Path) -> tuple[Header, dict[str, Any]]:
     **Raises** `RecordingError` for what is no such file, and arrays of different lengths.
     """
     try:
-        file = np.load(path, allow_pickle=False)
-        if not isinstance(file, np.lib.npyio.NpzFile):
-            raise RecordingError(
-                f"{path}: holds one array; expected an .npz file of several: time, position, torque"
-            )
-        with file:
+        with path.open("rb") as stream, contextlib.closing(_loaded(path, stream)) as file:
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except RecordingError:
         raise
@@ -51,3 +47,12 @@ def read_npz(path: Path) -> tuple[Header, dict[str, Any]]:
         listed = ", ".join(arrays) or "no array"
         raise RecordingError(f"{path}: has {listed}; expected arrays time, position and torque")
     return Header(list(columns), joint_names), columns
+
+
+def _loaded(path: Path, stream: IO[bytes]) -> Any:
+    file = np.load(stream, allow_pickle=False)
+    if not isinstance(file, np.lib.npyio.NpzFile):
+        raise RecordingError(
+            f"{path}: holds one array; expected an .npz file of several: time, position, torque"
+        )
+    return file
