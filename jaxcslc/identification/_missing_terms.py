@@ -128,12 +128,6 @@ def with_columns(equations: Equations, inputs: Columns) -> Equations:
     return Equations(Unknowns(tuple(names), tuple(support)), tuple(rows), equations.sample)
 
 
-def times(equations: Equations, roots: Sequence[Float[np.ndarray, " _"]]) -> Equations:
-    """Equations multiplied by factors, for each joint one an equation."""
-    rows = (rows * root[:, None] for rows, root in zip(equations.rows, roots, strict=True))
-    return Equations(equations.unknowns, tuple(rows), equations.sample)
-
-
 def part_of(
     equations: Equations, free: Sequence[int], k: Float[np.ndarray, " coefficients"]
 ) -> Equations:

@@ -2,12 +2,10 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from .._rank import rank_tolerance
 from ..motion import Patterns, Preparation, Recording
 from ..network import CSLC
 from ._missing_terms import (
@@ -15,23 +13,16 @@ from ._missing_terms import (
     filtered_inputs,
     missing_terms,
     part_of,
-    times,
     with_columns,
 )
 from ._settings import Settings
 from .solver import (
-    Equations,
     Fixed,
     Identification,
-    LeastSquares,
-    Loss,
-    Solution,
+    WeightedEquations,
+    changes_of,
     fold_coefficients,
-    minimum,
     regressor_of,
-    residual_weights,
-    robust_scale,
-    weight,
 )
 
 
@@ -185,13 +176,13 @@ def systematic_error(
     equations, again = (
         part_of(solver.equations(network, some), free, k) for some in (patterns, smoothed)
     )
-    problem = _Problem.of(equations, len(patterns.q), k[list(free)], solver)
+    problem = WeightedEquations.of(equations, k[list(free)], solver)
     shifts = {"smoothing": problem.solution(again).k - k[list(free)]}
     qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
     thresholds = preparation.speed_thresholds(qd)
     terms = missing_terms(network, qd, np.asarray(smoothed.torque), mask, thresholds)
     for cause, inputs in filtered_inputs(terms, patterns, solver.cutoff).items():
-        shifts[cause] = problem.shift(inputs)
+        shifts[cause] = _shift(problem, inputs, len(patterns.q))
     determined = np.asarray(fit.determined)
     parts: dict[str, np.ndarray] = {}
     for cause, shift in shifts.items():
@@ -245,101 +236,35 @@ def _exact_derivatives(
     return np.where(moves, spline(time, 1), 0.0), np.where(moves, spline(time, 2), 0.0)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Problem:
-    """The equations of a fit with the weights that it ended with.
+def _shift(
+    problem: WeightedEquations, inputs: Columns, samples: int
+) -> Float[np.ndarray, " unknowns"]:
+    """What further unknowns change the others by, beyond the noise of this change.
 
-    - `weights`: of joints.
-    - `roots`: for each joint, the roots of its equations' weights under a robust loss.
-    - `stretch`: of each sample, from 0.
+    Each change is linear in the further unknowns, whose values without each stretch of the
+    recording in turn differ by noise alone if the machine has such a term. (The changes
+    themselves would differ because the stretches show the term in different ways, too.)
+
+    - `inputs`: of the further unknowns, for each joint's equations.
+    - `samples`: of the recording.
     """
-
-    equations: Equations
-    weights: Float[np.ndarray, " joints"]
-    roots: tuple[Float[np.ndarray, " _"], ...]
-    rcond: float | None
-    stretch: Int[np.ndarray, " samples"]
-
-    @classmethod
-    def of(
-        cls,
-        equations: Equations,
-        samples: int,
-        k: Float[np.ndarray, " unknowns"],
-        solver: LeastSquares,
-    ) -> "_Problem":
-        """Of equations of so many samples that were fitted by `k`."""
-        errors = [
-            rows[:, -1] - rows[:, :-1] @ k[list(support)]
-            for support, rows in zip(equations.unknowns.support, equations.rows, strict=True)
-        ]
-        roots = tuple(_robust_roots(error, solver.loss) for error in errors)
-        counts = np.array([float(len(error)) for error in errors])
-        if solver.joint_weights == "residual":
-            squares = [np.sum((r * e) ** 2) for r, e in zip(roots, errors, strict=True)]
-            weights = residual_weights(np.sqrt(squares / np.maximum(counts, 1.0)), counts)
-        elif isinstance(solver.joint_weights, str):
-            weights = np.ones(len(errors))
-        else:
-            weights = np.asarray(solver.joint_weights, float)
-        stretch = np.arange(samples) * min(_STRETCHES, samples) // samples
-        return cls(equations, np.asarray(weights), roots, solver.rcond, stretch)
-
-    def solution(self, equations: Equations) -> Solution:
-        """The minimum of other equations of the same pairs, with the same weights."""
-        factors = times(equations, self.roots).factors()
-        return minimum(equations.unknowns, factors, self.weights, self.rcond)
-
-    def shift(self, inputs: Columns) -> Float[np.ndarray, " unknowns"]:
-        """What further unknowns change the others by, beyond the noise of this change.
-
-        Each change is linear in the further unknowns, whose values without each stretch of the
-        recording in turn differ by noise alone if the machine has such a term. (The changes
-        themselves would differ because the stretches show the term in different ways, too.)
-
-        - `inputs`: of the further unknowns, for each joint's equations.
-        """
-        size = self.equations.unknowns.size
-        wider = with_columns(self.equations, inputs)
-        determined = np.asarray(self.solution(wider).determined)[size:]
-        if not np.all(determined):  # such as an offset where a joint moves one way only
-            ends = np.cumsum([columns.shape[1] for columns in inputs])[:-1]
-            parts = np.split(determined, ends)
-            inputs = [columns[:, kept] for columns, kept in zip(inputs, parts, strict=True)]
-            wider = with_columns(self.equations, inputs)
-        weighted = times(wider, self.roots)
-        k = self.solution(wider).k[size:]
-        without = fold_coefficients(
-            wider.unknowns,
-            weighted.factors_of_folds(self.stretch, int(self.stretch[-1]) + 1),
-            tuple(self.weights.tolist()),
-            self.rcond,
-        )[:, size:]
-        stacked = np.asarray(weighted.factors().stacked(wider.unknowns, self.weights))
-        change = _changes(stacked, size)
-        stretches = len(without)
-        spread = np.sum(((without - np.mean(without, axis=0)) @ change.T) ** 2, axis=0)
-        return np.sqrt(np.maximum((change @ k) ** 2 - (stretches - 1) / stretches * spread, 0.0))
-
-
-def _changes(
-    stacked: Float[np.ndarray, "rows columns"], size: int
-) -> Float[np.ndarray, "unknowns further"]:
-    """What a unit of each further unknown changes the first unknowns by, if it is left out.
-
-    - `stacked`: the columns of the unknowns, of the further ones, and the torque.
-    """
-    columns, further = stacked[:, :size], stacked[:, size:-1]
-    length = np.linalg.norm(columns, axis=0)
-    length = np.where(length > 0.0, length, 1.0)
-    tolerance = rank_tolerance(size, np.float64(len(stacked)))
-    return np.linalg.lstsq(columns / length, further, rcond=tolerance)[0] / length[:, None]
-
-
-def _robust_roots(error: Float[np.ndarray, " equations"], loss: Loss) -> Float[np.ndarray, " _"]:
-    """The roots of the weights that a joint's equations have in a fit that leaves these errors."""
-    if loss == "squared" or not error.size:
-        return np.ones(len(error))
-    column = jnp.asarray(error)[:, None]
-    scale = float(robust_scale(column, jnp.ones_like(column))[0])
-    return np.sqrt(np.asarray(weight(loss, column[:, 0] / (scale or 1.0))))
+    size = problem.equations.unknowns.size
+    wider = with_columns(problem.equations, inputs)
+    determined = np.asarray(problem.solution(wider).determined)[size:]
+    if not np.all(determined):  # such as an offset where a joint moves one way only
+        ends = np.cumsum([columns.shape[1] for columns in inputs])[:-1]
+        parts = np.split(determined, ends)
+        inputs = [columns[:, kept] for columns, kept in zip(inputs, parts, strict=True)]
+        wider = with_columns(problem.equations, inputs)
+    stretch = np.arange(samples) * min(_STRETCHES, samples) // samples
+    k = problem.solution(wider).k[size:]
+    without = fold_coefficients(
+        wider.unknowns,
+        wider.times(problem.roots).factors_of_folds(stretch, int(stretch[-1]) + 1),
+        tuple(problem.weights.tolist()),
+        problem.rcond,
+    )[:, size:]
+    change = changes_of(problem.stacked(wider), size)
+    stretches = len(without)
+    spread = np.sum(((without - np.mean(without, axis=0)) @ change.T) ** 2, axis=0)
+    return np.sqrt(np.maximum((change @ k) ** 2 - (stretches - 1) / stretches * spread, 0.0))

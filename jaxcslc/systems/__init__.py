@@ -1,6 +1,11 @@
 from ._constants import ConstantEstimate as ConstantEstimate, constants_from as constants_from
 from ._identify import identify_system as identify_system, system_settings as system_settings
+from ._measurement_noise import measurement_noise as measurement_noise
 from ._network import SystemNetwork as SystemNetwork, SystemTerm as SystemTerm
+from ._noise_correction import (
+    NoiseCorrection as NoiseCorrection,
+    correct_for_noise as correct_for_noise,
+)
 from ._nonlinear import search_constants as search_constants
 from ._patterns import system_derivatives as system_derivatives, system_patterns as system_patterns
 from ._recording import (

@@ -1,5 +1,6 @@
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from ..identification import (
 from ..identification.report import condition_warning
 from ..motion import AveragedSplines, Patterns, Preparation, choose_spacing
 from ._constants import constants_from
+from ._measurement_noise import check_noise, measurement_noise
 from ._network import SystemNetwork
+from ._noise_correction import EquationsUndefined, Noise, NoiseCorrection, correct_for_noise
 from ._nonlinear import search_constants
 from ._patterns import system_patterns
 from ._recording import SystemRecording
@@ -37,6 +40,7 @@ def identify_system(
     validation: SystemRecording | None = None,
     settings: Settings | None = None,
     *,
+    noise: Noise = "estimated",
     progress: Callable[[str], None] | None = None,
 ) -> SystemReport:
     """Identifies a system's coefficients from a recording, and judges the result (thesis C.2).
@@ -52,6 +56,10 @@ def identify_system(
     - `validation`: a recording to judge the fit on; no coefficient depends on it.
     - `settings`: of preparation and fit; by default those of `system_settings` for the training
       recording.
+    - `noise`: standard deviation of the white noise of columns, by name, 0 for those left out;
+      by default it is estimated from the recording. Its bias is taken off the coefficients, and
+      standard errors follow from it: see `correct_for_noise`. None leaves the fit as it is; so do
+      constants that are searched.
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** a `SystemReport`.
@@ -59,7 +67,8 @@ def identify_system(
     **Raises**
 
     - `DescriptionError`: a system that cannot be separated.
-    - `ValueError`: a recording that cannot be used, named as training or validation recording.
+    - `ValueError`: a recording that cannot be used, named as training or validation recording;
+      noise of no column, or below zero.
     - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
 
     >>> import numpy as np, sympy
@@ -102,6 +111,13 @@ def identify_system(
     else:
         step("fitting coefficients")
         fit = settings.fit(network, patterns["training"])
+    correction, uncorrected = None, ()
+    if noise is not None and not system.nonlinear:
+        step("simulating noise")
+        correction, uncorrected = _correction(
+            system, training, patterns["training"], settings, fit, noise
+        )
+        fit = fit if correction is None else correction.fit
     simulation = None
     if validation is not None:
         step("simulating")
@@ -123,11 +139,13 @@ def identify_system(
         held_out,
         (
             *held_out.warnings,
+            *uncorrected,
             *_warnings(network, fit, patterns["training"], errors["training"]),
         ),
         search,
         simulation,
         constants,
+        correction,
     )
 
 
@@ -172,6 +190,26 @@ def system_settings(system: System, recording: SystemRecording) -> Settings:
     sections = any(system.signs)
     spacing = choose_spacing(recording.time, position, candidates=candidates, sections=sections)
     return Settings(Preparation(AveragedSplines(spacing, sections)))
+
+
+def _correction(
+    system: System,
+    training: SystemRecording,
+    patterns: Patterns,
+    settings: Settings,
+    fit: Identification,
+    noise: Mapping[str, float] | Literal["estimated"],
+) -> tuple[NoiseCorrection | None, tuple[str, ...]]:
+    """The correction for noise, if there is any and the equations allow it, and warnings."""
+    levels = measurement_noise(system, training) if noise == "estimated" else noise
+    check_noise(system, levels)
+    if not any(levels.values()):
+        return None, ()
+    try:
+        correction = correct_for_noise(system, training, patterns, settings, fit, levels)
+    except EquationsUndefined as error:
+        return None, (f"{error}; no bias is taken off",)
+    return correction, correction.warnings
 
 
 def _simulation(

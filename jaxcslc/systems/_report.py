@@ -30,6 +30,7 @@ from ..identification.report import (
 from ..motion import Patterns
 from ._constants import ConstantEstimate
 from ._network import SystemNetwork
+from ._noise_correction import NoiseCorrection
 from ._search_result import ConstantSearch
 from ._simulation import Simulation
 from ._system import System
@@ -54,6 +55,7 @@ class SystemReport:
       a validation recording by cross-validation.
     - `warnings`: one sentence each.
     - `search`: of the constants that enter nonlinearly; None without any.
+    - `correction`: of the bias of measurement noise, already in `fit`; None without any.
     - `constants`: that follow from the coefficients, see `constants_from`.
     - `simulation`: of the identified system from the first sample of the validation recording, or
       why it cannot be simulated; None without a validation recording.
@@ -83,6 +85,7 @@ class SystemReport:
     search: ConstantSearch | None = None
     simulation: Simulation | str | None = None
     constants: tuple[ConstantEstimate, ...] = ()
+    correction: NoiseCorrection | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -141,6 +144,7 @@ class SystemReport:
             *separation.notes,
         ]
         yield determination_lines(self.fit, self.network.size, self.excitation)
+        yield [] if self.correction is None else str(self.correction).splitlines()
         for name, table in self.errors.items():
             yield [f"equation error, {name} recording", str(table)]
         yield held_out_lines(self.held_out, "equation by equation")
@@ -222,6 +226,7 @@ def _document(report: SystemReport) -> dict[str, Any]:
         "searched": {constant.name: value for constant, value in nonlinear},
         "minima": _minima(report.search),
         "simulation": _simulation_document(report.simulation),
+        "noise": _correction_document(report.correction),
         "constants": {
             row.name: {"value": row.value, "standard_error": row.standard_error}
             for row in report.constants
@@ -238,6 +243,18 @@ def _document(report: SystemReport) -> dict[str, Any]:
         "equation_error_rms": {name: table.rms[0] for name, table in errors.items()},
         "share_judged": {name: table.share_judged for name, table in errors.items()},
         "warnings": report.warnings,
+    }
+
+
+def _correction_document(correction: NoiseCorrection | None) -> dict[str, Any] | None:
+    if correction is None:
+        return None
+    return {
+        "deviation": dict(correction.noise),
+        "bias": correction.bias.tolist(),
+        "equation_error_ratio": correction.ratio.tolist(),
+        "explained": correction.explained,
+        "draws": correction.draws,
     }
 
 

@@ -102,7 +102,7 @@ def test_files_round_trip(locked: jc.Identification, tmp_path: Path) -> None:
         ({"covariance": "much"}, "covariance: expected numbers"),
         ({"names": 3}, "names: expected a list of names"),
         ({"version": 99}, "version is 99; expected 1"),
-        ({"errors": "none"}, "errors: expected 'independent' or 'correlated'"),
+        ({"errors": "none"}, "errors: expected 'independent', 'correlated' or 'simulated'"),
         ({"result": "fine"}, "result: expected one of successful"),
     ],
 )

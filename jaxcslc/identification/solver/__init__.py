@@ -34,3 +34,7 @@ from ._standard_errors import (
     Errors as Errors,
     effective_counts as effective_counts,
 )
+from ._weighted_equations import (
+    WeightedEquations as WeightedEquations,
+    changes_of as changes_of,
+)

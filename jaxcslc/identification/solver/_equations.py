@@ -1,4 +1,4 @@
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -62,6 +62,18 @@ class Equations(eqx.Module):
         kept = ([*(i not in indices for i in support), True] for support in self.unknowns.support)
         rows = (rows * np.array(factor) for rows, factor in zip(self.rows, kept, strict=True))
         return Equations(self.unknowns, tuple(rows), self.sample)
+
+    def times(self, roots: Sequence[Float[np.ndarray, " _"]]) -> "Equations":
+        """The same multiplied by factors, for each joint one an equation."""
+        rows = (rows * root[:, None] for rows, root in zip(self.rows, roots, strict=True))
+        return Equations(self.unknowns, tuple(rows), self.sample)
+
+    def errors(self, k: Float[np.ndarray, " unknowns"]) -> list[np.ndarray]:
+        """For each joint, what `k` leaves of its equations."""
+        return [
+            rows[:, -1] - rows[:, :-1] @ k[list(support)]
+            for support, rows in zip(self.unknowns.support, self.rows, strict=True)
+        ]
 
     def instants(self) -> tuple[Int[np.ndarray, " instants"], list[Int[np.ndarray, " _"]]]:
         """The samples of all equations in ascending order, and for each joint which of them its

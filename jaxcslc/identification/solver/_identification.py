@@ -85,7 +85,8 @@ class Identification(eqx.Module):
     - `determined`: (p,) whether the patterns determine the coefficient by itself.
     - `result`: a member of `RESULTS`.
     - `names`: of the coefficients.
-    - `errors`: `"independent"` or `"correlated"`, what was allowed for; see `LeastSquares`.
+    - `errors`: `"independent"` or `"correlated"`, what was allowed for; see `LeastSquares`. Or
+      `"simulated"`: errors that simulated measurement noise made; see `jaxcslc.systems`.
 
     >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
     >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
@@ -280,8 +281,8 @@ def _arrays_from(document: Mapping[str, Any], where: str) -> dict[str, Any]:
     names = document["names"]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{where}: names: expected a list of names")
-    if document["errors"] not in ("independent", "correlated"):
-        raise ValueError(f"{where}: errors: expected 'independent' or 'correlated'")
+    if document["errors"] not in ("independent", "correlated", "simulated"):
+        raise ValueError(f"{where}: errors: expected 'independent', 'correlated' or 'simulated'")
     if document["result"] not in _RESULTS:
         raise ValueError(f"{where}: result: expected one of {', '.join(_RESULTS)}")
     equations = document["equations"]

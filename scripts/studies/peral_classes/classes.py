@@ -17,9 +17,13 @@ from jaxcslc.adaptive import (
     RadialBasis,
     fully_connected,
     inverse_dynamics,
+    linear_combiner,
 )
 from jaxcslc.manipulator import LinkParameters
+from jaxcslc.systems import system_patterns
 from jaxcslc.training import Examples, examples
+from scripts.studies.systems.example import Example, recording_of
+from scripts.studies.systems.examples import LORENZ, VEHICLE
 
 
 Drawn = tuple[Any, np.ndarray, np.ndarray | None]
@@ -159,6 +163,22 @@ def random_motion(rng: np.random.Generator, network: AdaptiveNetwork, count: int
     return motion, np.asarray(network.outputs(k, motion)), np.asarray(k)
 
 
+def simulated_motion(example: Example) -> Draw:
+    """Samples of a recording of a system without noise, and the system's true constants."""
+
+    def draw(rng: np.random.Generator, network: AdaptiveNetwork, count: int) -> Drawn:
+        (columns,) = example.simulate([int(rng.integers(1 << 30))], True)
+        patterns = system_patterns(
+            example.system, recording_of(columns), example.settings.preparation
+        )
+        some = rng.choice(patterns.samples, count, replace=False)
+        motion = tuple(np.asarray(x)[some] for x in (patterns.q, patterns.qd, patterns.qdd))
+        k = example.coefficients
+        return motion, np.asarray(network.outputs(jnp.asarray(k), motion)), k
+
+    return draw
+
+
 def _body(rng: np.random.Generator, mass: float) -> LinkParameters:
     """Eight point masses and a motor."""
     masses = rng.dirichlet(np.ones(8)) * mass
@@ -208,6 +228,14 @@ CLASSES: dict[str, NetworkClass] = {
         NetworkClass("CSLC, 3 joints", lambda: arm(elbow()), random_motion, 200, 0.1),
         NetworkClass("CSLC, 6 joints", lambda: arm(jc.puma560()), random_motion, 200, 0.1),
         NetworkClass("CSLC, 7 joints", lambda: arm(jc.panda()), random_motion, 300, 0.1),
+        *(
+            NetworkClass(
+                f"system, {example.name}",
+                lambda example=example: linear_combiner(example.system.network),
+                simulated_motion(example), 200, 0.1,
+            )
+            for example in (LORENZ, VEHICLE)
+        ),
     )
 }  # fmt: skip
 

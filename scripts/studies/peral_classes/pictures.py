@@ -18,10 +18,22 @@ from scripts.studies.peral_classes.tables import MIDDLE, Results
 MARKERS = "os^Dv"
 
 
+def pictures(results: Results) -> dict[str, Figure]:
+    """By name of its file, each picture that there are results for: hard limiters have no slope,
+    and PERAL does not train every class."""
+    figures: dict[str, Figure] = {}
+    if results.compared:
+        figures["switch.png"] = switch_picture(results)
+    if results.trained:
+        figures["time.png"] = time_picture(results)
+    return figures
+
+
 def switch_picture(results: Results) -> Figure:
     """Time to a goal by the epoch of the switch to PERAL, over that of backpropagation alone.
 
-    A panel for each class, a line for each noise; a line ends where most seeds no longer arrive.
+    A panel for each class that PERAL trains, one at least; a line for each noise, which ends where
+    most seeds no longer arrive.
     """
     names = list(dict.fromkeys(name for name, _ in results.compared))
     noises = list(dict.fromkeys(noise for _, noise in results.compared))
@@ -59,14 +71,22 @@ def switch_picture(results: Results) -> Figure:
         axes.set_xlabel("switch after [epochs] (1: at once)")
     for axes in panels[::columns]:
         axes.set_ylabel("time / without a switch")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    # Not every class has results for every noise.
+    lines = {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        list(lines.values()), list(lines), loc="outside lower center", ncols=len(lines),
+        frameon=False,
+    )  # fmt: skip
     figure.suptitle(f"Backpropagation, then PERAL: time to an excess error of {GOALS[MIDDLE]:.0%}")
     return figure
 
 
 def time_picture(results: Results) -> Figure:
-    """Time to a goal by class and method, at the middle noise."""
+    """Time to a goal by method and class, of classes that are trained, at the middle noise."""
     noises = list(dict.fromkeys(noise for _, noise in results.trained))
     noise = noises[len(noises) // 2]
     cases = [case for case in results.trained if case[1] == noise]

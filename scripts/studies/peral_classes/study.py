@@ -1,8 +1,9 @@
 """PERAL on classes of network, and when to switch to it (thesis 8.2.2).
 
 Classes: linear combiners, a hard limiter, sigmoids in one and two layers, radial basis functions,
-and the CSLCs of arms of 2, 3, 6 and 7 joints. Each learns random patterns, with noise on its
-targets of so many parts of their standard deviation. Every seed has other patterns, another truth
+the CSLCs of arms of 2, 3, 6 and 7 joints, and two systems that are no manipulators. Each learns
+random patterns (systems: samples of their motion), with noise on its targets of so many parts of
+their standard deviation. Every seed has other patterns, another truth (systems: the true constants)
 and another start.
 
 - **Rules.** Backpropagation from random weights; from many of its epochs on, PERAL. Both start with
@@ -35,7 +36,7 @@ from jaxcslc.plotting import save_picture
 from jaxcslc.training import SwitchWhen
 from scripts.studies import command
 from scripts.studies.peral_classes.classes import CLASSES, problem
-from scripts.studies.peral_classes.pictures import switch_picture, time_picture
+from scripts.studies.peral_classes.pictures import pictures
 from scripts.studies.peral_classes.results import (
     alternative_row,
     guided_row,
@@ -117,11 +118,15 @@ def study(options: argparse.Namespace) -> int:
     results = Results(rows)
     print(report(results, options.seeds))
     with all_or_nothing(options.output) as folder:
-        write_csv(folder / "methods.csv", results.methods())
-        write_csv(folder / "indicator.csv", results.indicator())
-        save_picture(switch_picture(results), folder / "switch.png")
-        save_picture(time_picture(results), folder / "time.png")
-    print(f"wrote tables and pictures into {options.output}")
+        for name, lines in (
+            ("methods.csv", results.methods()),
+            ("indicator.csv", results.indicator()),
+        ):
+            if lines:
+                write_csv(folder / name, lines)
+        for name, figure in pictures(results).items():
+            save_picture(figure, folder / name)
+    print(f"results are in {options.output}")
     return 0
 
 

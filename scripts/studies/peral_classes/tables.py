@@ -234,11 +234,14 @@ def refusals(results: Results) -> str:
 def report(results: Results, seeds: int) -> str:
     """Everything that the study prints."""
     goal = f"{GOALS[MIDDLE]:.0%}"
-    parts = [
-        f"Milliseconds to an excess error of {goal}, medians of {seeds} seeds (seeds that arrive)\n"
-        + method_table(results, MIDDLE),
-        f"Epochs or steps to an excess error of {goal}, medians\n" + epoch_table(results, MIDDLE),
-    ]
+    parts: list[str] = []
+    if results.trained:
+        parts += [
+            f"Milliseconds to an excess error of {goal}, medians of {seeds} seeds (seeds that"
+            " arrive)\n" + method_table(results, MIDDLE),
+            f"Epochs or steps to an excess error of {goal}, medians\n"
+            + epoch_table(results, MIDDLE),
+        ]
     if results.compared:
         parts.append(
             "Time over that of the best switch in hindsight, medians, by excess error\n"

@@ -7,9 +7,13 @@ identified, and the identified system is simulated from the first sample of a va
 with its inputs. A line a system:
 
 - **within 2 errors**: of all coefficients of all recordings, those that are within two standard
-  errors of the truth; **in interval**: those within the interval of 95 % by Student's t;
-- **worst coefficient**: the smallest share of a single one; **bias**: the largest mean error of a
-  coefficient in its standard deviations;
+  errors of the truth, corrected for noise as `identify_system` does; **least squares**: without
+  that; **in interval**: those within the interval of 95 % by Student's t;
+- **least coefficient**: the smallest share of a single one; **bias**: the largest mean of a
+  coefficient's error over its standard error, with and without correction;
+- **square error**: mean square error of a coefficient over that of least squares, mean over
+  coefficients (and largest); **explained**: recordings of which noise explains the errors of the
+  equations;
 - **equation error**: root mean square on validation recordings over that of training recordings,
   the largest of all equations (median over recordings);
 - **simulation error**: root mean square over the variable's standard deviation, the largest of all
@@ -31,7 +35,12 @@ import numpy as np
 from jaxcslc.identification import Identification
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from jaxcslc.motion import Patterns
-from jaxcslc.systems import SystemRecording, simulate_system, system_patterns
+from jaxcslc.systems import (
+    SystemRecording,
+    correct_for_noise,
+    simulate_system,
+    system_patterns,
+)
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.systems.example import Example
@@ -52,7 +61,7 @@ EXAMPLES = {
     for example in (CART_POLE, QUADROTOR, DC_MOTOR, VEHICLE, COUPLED_TANKS, LORENZ)
 }
 _FOLDER = Path(__file__).parent
-_SECONDS = 0.6  # of a recording, with its part of simulations
+_SECONDS = 2.0  # of a recording, with its part of simulations
 # What rows depend on.
 CODE = [*sorted(_FOLDER.glob("*.py")), *sorted((_FOLDER / "examples").glob("*.*"))]
 
@@ -63,19 +72,30 @@ def row_of(
     """Identifies a recording; simulates if there is one to compare with."""
     settings, system = example.settings, example.system
     patterns = system_patterns(system, training, settings.preparation)
-    fit = settings.solver.fit(system.network, patterns)
-    low, high = fit.confidence_interval(0.95).T
-    error = np.asarray(fit.k) - example.coefficients
+    plain = settings.solver.fit(system.network, patterns)
+    # Other draws for each recording: their chance would be the same in all.
+    correction = correct_for_noise(system, training, patterns, settings, plain, seed=seed)
+    fit = correction.fit
     row = {
         "example": example.name,
         "seed": seed,
-        "k": np.asarray(fit.k).tolist(),
-        "z": (error / np.asarray(fit.standard_error)).tolist(),
-        "in_interval": ((low <= example.coefficients) & (example.coefficients <= high)).tolist(),
+        "explained": correction.explained,
+        **{name: judged(example, some) for name, some in (("plain", plain), ("corrected", fit))},
     }
     if validation is not None:
         row |= simulation_row(example, fit, patterns, validation)
     return row
+
+
+def judged(example: Example, fit: Identification) -> dict[str, Any]:
+    """Coefficients, and where the truth is among their errors."""
+    low, high = fit.confidence_interval(0.95).T
+    truth, k = example.coefficients, np.asarray(fit.k)
+    return {
+        "k": k.tolist(),
+        "z": ((k - truth) / np.asarray(fit.standard_error)).tolist(),
+        "in_interval": ((low <= truth) & (truth <= high)).tolist(),
+    }
 
 
 def simulation_row(
@@ -128,26 +148,37 @@ def compute(options: argparse.Namespace, rows: Rows) -> None:
             rows.add(row_of(example, seed, recording, validation.get(seed)))
 
 
+def table(rows: Sequence[dict[str, Any]], way: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients, errors over standard errors, and whether the truth is in the interval.
+
+    - `way`: `"plain"` or `"corrected"`.
+    """
+    columns = (np.array([row[way][name] for row in rows]) for name in ("k", "z", "in_interval"))
+    k, z, inside = columns
+    return k, z, inside
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     """The line of one example."""
-    z = np.array([row["z"] for row in rows])
+    example = EXAMPLES[rows[0]["example"]]
+    names, truth = example.system.network.names, example.coefficients
+    k, z, inside = table(rows, "corrected")
+    plain_k, plain_z, _ = table(rows, "plain")
     within = np.abs(z) <= 2.0
-    held = np.array([row["in_interval"] for row in rows])
-    k = np.array([row["k"] for row in rows])
-    truth = EXAMPLES[rows[0]["example"]].coefficients
-    spread = np.std(k, axis=0, ddof=1) if len(k) > 1 else np.full(k.shape[1], np.nan)
-    bias = (np.mean(k, axis=0) - truth) / spread
-    worst = int(np.argmax(np.abs(bias)))
-    names = EXAMPLES[rows[0]["example"]].system.network.names
+    least = int(np.argmin(np.mean(within, axis=0)))
+    squares = np.mean((k - truth) ** 2, axis=0) / np.mean((plain_k - truth) ** 2, axis=0)
     simulated = [row for row in rows if "duration" in row]
     middle = lambda name: float(np.median([row[name] for row in simulated]))
     return [
-        rows[0]["example"],
+        example.name,
         f"{len(rows)} x {z.shape[1]}",
         f"{100 * np.mean(within):.1f} %",
-        f"{100 * np.mean(held):.1f} %",
-        f"{100 * np.min(np.mean(within, axis=0)):.1f} %",
-        f"{bias[worst]:.2f} ({names[worst]})",
+        f"{100 * np.mean(np.abs(plain_z) <= 2.0):.1f} %",
+        f"{100 * np.mean(inside):.1f} %",
+        f"{100 * np.mean(within[:, least]):.1f} % ({names[least]})",
+        f"{largest_mean(z):.2f} / {largest_mean(plain_z):.2f}",
+        f"{np.mean(squares):.2f} ({np.max(squares):.2f})",
+        f"{100 * np.mean([row['explained'] for row in rows]):.0f} %",
         *(
             [
                 f"{middle('equation_ratio'):.2f}",
@@ -161,22 +192,32 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
+def largest_mean(z: np.ndarray) -> float:
+    """Of errors over standard errors, the largest modulus of a coefficient's mean."""
+    return float(np.max(np.abs(np.mean(z, axis=0))))
+
+
 def coefficient_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """A row for each coefficient of one example."""
     example = EXAMPLES[rows[0]["example"]]
-    z = np.array([row["z"] for row in rows])
-    k = np.array([row["k"] for row in rows])
+    (k, z, inside), (plain_k, plain_z, _) = table(rows, "corrected"), table(rows, "plain")
+    truth = example.coefficients
+    squares = np.mean((k - truth) ** 2, axis=0) / np.mean((plain_k - truth) ** 2, axis=0)
     return [
         {
             "example": example.name,
             "coefficient": coefficient.name,
             "expression": coefficient.expression,
             "unit": coefficient.unit,
-            "true value": example.coefficients[i],
+            "true value": truth[i],
             "mean": np.mean(k[:, i]),
             "standard deviation": np.std(k[:, i], ddof=1) if len(k) > 1 else np.nan,
             "within two standard errors": np.mean(np.abs(z[:, i]) <= 2.0),
+            "least squares, within two": np.mean(np.abs(plain_z[:, i]) <= 2.0),
+            "in interval": np.mean(inside[:, i]),
             "mean error / standard error": np.mean(z[:, i]),
+            "least squares, mean": np.mean(plain_z[:, i]),
+            "square error / least squares": squares[i],
         }
         for i, coefficient in enumerate(example.system.network.coefficients)
     ]
@@ -191,8 +232,9 @@ def study(options: argparse.Namespace) -> int:
         [rows[name, seed] for seed in range(options.recordings)] for name in options.examples
     ]
     header = [
-        *("system", "recordings x coefficients", "within 2 errors", "in interval"),
-        *("worst coefficient", "bias", "equation error, validation / training"),
+        *("system", "recordings x coefficients", "within 2 errors", "least squares"),
+        *("in interval", "least coefficient", "bias, corrected / least squares"),
+        *("square error", "explained", "equation error, validation / training"),
         *("simulation error, identified / true", "follows for [s], identified / true"),
     ]
     print(text_table(header, [summary(group) for group in by_example], left=("system",)))

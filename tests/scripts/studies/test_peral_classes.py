@@ -1,5 +1,6 @@
 """The study of classes: its problems, methods and bookkeeping, each against something simple."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from jaxcslc.adaptive import fully_connected
 from jaxcslc.training import Backpropagation
 from scripts.studies.peral_classes import alternatives, classes, results, study, switches, tables
-from scripts.studies.peral_classes.pictures import switch_picture, time_picture
+from scripts.studies.peral_classes.pictures import pictures
 from scripts.studies.peral_classes.spectra import eigenvalues
 
 
@@ -179,9 +180,25 @@ def test_tables_and_pictures() -> None:
     methods = {row["method"] for row in of_study.methods()}
     assert methods == {"backpropagation", "PERAL", "best switch", "indicator", "Adam"}
     assert "1.88" in tables.tuning_table(rows) or "1.07" in tables.tuning_table(rows)
-    for figure in (switch_picture(of_study), time_picture(of_study)):
+    drawn = pictures(of_study)
+    assert set(drawn) == {"switch.png", "time.png"}
+    for figure in drawn.values():
         assert isinstance(figure, Figure)
         assert all(axes.get_title() for axes in figure.axes if axes.get_visible())
+
+
+def test_pictures_are_of_what_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A hard limiter alone, which PERAL does not train; and a class of which only times are."""
+    arguments = ["--classes", "hard limiter", "--seeds", "1", "--epochs", "20", "-o", str(tmp_path)]
+    assert study.main([*arguments, "--noise", "0"]) == 0
+    assert "Not trained by PERAL" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == {"rows.jsonl"}
+    rows = rows_of("sigmoid, two layers", 0.0)
+    without_peral = [
+        {**rows[0], "refused": "no inverse"},
+        *rows[2:],
+    ]
+    assert set(pictures(tables.Results(without_peral))) == {"time.png"}
 
 
 def test_never_comes_last_and_nothing_is_left_out() -> None:

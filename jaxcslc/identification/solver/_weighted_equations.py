@@ -1,0 +1,97 @@
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..._rank import rank_tolerance
+from ._equations import Equations
+from ._least_squares import LeastSquares
+from ._losses import Loss, robust_scale, weight
+from ._minimum import Solution, minimum, residual_weights
+
+
+@dataclasses.dataclass(frozen=True)
+class WeightedEquations:
+    """The equations of a fit with the weights that it ended with: what errors of it are linear in.
+
+    **Attributes**
+
+    - `equations`: as of `LeastSquares.equations`.
+    - `weights`: of joints, (n,).
+    - `roots`: for each joint, the roots of its equations' weights under a robust loss.
+    - `rcond`: of `LeastSquares`.
+    """
+
+    equations: Equations
+    weights: Float[np.ndarray, " joints"]
+    roots: tuple[Float[np.ndarray, " _"], ...]
+    rcond: float | None
+
+    @classmethod
+    def of(
+        cls, equations: Equations, k: Float[np.ndarray, " unknowns"], solver: LeastSquares
+    ) -> "WeightedEquations":
+        """Of equations that were fitted by `k`."""
+        errors = equations.errors(k)
+        roots = tuple(_robust_roots(error, solver.loss) for error in errors)
+        counts = np.array([float(len(error)) for error in errors])
+        if solver.joint_weights == "residual":
+            squares = [np.sum((r * e) ** 2) for r, e in zip(roots, errors, strict=True)]
+            weights = residual_weights(np.sqrt(squares / np.maximum(counts, 1.0)), counts)
+        elif isinstance(solver.joint_weights, str):
+            weights = np.ones(len(errors))
+        else:
+            weights = np.asarray(solver.joint_weights, float)
+        return cls(equations, np.asarray(weights), roots, solver.rcond)
+
+    def solution(self, equations: Equations) -> Solution:
+        """The minimum of other equations of the same pairs, with the same weights."""
+        factors = equations.times(self.roots).factors()
+        return minimum(equations.unknowns, factors, self.weights, self.rcond)
+
+    def stacked(self, equations: Equations) -> Float[np.ndarray, "rows columns"]:
+        """Triangles of other equations of the same pairs, weighted, in the columns of all
+        unknowns and the torque."""
+        factors = equations.times(self.roots).factors()
+        return np.asarray(factors.stacked(equations.unknowns, self.weights))
+
+    def shifts(
+        self, torques: Sequence[Float[np.ndarray, "_ changes"]]
+    ) -> Float[np.ndarray, "unknowns changes"]:
+        """What the unknowns are changed by when changes are added to the torques.
+
+        - `torques`: for each joint (equations, changes).
+        """
+        unknowns = self.equations.unknowns
+        scores = np.zeros((unknowns.size, torques[0].shape[1]))
+        for support, rows, size, root, columns in zip(
+            unknowns.support, self.equations.rows, self.weights, self.roots, torques, strict=True
+        ):
+            square = (size * root) ** 2
+            scores[list(support)] += (square[:, None] * rows[:, :-1]).T @ columns
+        return np.asarray(self.solution(self.equations).inverse_gram) @ scores
+
+
+def changes_of(
+    stacked: Float[np.ndarray, "rows columns"], size: int
+) -> Float[np.ndarray, "unknowns further"]:
+    """What a unit of each further unknown changes the first unknowns by, if it is left out.
+
+    - `stacked`: the columns of the unknowns, of the further ones, and the torque.
+    """
+    columns, further = stacked[:, :size], stacked[:, size:-1]
+    length = np.linalg.norm(columns, axis=0)
+    length = np.where(length > 0.0, length, 1.0)
+    tolerance = rank_tolerance(size, np.float64(len(stacked)))
+    return np.linalg.lstsq(columns / length, further, rcond=tolerance)[0] / length[:, None]
+
+
+def _robust_roots(error: Float[np.ndarray, " equations"], loss: Loss) -> Float[np.ndarray, " _"]:
+    """The roots of the weights that a joint's equations have in a fit that leaves these errors."""
+    if loss == "squared" or not error.size:
+        return np.ones(len(error))
+    column = jnp.asarray(error)[:, None]
+    scale = float(robust_scale(column, jnp.ones_like(column))[0])
+    return np.sqrt(np.asarray(weight(loss, column[:, 0] / (scale or 1.0))))
