@@ -1,6 +1,7 @@
 import abc
 import dataclasses
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
@@ -97,6 +98,13 @@ class Column:
     tones: Mapping[str, Tone] = dataclasses.field(default_factory=dict)
     wide: bool = False
     longest: int = 140
+
+    @property
+    def heading(self) -> str:
+        """The title; units are not broken over lines."""
+        return re.sub(
+            r"\[[^\]]*\]", lambda unit: unit[0].replace(" ", "\N{NO-BREAK SPACE}"), self.title
+        )
 
     def text(self, value: Value) -> str:
         """A value as it is shown."""

@@ -101,7 +101,7 @@ def test_page_has_the_numbers_of_the_report(
     page = Tables(text)
     document = json.loads((saved / "a" / "identification.json").read_text("utf-8"))
     for row in report.rows():
-        (shown,) = page.rows_of(str(row["name"]))
+        (shown,) = (cells for cells in page.rows_of(str(row["name"])) if len(cells) == 8)
         assert [float(entry) for entry in shown[1:4]] == [row["value"], row["low"], row["high"]]
         assert shown[4:6] == [row["unit"], row["verdict"]]
     for joint, name in enumerate((FIRST, SECOND)):
@@ -205,7 +205,7 @@ def test_comparison_is_in_standard_errors_of_both(
     np.testing.assert_allclose(
         [row["standard_errors"] for row in comparison.rows], difference / scale
     )
-    assert "kv2" in str(comparison).splitlines()[2]
+    assert "kv2" in str(comparison).splitlines()[2] and "differ by more" in str(comparison)
     assert compare_reports(saved / "a", saved / "a").page().tone == "good"
     comparison.save(saved / "comparison.html")
     page = Tables((saved / "comparison.html").read_text("utf-8"))

@@ -27,6 +27,8 @@ from ._output import text_table
 
 # Standard errors beyond which a difference is listed as one.
 _NOTABLE = 2.0
+# How many comparisons of equal arms are said to differ.
+_CHANCE = 0.01
 # Rows of the printed table.
 _PRINTED = 15
 _SAMPLES = {"judged": "samples that masks leave in", "all": "all samples"}
@@ -237,33 +239,38 @@ def _row(
 def _verdict(comparison: ReportComparison) -> tuple[Tone, str, tuple[Message, ...]]:
     sizes = [abs(r["standard_errors"]) for r in comparison.rows if r["standard_errors"] is not None]
     notable = sum(size > _NOTABLE for size in sizes)
-    chance = 2.0 * float(scipy.special.ndtr(-_NOTABLE))
-    # As many as one comparison in a hundred of equal arms has, if coefficients' errors were
-    # independent.
-    limit = float(scipy.stats.binom.isf(0.01, len(sizes), chance)) if sizes else 0.0
+    # Standard errors that follow from few independent residuals are uncertain themselves.
+    freedom = min(float(r.fit.degrees_of_freedom) for r in (comparison.first, comparison.second))
+    freedom, count = max(freedom, 1.0), max(len(sizes), 1)
+    chance = 2.0 * float(scipy.special.stdtr(freedom, -_NOTABLE))
+    # What one comparison in a hundred of equal arms exceeds, if coefficients' errors were
+    # independent: how many differ, and by how much the most different does.
+    most = float(scipy.stats.binom.isf(_CHANCE, count, chance))
+    largest = float(scipy.special.stdtrit(freedom, 1.0 - 0.5 * _CHANCE / count))
     messages = [
         Message(
             f"{notable} of {len(sizes)} coefficients differ by more than {_NOTABLE:g} standard"
             f" errors; {chance * len(sizes):.2g} would by chance.",
-            "caution" if notable > limit else "good",
+            "caution" if notable > most else "good",
         )
     ]
     worst = max(comparison.rows, key=_size)
+    agree = bool(sizes) and notable <= most and _size(worst) <= largest
     if _size(worst) > _NOTABLE:
         messages.append(
             Message(
                 f"Most different: {worst['name']}, by {worst['standard_errors']:.3g} standard"
-                " errors.",
-                "plain",
+                f" errors; of {len(sizes)}, chance rarely brings about more than {largest:.3g}.",
+                "caution" if _size(worst) > largest else "plain",
             )
         )
     apart = sum(bool(row["note"]) for row in comparison.rows)
     if apart:
-        messages.append(Message(f"{apart} coefficients cannot be compared.", "caution"))
+        things = "coefficient" if apart == 1 else "coefficients"
+        messages.append(Message(f"{apart} {things} cannot be compared.", "caution"))
     robots = comparison.first.robot, comparison.second.robot
     if robots[0] != robots[1]:
         messages.append(Message(f"Of different robots: {robots[0]} and {robots[1]}.", "caution"))
-    agree = notable <= limit and bool(sizes)
     headline = (
         "The coefficients agree within their uncertainty."
         if agree

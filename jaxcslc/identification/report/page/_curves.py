@@ -6,20 +6,21 @@ from jaxtyping import Float
 from ....motion import Patterns
 from ....network import CSLC
 from ....page import envelope, intervals, plain
+from .._errors import predicted_torque, torque_errors
 
 
-# Points of a curve, and of a cloud of points.
-_MOST_POINTS = 5000
-_MOST_DOTS = 1500
+# Points of all curves of a page, which keep it below 8 MB; of a curve; of all clouds, of a cloud.
+_ALL_POINTS, _MOST_POINTS, _LEAST_POINTS = 150_000, 5000, 200
+_ALL_DOTS, _MOST_DOTS = 30_000, 1500
 
 
 def torque_curves(
-    patterns: Patterns, predicted: Float[np.ndarray, "samples joints"]
+    patterns: Patterns, predicted: Float[np.ndarray, "samples joints"], recordings: int = 1
 ) -> list[dict[str, Any]]:
     """For each joint its measured and predicted torque and their difference over time.
 
-    Long recordings are thinned to the extremes of stretches. A gap longer than ten sampling
-    intervals breaks the curves.
+    Long recordings are thinned to the extremes of stretches, the more the more joints and
+    `recordings` a page has. A gap longer than ten sampling intervals breaks the curves.
 
     **Returns** by name `measured`, `predicted` and `residual`, each x and y; and `masked`, the
     stretches of time that were not fitted; and `residual_range` over those that were.
@@ -27,7 +28,9 @@ def torque_curves(
     time, torque = np.asarray(patterns.time, float), np.asarray(patterns.torque, float)
     mask = np.asarray(patterns.mask)
     steps = np.diff(time)
-    breaks = np.flatnonzero(steps > 10 * np.median(steps)) + 1 if len(steps) else []
+    breaks = np.flatnonzero(steps > 10 * np.median(steps)) + 1 if len(steps) else np.zeros(0, int)
+    most = _ALL_POINTS // (3 * recordings * torque.shape[1])
+    most = min(max(most, _LEAST_POINTS), _MOST_POINTS)
     clock = np.insert(time, breaks, np.nan)
     filled = np.where(np.isnan(clock), np.insert(time, breaks, time[breaks]), clock)
     curves: list[dict[str, Any]] = []
@@ -39,7 +42,7 @@ def torque_curves(
         }
         curves.append(
             {
-                name: _line(filled, np.insert(values, breaks, np.nan))
+                name: _line(filled, np.insert(values, breaks, np.nan), most)
                 for name, values in lines.items()
             }
             | {
@@ -64,18 +67,18 @@ def friction_points(
     friction = network.layout.friction
     if not friction.size:
         return []
-    motion = (np.asarray(patterns.q), np.asarray(patterns.qd), np.asarray(patterns.qdd))
+    speed, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
     of_friction = np.zeros_like(k)
     of_friction[friction] = k[friction]
-    model = np.asarray(network.torque(of_friction, *motion))
-    data = np.asarray(patterns.torque) - np.asarray(network.torque(k - of_friction, *motion))
-    mask = np.asarray(patterns.mask)
+    model = np.asarray(predicted_torque(network, patterns, of_friction))
+    data = np.asarray(torque_errors(network, patterns, k)) + model
     clouds: list[dict[str, Any]] = []
+    most = max(min(_ALL_DOTS // network.joint_count, _MOST_DOTS), 1)
     for joint in range(network.joint_count):
         samples = np.flatnonzero(mask[:, joint])
-        samples = samples[:: max(-(-len(samples) // _MOST_DOTS), 1)]
-        order = samples[np.argsort(motion[1][samples, joint], kind="stable")]
-        velocity = plain(motion[1][order, joint])
+        samples = samples[:: max(-(-len(samples) // most), 1)]
+        order = samples[np.argsort(speed[samples, joint], kind="stable")]
+        velocity = plain(speed[order, joint])
         clouds.append(
             {
                 "data": {"x": velocity, "y": plain(data[order, joint])},
@@ -93,6 +96,6 @@ def _range(values: np.ndarray) -> list[float] | None:
     return [low - 0.1 * (high - low), high + 0.1 * (high - low)]
 
 
-def _line(x: np.ndarray, y: np.ndarray) -> dict[str, list[float | None]]:
-    fewer_x, fewer_y = envelope(x, y, _MOST_POINTS)
+def _line(x: np.ndarray, y: np.ndarray, most: int) -> dict[str, list[float | None]]:
+    fewer_x, fewer_y = envelope(x, y, most)
     return {"x": plain(fewer_x, 8), "y": plain(fewer_y)}

@@ -94,7 +94,8 @@ def report_data(
     k = np.asarray(fit.k)
     joints = list(network.output_names)
     recordings = {
-        name: _recording(network, patterns, k) for name, patterns in report.patterns.items()
+        name: _recording(network, patterns, k, len(report.patterns))
+        for name, patterns in report.patterns.items()
     }
     data: dict[str, Any] = {
         "name": network.name,
@@ -143,7 +144,9 @@ def versions() -> dict[str, str]:
     return numbers
 
 
-def _recording(network: AbstractLinearNetwork, patterns: Patterns, k: np.ndarray) -> dict[str, Any]:
+def _recording(
+    network: AbstractLinearNetwork, patterns: Patterns, k: np.ndarray, count: int
+) -> dict[str, Any]:
     predicted = np.asarray(predicted_torque(network, patterns, k))
     time, q, qd = (np.asarray(values) for values in (patterns.time, patterns.q, patterns.qd))
     per_joint = isinstance(network, CSLC)  # of other systems, motion is of variables
@@ -156,7 +159,7 @@ def _recording(network: AbstractLinearNetwork, patterns: Patterns, k: np.ndarray
         "highest": np.max(q, axis=0).tolist() if per_joint else None,
         "top_speed": np.max(np.abs(qd), axis=0).tolist() if per_joint else None,
         "quality": fit_quality(patterns, predicted),
-        "curves": torque_curves(patterns, predicted),
+        "curves": torque_curves(patterns, predicted, count),
     }
 
 

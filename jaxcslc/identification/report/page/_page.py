@@ -25,6 +25,8 @@ from ._summary import VERDICT_TONES, summary
 
 # Trials that are shown before the others are asked for.
 _FIRST_TRIALS = 10
+# Coefficients whose correlations can be read from a picture.
+_MOST_LABELS = 120
 
 
 def report_page(data: Mapping[str, Any], *, charts: bool = True) -> Page:
@@ -223,7 +225,7 @@ def _excitation(data: Mapping[str, Any], *, charts: bool) -> Section:
     else:
         tables.append(Paragraph("No two coefficients are correlated by more than 0.9."))
     blocks.append(Grid(tuple(tables)))
-    if charts:
+    if charts and len(data["coefficients"]) <= _MOST_LABELS:
         labels = tuple(row["name"] for row in data["coefficients"])
         caption = "Correlations of the coefficients' errors"
         blocks.append(MatrixChart(labels, data["correlation"], caption))
