@@ -176,11 +176,32 @@ class SavitzkyGolay(AbstractSmoothing):
             raise ValueError(
                 f"{time.size} samples; expected {self.window} or more for a window of as many"
             )
-        from scipy.signal import savgol_filter  # takes a second to import
+        from scipy.ndimage import correlate1d  # takes a while to import
 
-        return savgol_filter(
-            signal, self.window, self.order, deriv=derivative, delta=interval, axis=0
-        )
+        half = self.window // 2
+        weights = _polynomial_weights(self.window, self.order, derivative) / interval**derivative
+        filtered = correlate1d(signal, weights[half], axis=0, mode="nearest")
+        filtered[:half] = weights[:half] @ signal[: self.window]
+        filtered[-half:] = weights[-half:] @ signal[-self.window :]
+        return filtered
+
+
+@lru_cache(maxsize=64)
+def _polynomial_weights(
+    window: int, order: int, derivative: int
+) -> Float[np.ndarray, "window window"]:
+    """What the samples of a window are multiplied by for a derivative of the polynomial that is
+    fitted to them, at each of them; the interval between samples is 1."""
+    from numpy.polynomial import legendre
+
+    half = window // 2
+    x = np.arange(-half, half + 1) / half
+    basis, transform = np.linalg.qr(legendre.legvander(x, order))
+    slopes = legendre.legder(np.eye(order + 1), derivative) / half**derivative
+    values = legendre.legvander(x, len(slopes) - 1) @ slopes
+    weights = values @ np.linalg.solve(transform, basis.T)
+    weights.setflags(write=False)
+    return weights
 
 
 def zero_phase(
