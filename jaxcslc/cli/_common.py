@@ -2,7 +2,7 @@ import contextlib
 import shlex
 import sys
 import tomllib
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -89,6 +89,19 @@ ColumnsOption = Annotated[
 def recording_of(path: Path, robot: Manipulator, columns: Path | None) -> Recording:
     """A recording of a robot, its joints in the robot's order."""
     return load_recording(path, joints=robot.joint_names, columns=columns)
+
+
+def recordings_of(
+    paths: Sequence[Path], robot: Manipulator, columns: Path | None
+) -> dict[str, Recording]:
+    """Recordings of a robot by the names of their files, or by their paths where names repeat."""
+    names = [path.name for path in paths]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in paths]
+    if repeated := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"{repeated[0]}: is given twice; expected different recordings")
+    read = (recording_of(path, robot, columns) for path in paths)
+    return dict(zip(names, read, strict=True))
 
 
 def names_in(text: str) -> list[str]:

@@ -23,6 +23,7 @@ from ._common import (
     one_line_errors,
     progress,
     recording_of,
+    recordings_of,
     robot_named,
     with_drives,
 )
@@ -31,7 +32,10 @@ from ._common import (
 def identify_command(
     context: typer.Context,
     robot: RobotOrSystemArgument,
-    train: Annotated[Path, typer.Argument(metavar="TRAIN", help="Recording to fit.")],
+    train: Annotated[
+        list[Path],
+        typer.Argument(metavar="TRAIN...", help="Recording to fit, or several of one robot."),
+    ],
     validate: Annotated[
         Path | None, typer.Option(help="Recording to judge the fit on; it is not fitted.")
     ] = None,
@@ -45,6 +49,12 @@ def identify_command(
     coupled: CoupledOption = None,
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
+    offsets: Annotated[
+        bool,
+        typer.Option(
+            "--offsets", help="Fit a constant torque of each joint in each recording along."
+        ),
+    ] = False,
     reidentify: Annotated[
         str | None,
         typer.Option(
@@ -62,7 +72,7 @@ def identify_command(
         typer.Option(help="Widen a robot's intervals by errors of smoothing and of missing terms."),
     ] = True,
 ) -> None:
-    """Identify a robot's coefficients from a recording of positions and torques.
+    """Identify a robot's coefficients from recordings of positions and torques.
 
     Or those of another system, from a recording with a column for each of its variables.
     """
@@ -80,7 +90,9 @@ def identify_command(
                 previous=previous,
                 columns=columns,
             )
-            text = _identify_system(robot, train, validate, output, settings, step)
+            if len(train) > 1 or offsets:
+                raise ValueError(f"several recordings are of robots; {robot} is another system")
+            text = _identify_system(robot, train[0], validate, output, settings, step)
             typer.echo(text)
             return
         if (reidentify is None) != (previous is None):
@@ -98,9 +110,10 @@ def identify_command(
         options = saved.settings if saved is not None else None
         report = identify(
             network,
-            recording_of(train, network.robot, columns),
+            recordings_of(train, network.robot, columns),
             None if validate is None else recording_of(validate, network.robot, columns),
             options if settings is None else load_settings(settings),
+            offsets=offsets,
             previous=None if saved is None else saved.fit,
             groups=None if reidentify is None else names_in(reidentify),
             systematic=systematic,

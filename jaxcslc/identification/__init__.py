@@ -64,6 +64,11 @@ from .selection import (
     Trial as Trial,
     choose_settings as choose_settings,
 )
+from .several import (
+    Agreement as Agreement,
+    SeveralFit as SeveralFit,
+    fit_recordings as fit_recordings,
+)
 from .solver import (
     RESULTS as RESULTS,
     Errors as Errors,

@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import equinox as eqx
@@ -33,7 +34,8 @@ class HeldOut:
       any.
     - `limit`: (n,) largest ratio of held-out to training error that noise explains, if the network
       models all else.
-    - `source`: of the held-out data, `"validation"` or `"cross-validation"`.
+    - `source`: of the held-out data, `"validation"`, `"cross-validation"` or, of several
+      recordings, each one left out of the fit in turn, `"left-out recording"`.
     - `units`: of each joint's torque; N m if omitted.
     - `names`: of the joints or equations; `"joint 1"` and so on if omitted.
 
@@ -50,7 +52,7 @@ lack a term
     training: Float[np.ndarray, " joints"]
     held_out: Float[np.ndarray, " joints"]
     limit: Float[np.ndarray, " joints"]
-    source: Literal["validation", "cross-validation"] = "validation"
+    source: Literal["validation", "cross-validation", "left-out recording"] = "validation"
     units: tuple[str, ...] | None = None
     names: tuple[str, ...] | None = None
 
@@ -200,6 +202,40 @@ def cross_validated_error(
     return dataclasses.replace(
         judged,
         source="cross-validation",
+        units=network.output_units,
+        names=network.output_names,
+    )
+
+
+def left_out_error(
+    network: AbstractLinearNetwork,
+    patterns: Mapping[str, Patterns],
+    fit: Identification,
+    without: Mapping[str, Float[np.ndarray, " coefficients"]],
+) -> HeldOut:
+    """How each of several recordings is predicted by the coefficients of the others.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `patterns`: by recording.
+    - `fit`: to all of them.
+    - `without`: by recording, the coefficients that were fitted without it.
+
+    **Returns** a `HeldOut`; its training error is that of the fit to everything.
+    """
+    training: list[np.ndarray] = []
+    held_out: list[np.ndarray] = []
+    for name, values in patterns.items():
+        regressor, torque = np.asarray(regressor_of(network, values)), np.asarray(values.torque)
+        training.append(torque - regressor @ np.asarray(fit.k))
+        held_out.append(torque - regressor @ without[name])
+    mask = np.concatenate([np.asarray(values.mask) for values in patterns.values()])
+    errors = np.concatenate(training), np.concatenate(held_out)
+    judged = _judged(errors[0], mask, errors[1], mask, int(fit.rank))
+    return dataclasses.replace(
+        judged,
+        source="left-out recording",
         units=network.output_units,
         names=network.output_names,
     )

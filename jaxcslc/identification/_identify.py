@@ -9,6 +9,7 @@ import numpy as np
 from ..motion import Patterns, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
+from ._identify_several import identify_several
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import systematic_error
@@ -19,10 +20,11 @@ from .solver import Identification, LeastSquares, Previous
 
 def identify(
     network: CSLC,
-    training: Recording,
+    training: Recording | Sequence[Recording] | Mapping[str, Recording],
     validation: Recording | None = None,
     settings: Settings | None = None,
     *,
+    offsets: bool = False,
     previous: Previous | None = None,
     groups: Sequence[str] | None = None,
     systematic: bool = True,
@@ -38,12 +40,15 @@ def identify(
     **Arguments**
 
     - `network`: n joints, p coefficients.
-    - `training`: the recording to fit.
+    - `training`: the recording to fit; or several, in a list or by name. Each is then prepared
+      according to its own sampling and weighted by its own noise, settings are chosen on the
+      longest, and the report tests whether they agree (`report.several.agreement`).
     - `validation`: a recording to judge the fit on; no coefficient depends on it.
     - `settings`: of preparation and fit; by default those that `choose_settings` finds for the
       training recording. A validation recording that was sampled in another way (a coarser
       encoder, another rate, irregular time stamps) then gets a smoothing of its own; with
       settings set here it gets a warning.
+    - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
     - `groups`: coefficients to re-identify, by group (`"viscous"`, `"dry"`, ...) or name.
@@ -73,6 +78,25 @@ def identify(
     if (previous is None) != (groups is None):
         raise ValueError("identify: got one of previous and groups; expected both or neither")
     step = progress or without_progress
+    if not isinstance(training, Recording):
+        by_name = _by_name(training)
+        if len(by_name) > 1:
+            if previous is not None:
+                raise ValueError("identify: previous is for one recording, got several")
+            return identify_several(
+                network,
+                by_name,
+                validation,
+                settings,
+                offsets=offsets,
+                adapted=_for_validation,
+                step=step,
+            )
+        (training,) = by_name.values()
+    if offsets:
+        raise ValueError(
+            "identify: offsets are of several recordings; for one use the friction term 'offset'"
+        )
     automatic_masks = settings is None or settings.preparation.threshold_fraction is None
     step("choosing settings")
     recordings = {"training": training}
@@ -151,6 +175,18 @@ def identify(
     )
 
 
+def _by_name(training: Sequence[Recording] | Mapping[str, Recording]) -> dict[str, Recording]:
+    """Recordings by name, or by number from 1."""
+    named = (
+        dict(training)
+        if isinstance(training, Mapping)
+        else {f"recording {i}": recording for i, recording in enumerate(training, start=1)}
+    )
+    if not named:
+        raise ValueError("identify: got no recording; expected one or more")
+    return named
+
+
 def _without_static_friction(
     by_recording: Mapping[str, Settings], joints: Sequence[int]
 ) -> dict[str, Settings]:
@@ -179,14 +215,23 @@ def _fitted_again(slopes: SlopeFit, patterns: Patterns, solver: LeastSquares) ->
 
 
 def _for_validation(
-    network: CSLC, settings: Settings, training: Recording, validation: Recording, *, choose: bool
+    network: CSLC,
+    settings: Settings,
+    training: Recording,
+    validation: Recording,
+    name: str = "validation recording",
+    *,
+    choose: bool,
 ) -> tuple[Settings, list[str]]:
-    """The settings to prepare the validation recording with, and warnings about them."""
+    """The settings to prepare another recording with, and warnings about them.
+
+    - `name`: what warnings call it.
+    """
     chosen_on = settings.chosen_on or Sampling.of(training)
     differences = settings.preparation.check(validation, chosen_on)
     if not differences:
         return settings, []
-    warning = f"validation recording: {'; '.join(differences)}"
+    warning = f"{name}: {'; '.join(differences)}"
     if not choose:
         return settings, [warning]
     candidates = Candidates.suited_to(validation, network).keeping(settings)

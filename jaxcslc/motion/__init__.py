@@ -22,7 +22,11 @@ from ._parallel_filter import (
     decimation_for as decimation_for,
     parallel_filter as parallel_filter,
 )
-from ._patterns import Patterns as Patterns, joints_left_out as joints_left_out
+from ._patterns import (
+    Patterns as Patterns,
+    joined_patterns as joined_patterns,
+    joints_left_out as joints_left_out,
+)
 from ._preparation import (
     DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,
     Preparation as Preparation,

@@ -1,3 +1,6 @@
+import dataclasses
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -70,6 +73,34 @@ class Patterns(eqx.Module):
         time = np.asarray(self.time)
         inside = (time >= start) & (time < end)
         return jax.tree_util.tree_map(lambda values: values[inside], self)
+
+
+def joined_patterns(parts: Sequence[Patterns]) -> Patterns:
+    """Patterns of several recordings, one after the other.
+
+    **Arguments**
+
+    - `parts`: of the same columns each.
+
+    **Returns**
+
+    The patterns; time goes on at the end of a part, after the part's mean interval.
+
+    >>> import numpy as np
+    >>> from jaxcslc.motion import Patterns, joined_patterns
+    >>> motion, pairs = np.ones((3, 1)), np.ones((3, 1), bool)
+    >>> part = Patterns(np.arange(3.0), motion, motion, motion, motion, pairs, pairs)
+    >>> joined_patterns([part, part]).time.tolist()
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    """
+    moved: list[Patterns] = []
+    start: float | None = None
+    for part in parts:
+        time = np.asarray(part.time)
+        time = time if start is None else time - time[0] + start
+        moved.append(dataclasses.replace(part, time=time))
+        start = float(time[-1] + np.mean(np.diff(time)))
+    return jax.tree_util.tree_map(lambda *values: np.concatenate(values), *moved)
 
 
 def joints_left_out(patterns: Patterns) -> tuple[int, ...]:

@@ -14,6 +14,7 @@ from .._settings import Settings
 from .._slopes import SlopeFit
 from .._systematic import SystematicError
 from ..selection import Selection
+from ..several import SeveralFit
 from ..solver import Identification
 from ._coefficient_table import coefficient_rows, coefficient_text
 from ._errors import ErrorTable
@@ -47,6 +48,8 @@ class Report:
     - `warnings`: one sentence each.
     - `selection`: of the settings, with every trial; None if they were set.
     - `bodies`: possible bodies nearest to the fit, for the page; see `physical_parameters`.
+    - `several`: of several training recordings: noise and offsets of each, and whether they agree.
+      `patterns["training"]` then holds all of them, one after the other.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -75,6 +78,7 @@ class Report:
     warnings: tuple[str, ...] = ()
     selection: Selection | None = None
     bodies: PhysicalParameters | None = None
+    several: SeveralFit | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -159,6 +163,8 @@ class Report:
                 f"re-identified: {', '.join(self.groups)}; all other coefficients are fixed at"
                 " those of the previous identification"
             ]
+        if self.several is not None:
+            yield [str(self.several)]
         yield [coefficient_text(self.rows())]
         if self.slopes is not None and self.network.static_slopes is not None:
             yield [_slopes(self.slopes)]

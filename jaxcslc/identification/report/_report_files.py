@@ -121,6 +121,8 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         document["least_determined"] = report.excitation.worst_combination
     if report.systematic is not None:
         document["systematic_error"] = dict(report.systematic.parts)
+    if report.several is not None:
+        document["recordings"] = report.several.document()
     if report.held_out is not None:
         document["held_out"] = _held_out(report.held_out)
     return document | {

@@ -1,0 +1,95 @@
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from ..motion import Patterns, Recording, joined_patterns
+from ..network import CSLC
+from ._held_out import held_out_error, left_out_error
+from ._settings import Settings
+from ._slopes import SlopeFit, fit_slopes
+from .report import Report, compare, degree_of_excitation, fit_warnings
+from .selection import choose_settings
+from .several import fit_recordings
+
+
+def identify_several(
+    network: CSLC,
+    training: Mapping[str, Recording],
+    validation: Recording | None,
+    settings: Settings | None,
+    *,
+    offsets: bool,
+    adapted: Callable[..., tuple[Settings, list[str]]],
+    step: Callable[[str], None],
+) -> Report:
+    """What `identify` does with several recordings.
+
+    Settings are chosen on the longest; recordings that were sampled in another way get a smoothing
+    of their own, by `adapted`. Slopes of static friction are those of the longest.
+
+    - `adapted`: settings for a further recording, and warnings about them.
+    """
+    step("choosing settings")
+    main = max(training, key=lambda name: training[name].samples)
+    selection = None
+    if settings is None:
+        selection = choose_settings(network, training[main])
+        settings = selection.settings
+    automatic = selection is not None
+    base = settings.for_network(network)
+    warnings = [f"{name}: {note}" for name, some in training.items() for note in some.notes]
+    warnings += [] if validation is None else [f"validation: {note}" for note in validation.notes]
+    warnings += [f"{main}: {sentence}" for sentence in settings.check(training[main])]
+    warnings.append(
+        "several recordings: systematic errors are not computed, intervals allow for noise alone"
+    )
+    by_recording = {main: base}
+    for name, recording in training.items():
+        if name != main:
+            by_recording[name], sentences = adapted(
+                network, base, training[main], recording, name, choose=automatic
+            )
+            warnings += sentences
+    step("preparing patterns")
+    patterns = {name: by_recording[name].patterns(training[name]) for name in training}
+    slopes: SlopeFit | None = None
+    if "static" in network.robot.friction_terms:
+        step("fitting slopes of static friction")
+        slopes = fit_slopes(network, patterns[main], solver=base.solver)
+        network = slopes.network
+        warnings += slopes.warnings
+    step("fitting coefficients")
+    several = fit_recordings(network, patterns, base.solver, offsets=offsets)
+    step("computing errors")
+    judged: dict[str, Patterns] = {"training": joined_patterns(list(several.patterns.values()))}
+    if validation is None:
+        held_out = left_out_error(network, several.patterns, several.fit, several.without)
+    else:
+        suited, sentences = adapted(
+            network, base, training[main], validation, "validation recording", choose=automatic
+        )
+        warnings += sentences
+        judged["validation"] = suited.patterns(validation)
+        held_out = held_out_error(network, several.fit, judged["training"], judged["validation"])
+    errors = {
+        name: compare(network, values, {"fit": several.fit.k}) for name, values in judged.items()
+    }
+    warnings += several.agreement.warnings
+    warnings += held_out.warnings
+    together = judged["training"]
+    recording = Recording(together.time, together.q, together.torque)
+    warnings += fit_warnings(network, recording, several.fit, errors["training"])
+    return Report(
+        network,
+        base,
+        several.fit,
+        MappingProxyType(judged),
+        MappingProxyType(errors),
+        degree_of_excitation(network, judged["training"]),
+        held_out,
+        slopes,
+        None,
+        None,
+        tuple(warnings),
+        selection,
+        several=several,
+    )

@@ -1,0 +1,161 @@
+import dataclasses
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...motion import Patterns
+from ...network import AbstractLinearNetwork
+from ..solver import Equations, Identification, LeastSquares
+from ._agreement import Agreement, agreement_of
+from ._recording_equations import RecordingEquations
+
+
+# Rounds of weighting each joint of each recording by its residual: two change no weight by 1 %.
+_ROUNDS = 2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SeveralFit:
+    """One fit of several recordings.
+
+    **Attributes**
+
+    - `fit`: of all of them.
+    - `patterns`: by recording, less its torque offsets.
+    - `offsets`: by recording, (n,) constant torques that were fitted along; zero if not asked for.
+    - `noise`: by recording, (n,) RMS residual, by which its equations are weighted.
+    - `without`: by recording, the (p,) coefficients of the others.
+    - `agreement`: of the recordings.
+    """
+
+    fit: Identification
+    patterns: Mapping[str, Patterns]
+    offsets: Mapping[str, Float[np.ndarray, " joints"]]
+    noise: Mapping[str, Float[np.ndarray, " joints"]]
+    without: Mapping[str, Float[np.ndarray, " coefficients"]]
+    agreement: Agreement
+
+    def document(self) -> dict[str, Any]:
+        """Of each recording what a report says of it, as plain data."""
+        differing = self.agreement.differing
+        return {
+            name: {
+                "samples": patterns.samples,
+                "noise": self.noise[name].tolist(),
+                "offsets": self.offsets[name].tolist(),
+                "differing": list(differing[name]),
+            }
+            for name, patterns in self.patterns.items()
+        }
+
+    def __str__(self) -> str:
+        lines = [str(self.agreement)]
+        for name, patterns in self.patterns.items():
+            noise = ", ".join(f"{size:.3g}" for size in self.noise[name])
+            lines.append(f"{name}: {patterns.samples} samples, RMS residual of each joint {noise}")
+            if self.offsets[name].any():
+                listed = ", ".join(f"{offset:.3g}" for offset in self.offsets[name])
+                lines.append(f"    torque offsets {listed}")
+        return "\n".join(lines)
+
+
+def fit_recordings(
+    network: AbstractLinearNetwork,
+    patterns: Mapping[str, Patterns],
+    solver: LeastSquares | None = None,
+    *,
+    offsets: bool = False,
+) -> SeveralFit:
+    """Fits several recordings of one robot together, and tests whether they agree.
+
+    Equations of each joint of each recording are weighted by their own noise: the RMS residual of
+    the fit before, starting with equal ones. Recordings need not be of the same length or rate.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `patterns`: of two recordings or more, by name.
+    - `solver`: options of the fit; the defaults of `LeastSquares` if None. Joint weights are those
+      of all recordings together.
+    - `offsets`: fit a constant torque of each joint in each recording along, as for sensors whose
+      zero drifts. It takes the place of a friction term `"offset"`.
+
+    **Returns** a `SeveralFit`.
+
+    **Raises**
+
+    - `ValueError`: fewer than two recordings, or as `LeastSquares.fit`.
+    - `RuntimeError`: as `LeastSquares.fit`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import fit_recordings
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> t, rng = np.linspace(0, 5, 500)[:, None], np.random.default_rng(0)
+    >>> q, qd, qdd, pairs = np.sin(t), np.cos(t), -np.sin(t), np.ones(t.shape, bool)
+    >>> def patterns(friction):
+    ...     torque = np.asarray(network.torque(np.array([0.5, friction, 1.0]), q, qd, qdd))
+    ...     noise = 0.01 * rng.standard_normal(t.shape)
+    ...     return jc.Patterns(t[:, 0], q, qd, qdd, torque + noise, pairs, pairs)
+    >>> cold, warm = patterns(2.0), patterns(1.5)
+    >>> fit_recordings(network, {"cold": cold, "warm": warm}).agreement.differing["warm"]
+    ('kv1',)
+    """
+    if len(patterns) < 2:
+        raise ValueError(f"fit_recordings: got {len(patterns)} recordings; expected two or more")
+    solver = solver or LeastSquares()
+    all_equations = {
+        name: RecordingEquations.of(network, values, solver, offsets=offsets)
+        for name, values in patterns.items()
+    }
+    samples = {name: len(values.time) for name, values in patterns.items()}
+
+    def fitted(names: Sequence[str], weights: Mapping[str, np.ndarray]) -> Identification:
+        """The fit of some recordings, one after the other."""
+
+        def followed(first: tuple[Equations, int], name: str) -> tuple[Equations, int]:
+            equations, length = first
+            more = all_equations[name].weighted(weights[name])
+            return equations.followed_by(more, length), length + samples[name]
+
+        start = all_equations[names[0]].weighted(weights[names[0]]), samples[names[0]]
+        joined, length = reduce(followed, names[1:], start)
+        return solver.fit_equations(joined, length)
+
+    names = list(patterns)
+    weights = {name: np.ones(network.joint_count) for name in names}
+    fit = fitted(names, weights)
+    noise = {name: all_equations[name].rms(fit) for name in names}
+    for _ in range(_ROUNDS):
+        pooled = np.sqrt(np.mean([noise[name] ** 2 for name in names], axis=0))
+        weights = {
+            name: np.where(noise[name] > 0.0, pooled / np.where(noise[name] > 0, noise[name], 1), 1)
+            for name in names
+        }
+        fit = fitted(names, weights)
+        noise = {name: all_equations[name].rms(fit) for name in names}
+    alone = {name: fitted([name], weights) for name in names}
+    others: dict[str, Identification] = {}
+    for name in names:
+        remaining = [other for other in names if other != name]
+        others[name] = alone[remaining[0]] if len(remaining) == 1 else fitted(remaining, weights)
+    offset_torques = {name: all_equations[name].offsets(fit) for name in names}
+    return SeveralFit(
+        fit,
+        MappingProxyType(
+            {
+                name: dataclasses.replace(
+                    values, torque=np.asarray(values.torque) - offset_torques[name]
+                )
+                for name, values in patterns.items()
+            }
+        ),
+        MappingProxyType(offset_torques),
+        MappingProxyType(noise),
+        MappingProxyType({name: np.asarray(fit.k) for name, fit in others.items()}),
+        agreement_of(network, all_equations, alone, others),
+    )
