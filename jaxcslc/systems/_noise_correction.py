@@ -22,6 +22,8 @@ from ._system import System
 _LEVEL_ERROR = 0.05
 # Chance by which a fit of equations that hold, with white noise, is said to have other errors.
 _CHANCE = 0.001
+# Errors of all equations that are so many times those that noise makes are not looked into further.
+_NEGLIGIBLE = 30.0
 # Draws whose motion is in memory at a time, in numbers.
 _AT_ONCE = 1 << 22
 
@@ -110,7 +112,8 @@ def correct_for_noise(
       it, and its fit. Masks and weights remain those of the fit.
     - `noise`: standard deviation of the white noise of columns, by name, 0 for those left out;
       by default of `measurement_noise`.
-    - `draws`: of simulated noise, for standard errors.
+    - `draws`: of simulated noise, for standard errors; fewer where noise makes next to nothing of
+      the errors.
     - `pairs`: how many of them are fitted with both signs, for the bias.
     - `seed`: of the draws.
 
@@ -156,7 +159,12 @@ def correct_for_noise(
     problem = WeightedEquations.of(equations, k, solver)
     bias, parts = np.zeros(network.size), _Parts(network, patterns, solver.cutoff)
     motion = _motion(patterns)
+    left = equations.errors(k)
     for number, noisy in enumerate(with_simulated_noise(recording, levels, draws, seed)):
+        # Noise that is next to nothing of the errors needs no standard errors of its own.
+        if number == pairs and np.all(_ratio(left, parts.filtered()) > _NEGLIGIBLE):
+            draws = pairs
+            break
         change = _change(system, noisy, settings, patterns)
         error = np.asarray(_odd_error(network, k, motion, change))
         if not np.all(np.isfinite(error[np.asarray(patterns.mask)])):
@@ -176,7 +184,7 @@ def correct_for_noise(
         levels,
         np.where(np.asarray(fit.determined), bias, 0.0),
         shifts @ shifts.T / draws,
-        _ratio(equations.errors(k), filtered),
+        _ratio(left, filtered),
         problem,
         draws,
     )

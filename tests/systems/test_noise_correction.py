@@ -211,6 +211,17 @@ def test_slow_errors_below_the_noise_are_seen_by_what_they_do_to_a_coefficient(
     assert correction.standard_error[0] < 0.6 * float(fit.standard_error[0])
 
 
+def test_noise_that_is_next_to_nothing_is_not_looked_into(
+    line: System, rng: np.random.Generator
+) -> None:
+    time = np.arange(2000) * 0.1
+    exact = {"current": np.sin(time), "voltage": 3.0 * np.sin(time) + 0.1 * np.sin(0.13 * time)}
+    recording = noisy(SystemRecording(time, exact), {"voltage": 1e-4}, rng)
+    fit, correction = corrected(line, recording, jc.Settings(), draws=50, pairs=2)
+    assert correction.draws == 2 and not correction.explained
+    np.testing.assert_array_equal(correction.fit.standard_error, fit.standard_error)
+
+
 def test_noise_that_is_said_too_strong_takes_nothing_off(
     line: System, rng: np.random.Generator
 ) -> None:
