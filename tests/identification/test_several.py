@@ -92,10 +92,10 @@ def test_the_fit_is_least_squares_weighted_by_noise(
         np.testing.assert_allclose(fitted, expected[network.size :], atol=2e-3)
         np.testing.assert_allclose(fitted, shifts.ravel(), atol=0.03)
         left = [np.asarray(p.torque) for p in several.patterns.values()]
-        given_back = [
+        expected_left = [
             np.asarray(p.torque) - s for p, s in zip(patterns.values(), shifts, strict=True)
         ]
-        np.testing.assert_allclose(left, given_back, atol=0.03)
+        np.testing.assert_allclose(left, expected_left, atol=0.03)
 
 
 def test_recordings_of_one_robot_agree(
