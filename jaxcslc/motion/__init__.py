@@ -70,5 +70,6 @@ from .files import (
     iterate_recording as iterate_recording,
     load_columns as load_columns,
     load_recording as load_recording,
+    load_recordings as load_recordings,
     save_recording as save_recording,
 )

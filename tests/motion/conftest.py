@@ -65,10 +65,12 @@ def write_bag(
     effort: bool = True,
     stamps: bool = True,
     repeat: int = 0,
+    other_topic: bool = False,
 ) -> Path:
     """A bag of ROS 1 (`"bag"`) or 2 (`"sqlite3"`, `"mcap"`) that rosbags writes.
 
-    Joints change their order from message to message; with `gripper`, one comes first.
+    Joints change their order from message to message; with `gripper`, one comes first; with
+    `other_topic`, all of it goes to `/other` too.
     """
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
@@ -92,7 +94,10 @@ def write_bag(
     labels = list(names or recording.joint_names or ())
     serialize = types.serialize_ros1 if ros1 else types.serialize_cdr
     with writer:
-        connection = writer.add_connection(topic, state.__msgtype__, typestore=types)
+        connections = [
+            writer.add_connection(name, state.__msgtype__, typestore=types)
+            for name in (topic, *["/other"] * other_topic)
+        ]
         rows = [*range(recording.samples), *[recording.samples - 1] * repeat]
         for row in rows:
             order = np.roll(np.arange(recording.joints), row % 3)
@@ -109,5 +114,6 @@ def write_bag(
                 if effort
                 else np.zeros(0),
             )
-            writer.write(connection, stamp + 1000, serialize(message, state.__msgtype__))
+            for connection in connections:
+                writer.write(connection, stamp + 1000, serialize(message, state.__msgtype__))
     return path

@@ -5,7 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxcslc.motion import ColumnMapping, Recording, RecordingError, load_recording
+from jaxcslc.motion import (
+    ColumnMapping,
+    Recording,
+    RecordingError,
+    load_recording,
+    load_recordings,
+)
 
 from .conftest import write_bag
 
@@ -51,6 +57,19 @@ def test_a_mapping_changes_what_a_bag_does_not_say(motion: Recording, tmp_path: 
     )
     expected = motion.torque[:, ::-1] * (100 * np.array(constants))
     np.testing.assert_allclose(read.torque, expected, rtol=1e-14)
+
+
+def test_several_topics(motion: Recording, tmp_path: Path) -> None:
+    """One has to be named, or all are read."""
+    path = write_bag(tmp_path / "bag", motion, version="mcap", other_topic=True)
+    several = r"joint states of several: /joint_states \(50 .*; /other \(50 .*: set topic = "
+    with pytest.raises(RecordingError, match=several):
+        load_recording(path)
+    one = load_recording(path, columns=ColumnMapping.of({"topic": "/other"}))
+    every = load_recordings(path, joints=motion.joint_names)
+    assert tuple(every) == ("/joint_states", "/other")
+    for recording in (one, *every.values()):
+        np.testing.assert_array_equal(recording.torque, motion.torque)
 
 
 class TestWhatIsMissing:

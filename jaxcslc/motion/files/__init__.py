@@ -4,5 +4,6 @@ from ._recording_files import (
     RecordingChunk as RecordingChunk,
     iterate_recording as iterate_recording,
     load_recording as load_recording,
+    load_recordings as load_recordings,
     save_recording as save_recording,
 )

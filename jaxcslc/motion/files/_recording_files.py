@@ -1,3 +1,4 @@
+import dataclasses
 import os
 import re
 import tempfile
@@ -104,6 +105,46 @@ def load_recording(
         joint_names=layout.joint_names,
         notes=layout.notes,
     )
+
+
+def load_recordings(
+    path: str | os.PathLike[str],
+    joints: int | Sequence[str] | None = None,
+    columns: ColumnMapping | str | os.PathLike[str] | None = None,
+) -> dict[str, Recording]:
+    """Reads all recordings of a file: of a bag those of every topic of joint states.
+
+    **Arguments**
+
+    - `path`, `joints`, `columns`: as for `load_recording`.
+
+    **Returns**
+
+    The recordings by topic; of a file that holds one, by the file's name.
+
+    **Raises**
+
+    - `RecordingError`: as `load_recording`.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from jaxcslc.motion import load_recordings
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "one.npz"
+    ...     np.savez(path, t=np.arange(6.0), q=np.zeros((6, 2)), tau=np.eye(6, 2))
+    ...     tuple(load_recordings(path))
+    ('one.npz',)
+    """
+    from ._recording_tables import topics_of  # loads Arrow, which others need not wait for
+
+    path, mapping = Path(path), _mapping_of(columns) or ColumnMapping()
+    topics = topics_of(path, _file_joints(mapping, joints), mapping.topic)
+    if topics is None:
+        return {path.name: load_recording(path, joints, mapping)}
+    return {
+        topic: load_recording(path, joints, dataclasses.replace(mapping, topic=topic))
+        for topic in topics
+    }
 
 
 def iterate_recording(
@@ -234,23 +275,35 @@ def _opened(
     """A file's layout, and its rows piece by piece."""
     from ._recording_tables import open_table  # loads Arrow, which others need not wait for
 
-    mapping = columns
-    if columns is not None and not isinstance(columns, ColumnMapping):
-        mapping = ColumnMapping.load(columns)
-    assert mapping is None or isinstance(mapping, ColumnMapping)
+    mapping = _mapping_of(columns)
 
     def check(file: str, header: Header) -> Layout:
         return layout_of(file, header, joints, mapping)
 
-    if mapping is None:
-        return open_table(path, check, joints=_names_of(joints))
     return open_table(
         path,
         check,
-        delimiter=mapping.delimiter,
-        topic=mapping.topic,
-        joints=mapping.file_joints or mapping.joints or _names_of(joints),
+        delimiter=None if mapping is None else mapping.delimiter,
+        topic=None if mapping is None else mapping.topic,
+        joints=_file_joints(mapping, joints),
     )
+
+
+def _mapping_of(
+    columns: ColumnMapping | str | os.PathLike[str] | None,
+) -> ColumnMapping | None:
+    if columns is None or isinstance(columns, ColumnMapping):
+        return columns
+    return ColumnMapping.load(columns)
+
+
+def _file_joints(
+    mapping: ColumnMapping | None, joints: int | Sequence[str] | None
+) -> Sequence[str] | None:
+    """The joints that a recording is to have, as it calls them."""
+    if mapping is not None and (mapping.file_joints or mapping.joints):
+        return mapping.file_joints or mapping.joints
+    return _names_of(joints)
 
 
 def _names_of(joints: int | Sequence[str] | None) -> Sequence[str] | None:

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from .. import Fault, RecordingError, first_fault
-from ._bag import read_bag
+from ._bag import joint_states, read_bag
 from ._csv_table import line_of, read_csv, read_csv_header
 from ._errors import one_line
 from ._layout import Header
@@ -102,6 +102,18 @@ def open_table(
         return _open_columns(path, check, *read_npz(path))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {one_line(error)}") from error
+
+
+def topics_of(path: Path, joints: Sequence[str] | None, topic: str | None) -> list[str] | None:
+    """The topics of a bag's joint states; None for a file that is no bag.
+
+    - `joints`, `topic`: as of `open_table`.
+
+    **Raises** `RecordingError`: as `open_table`.
+    """
+    if _kind_of(path) != "bag":
+        return None
+    return sorted({states.topic for states in joint_states(path, joints, topic)})
 
 
 def write_tables(tables: Iterable[Table], unfinished: Path, path: Path) -> None:
