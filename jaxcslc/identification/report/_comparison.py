@@ -294,7 +294,7 @@ def _coefficient_section(comparison: ReportComparison) -> Section:
     rows = tuple(tuple(row[name] for name in names) for row in ordered)
     return Section(
         "Coefficients",
-        "The most different first; a click on a title sorts. A difference is in standard errors of"
+        "The most different first. A difference is in standard errors of"
         " both together, systematic errors included: beyond 2 it is hardly chance for one"
         " coefficient, but of forty, two are.",
         [Table(columns, rows, name="coefficients-table")],

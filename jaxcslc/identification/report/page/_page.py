@@ -168,9 +168,8 @@ def _curves(data: Mapping[str, Any]) -> Section:
         blocks.append(PanelChart(tuple(panels), "time [s]", caption))
     return Section(
         f"Measured and predicted {quantity}",
-        "Drag over a stretch to zoom, double-click to return. Masked samples are shaded; the axes"
-        " of residuals are those of the fitted samples. Long recordings are drawn by their"
-        " extremes.",
+        "Masked samples are shaded; the axes of residuals are those of the fitted samples. Long"
+        " recordings are drawn by their extremes.",
         blocks,
     )
 
@@ -195,7 +194,7 @@ def _coefficients(data: Mapping[str, Any]) -> Section:
     undetermined = tuple(Message(text, "bad") for text in data["unidentifiable"])
     return Section(
         "Coefficients",
-        "A click on a title sorts. Low and high are the ends of 95 % intervals, for"
+        "Low and high are the ends of 95 % intervals, for"
         f" {data['errors_of_fit']} errors with {data['degrees_of_freedom']:.0f} degrees of freedom."
         " Well determined: standard error at most a tenth of the value; systematic error: more data"
         " of this motion would not help, another model or smoothing would.",
