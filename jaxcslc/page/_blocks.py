@@ -130,7 +130,7 @@ class Column:
         """What a value is sorted by: numbers by their size, NaN last."""
         if isinstance(value, float | int) and not isinstance(value, bool):
             return "" if math.isnan(value) else repr(float(value))
-        return "" if value is None else value
+        return "" if value is None else str(value)
 
     def tone(self, value: Value) -> Tone | None:
         """How a text is marked; None for plain text."""

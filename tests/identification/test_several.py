@@ -8,7 +8,9 @@ import pytest
 import jaxcslc as jc
 from jaxcslc.cli._common import recordings_of
 from jaxcslc.identification import fit_recordings
+from jaxcslc.identification.report import report_data, report_page
 from jaxcslc.identification.solver import LeastSquares
+from jaxcslc.page import Table
 
 
 SAMPLES = 600
@@ -149,6 +151,11 @@ class TestIdentify:
         np.testing.assert_allclose(report.k, K, rtol=0.05, atol=0.02)
         assert "validation" in report.errors and "a: " in str(report)
         assert "systematic errors are not computed" in report.warnings[0]
+        page = report_page(report_data(report, several=report.several), charts=False)
+        (table,) = (
+            b for b in page.sections[0].blocks if isinstance(b, Table) and b.name == "several"
+        )
+        assert [row[0] for row in table.rows] == ["a", "b"]
 
     def test_wrong_arguments(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
         one = self.recording(motions[0])

@@ -76,7 +76,7 @@ def test_names_are_texts_wherever_they_stand(interactive: bool) -> None:
     assert reader.text.count(NAME) == 10 + len(CHARTS)
     outside = [
         value
-        for tag, attributes in reader.tags
+        for _, attributes in reader.tags
         for name, value in attributes.items()
         if name in ("src", "href") and not (value or "").startswith(("data:", "#"))
     ]

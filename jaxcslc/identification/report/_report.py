@@ -144,6 +144,7 @@ class Report:
             self,
             selection=self.selection,
             bodies=self.bodies,
+            several=self.several,
             findings=findings,
             command=command,
         )

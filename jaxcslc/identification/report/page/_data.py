@@ -12,6 +12,7 @@ from ..._held_out import HeldOut
 from ..._physical_parameters import PhysicalParameters
 from ..._settings import Settings, settings_document
 from ...selection import Selection
+from ...several import SeveralFit
 from ...solver import Identification
 from .._errors import ErrorTable, predicted_torque
 from .._excitation import Excitation
@@ -62,6 +63,7 @@ def report_data(
     *,
     selection: Selection | None = None,
     bodies: PhysicalParameters | None = None,
+    several: SeveralFit | None = None,
     findings: Sequence[str] = (),
     command: str | None = None,
 ) -> dict[str, Any]:
@@ -72,6 +74,7 @@ def report_data(
     - `report`: of a robot or of another system.
     - `selection`: of its settings, with every trial.
     - `bodies`: possible ones nearest to the fit.
+    - `several`: of several training recordings.
     - `findings`: about the recordings, a sentence each, beside the report's own warnings.
     - `command`: that repeats it.
 
@@ -122,6 +125,7 @@ def report_data(
         "trials": [] if selection is None else _trials(selection),
         "friction": [],
         "bodies": None,
+        "several": None if several is None else several.document(),
         "versions": versions(),
         "command": command,
     }

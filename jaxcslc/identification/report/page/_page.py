@@ -95,12 +95,34 @@ def _data_check(data: Mapping[str, Any]) -> Section:
         columns.append(Column("unit", numeric=False))
         values.append(data["units"])
         blocks.append(_table(columns, [data["joints"], *values], caption, f"data-{name}"))
+    if data["several"] is not None:
+        blocks.append(_several(data))
     return Section(
         "Data check",
         "What the recordings hold after smoothing, and what looks wrong with them or the fit."
         " Samples near standstill and possibly within backlash are masked: they are not fitted.",
         blocks,
     )
+
+
+def _several(data: Mapping[str, Any]) -> Table:
+    """The training recordings one by one, and whether they agree."""
+    columns = [
+        Column("recording", numeric=False),
+        Column("samples"),
+        Column("differs in", "coefficients, beyond chance", numeric=False, wide=True),
+        *(
+            Column(f"RMS residual, {_axis(joint, unit)}", digits=3)
+            for joint, unit in zip(data["joints"], data["units"], strict=True)
+        ),
+    ]
+    recordings = data["several"]
+    rows = tuple(
+        (name, entry["samples"], ", ".join(entry["differing"]) or "none", *entry["noise"])
+        for name, entry in recordings.items()
+    )
+    caption = "Training recordings, each against all others together"
+    return Table(tuple(columns), rows, caption, "several")
 
 
 def _errors(data: Mapping[str, Any]) -> Section:
