@@ -129,11 +129,13 @@ def test_no_samples(case: Any, rng: np.random.Generator) -> None:
 
 
 def test_vmap(case: Any, method: str, rng: np.random.Generator) -> None:
-    """`jit` of it is compiled for torque, below; for every method by itself, above."""
+    """As it is and under `jit`."""
     values = arguments(case, method, rng, SAMPLES)
     function = getattr(case.network, method)
-    axes = tuple(None if name == "k" else 0 for name in METHODS[method])
-    assert_close(jax.vmap(function, axes)(*values), function(*values))
+    mapped = jax.vmap(function, tuple(None if name == "k" else 0 for name in METHODS[method]))
+    expected = function(*values)
+    for of in (mapped, jax.jit(mapped)):
+        assert_close(of(*values), expected)
 
 
 def test_vmap_over_coefficients(case: Any, rng: np.random.Generator) -> None:
