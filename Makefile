@@ -45,7 +45,7 @@ check: $(stamp) ## check formatting, lint and types
 	$(bin)/pyright
 
 docs: $(stamp) ## build the documentation site, into build/site
-	NO_MKDOCS_2_WARNING=1 $(bin)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(bin)/mkdocs build --strict
 
 format: $(stamp) ## format the code and apply the linter's safe fixes
 	$(bin)/ruff check --fix .

@@ -122,9 +122,9 @@ def systematic_error(
     *,
     groups: Sequence[str] | None = None,
 ) -> SystematicError:
-    """What smoothing and missing terms may do to the coefficients of a fit.
+    """What smoothing, timing and missing terms may do to the coefficients of a fit.
 
-    Standard errors allow for noise, which averages out. Two kinds of errors do not:
+    Standard errors allow for noise, which averages out. Three kinds of errors do not:
 
     - **Smoothing.** What smoothing and filter take out of the motion is the same in every
       recording. The smoothed positions are taken for true ones, the network computes the
@@ -132,6 +132,11 @@ def systematic_error(
       and filter once more. The part is the difference of the coefficients that are then fitted
       from those that made the torque. (Motion that the first smoothing has removed altogether,
       it does not see.)
+    - **Torque timing.** The torque of a sample may be half a sample late or early: alignments are
+      half a sample apart, and other terms make up for a wrong one (a late inertia torque is
+      viscous friction). The part is what the coefficients change by if the torque of the smoothed
+      motion comes half a sample late, divided by √3: any delay up to that is as likely (JCGM
+      100:2008, 4.3.7).
     - **Missing terms.** Each of `"torque offset"`, `"static friction"` and `"motor saturation"`
       that joints of the network lack is added to the fit, for all these joints together. What it
       changes the coefficients by is their bias if the machine has such a term (of which Section
@@ -166,7 +171,7 @@ def systematic_error(
     >>> settings = jc.Settings(jc.Preparation(jc.Butterworth(2.0)))
     >>> fit = settings.fit(network, settings.patterns(recording))
     >>> tuple(systematic_error(network, recording, settings, fit).parts)
-    ('smoothing', 'torque offset', 'static friction', 'motor saturation')
+    ('smoothing', 'torque timing', 'torque offset', 'static friction', 'motor saturation')
     """
     preparation, solver, k = settings.preparation, settings.solver, np.asarray(fit.k)
     free = tuple(range(network.size))
@@ -178,6 +183,11 @@ def systematic_error(
     )
     problem = WeightedEquations.of(equations, k[list(free)], solver)
     shifts = {"smoothing": problem.solution(again).k - k[list(free)]}
+    torque = np.asarray(smoothed.torque)
+    half_a_sample = 0.5 * np.diff(torque, axis=0, prepend=torque[:1])  # of `"mean"` alignment
+    late = dataclasses.replace(patterns, torque=half_a_sample)
+    delayed = part_of(solver.equations(network, late), free, np.zeros_like(k))
+    shifts["torque timing"] = problem.solution(delayed).k / np.sqrt(3.0)
     qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
     thresholds = preparation.speed_thresholds(qd)
     terms = missing_terms(network, qd, np.asarray(smoothed.torque), mask, thresholds)

@@ -25,6 +25,7 @@ Motion: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 INTERVAL = 0.005  # s
 TERMS = ("torque offset", "static friction", "motor saturation")
+CAUSES = ("smoothing", "torque timing", *TERMS)
 # Every pair counts, so that an oracle needs no masks; a smoothing that leaves this motion alone.
 GENTLE = jc.Settings(
     jc.Preparation(jc.SavitzkyGolay(9, 5), thresholds=0.0, trim=10),
@@ -83,6 +84,33 @@ def test_smoothing_of_a_sinusoid(arm: jc.CSLC) -> None:
     gain = (np.sin(angle) / angle) ** 2 / (1.0 + warped**8) / spline
     shift = systematic_error(network, recording, settings, fit).parts["smoothing"]
     assert_allclose(shift, np.asarray(fit.k) * (1.0 / gain - 1.0), rtol=1e-3)
+
+
+def test_timing_of_a_sinusoid(arm: jc.CSLC) -> None:
+    """In closed form, by complex amplitudes: the mean of two samples' torques is late by half a
+    sample, and a late inertia torque is viscous friction."""
+    w = 2 * np.pi
+    t = np.arange(2001)[:, None] * INTERVAL
+    q, qd, qdd = np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)
+    network = jc.derive(arm.robot.with_friction("viscous"), lengths="numeric")
+    recording = jc.Recording(t[:, 0], q, 0.5 * qdd + 2.0 * qd)
+    fit = GENTLE.fit(network, GENTLE.patterns(recording))
+    parts = systematic_error(network, recording, GENTLE, fit).parts["torque timing"]
+    late = 0.5 * (1.0 - np.exp(-1j * w * INTERVAL)) * (0.5 * -(w**2) + 2.0 * 1j * w)
+    assert_allclose(np.sqrt(3.0) * parts, [abs(late.real) / w**2, abs(late.imag) / w], rtol=5e-3)
+
+
+def test_timing_is_what_another_alignment_changes(arm: jc.CSLC, swing: Motion) -> None:
+    """Half a sample lies between the alignments 'sample' and 'mean', jumps of dry friction
+    included."""
+    recording = recorded(arm, swing)
+    fits = [
+        settings.fit(arm, settings.patterns(recording))
+        for settings in (GENTLE, GENTLE.with_options(torque_alignment="mean"))
+    ]
+    change = np.abs(np.asarray(fits[1].k) - np.asarray(fits[0].k))
+    part = systematic_error(arm, recording, GENTLE, fits[0]).parts["torque timing"]
+    assert_allclose(np.sqrt(3.0) * part, change, rtol=0.05, atol=1e-4)
 
 
 @pytest.mark.parametrize("cutoff", [None, 10.0])
@@ -166,7 +194,9 @@ def test_noise_alone_hardly_widens(arm: jc.CSLC, swing: Motion) -> None:
         noise = 0.5 * np.random.default_rng(seed).normal(size=swing[1].shape)
         recording = recorded(arm, swing, noise=noise)
         fit = GENTLE.fit(arm, GENTLE.patterns(recording))
-        error = systematic_error(arm, recording, GENTLE, fit)
+        parts = systematic_error(arm, recording, GENTLE, fit).parts
+        # Half a sample's delay is possible whatever the noise.
+        error = SystematicError({name: parts[name] for name in ("smoothing", *TERMS)})
         assert np.all(error.parts["smoothing"] < 0.1 * np.asarray(fit.standard_error))
         wider.append(standard_uncertainty(fit, error) / np.asarray(fit.standard_error))
     assert np.median(wider) < 1.2
@@ -181,7 +211,7 @@ def test_terms_that_the_network_has(swing: Motion) -> None:
     recording = jc.Recording(t, q, torque)
     fit = GENTLE.fit(network, GENTLE.patterns(recording))
     error = systematic_error(network, recording, GENTLE, fit)
-    assert tuple(error.parts) == ("smoothing", "motor saturation")
+    assert tuple(error.parts) == ("smoothing", "torque timing", "motor saturation")
 
 
 def test_what_no_recording_of_the_motion_can_tell_apart(arm: jc.CSLC) -> None:
@@ -240,7 +270,7 @@ def test_report(arm: jc.CSLC, swing: Motion, tmp_path: Path) -> None:
     with_it = jc.identify(arm, recording, settings=GENTLE)
     without = jc.identify(arm, recording, settings=GENTLE, systematic=False)
     assert with_it.systematic is not None and without.systematic is None
-    assert "systematic errors by smoothing, torque offset" in str(with_it)
+    assert "systematic errors by smoothing, torque timing, torque offset" in str(with_it)
     assert "systematic" not in str(without)
     for row, plain, total in zip(
         with_it.rows(), without.rows(), with_it.systematic.total, strict=True
@@ -252,7 +282,7 @@ def test_report(arm: jc.CSLC, swing: Motion, tmp_path: Path) -> None:
     assert "systematic error" in kinds and {row["verdict"] for row in without.rows()} != kinds
     with_it.save(tmp_path, pictures=False)
     document = json.loads((tmp_path / "identification.json").read_text())
-    assert tuple(document["systematic_error"]) == ("smoothing", *TERMS)
+    assert tuple(document["systematic_error"]) == CAUSES
     assert_array_equal(
         document["systematic_error"]["torque offset"], with_it.systematic.parts["torque offset"]
     )

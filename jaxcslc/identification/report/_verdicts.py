@@ -119,13 +119,13 @@ def verdicts(
         if inflation is not None and relative > _WELL and inflation[i] > _CORRELATED:
             times = f"{np.sqrt(inflation[i]):.2g} times as large"
             reason += f", which correlation with other coefficients makes {times}"
-        if systematic is not None and shift[i] > error:
-            reason += f"; systematic error {_compared(shift[i], value)}"
-            reason += f", mostly from {systematic.main_cause(i)}"
         kind: VerdictKind = "well determined" if relative <= _WELL else "poorly determined"
         small = np.hypot(error, shift[i]) <= _WELL * abs(value)
         if relative <= _WELL and not (small and shift[i] <= _WELL_SYSTEMATIC * abs(value)):
             kind = "systematic error"
+        if systematic is not None and (shift[i] > error or kind == "systematic error"):
+            reason += f"; systematic error {_compared(shift[i], value)}"
+            reason += f", mostly from {systematic.main_cause(i)}"
         if not determined[i]:
             kind, reason = "not determined", combinations[name]
         elif meaningless:

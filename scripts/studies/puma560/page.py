@@ -4,23 +4,49 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from scripts.studies.tables import number_text
 
 
 Rows = list[dict[str, Any]]
 
 
+# Of coefficients; the CSV files have these too.
+_LEFT_OUT = ("group", "positive", "relative_error")
+_LAST = ("reason", "expression")
+_LONGEST = 70  # characters of a cell; the whole text appears under the pointer
+
+
 def html_table(rows: Rows) -> str:
-    """Rows as an HTML table; numbers to four digits."""
-    names = list(rows[0])
-    head = "".join(f"<th>{escape(name)}</th>" for name in names)
+    """Rows as an HTML table; numbers to four digits, columns of text to the left."""
+    names = [name for name in rows[0] if name not in (*_LEFT_OUT, *_LAST)]
+    names += [name for name in _LAST if name in rows[0]]
+    text = {name for name in names if any(isinstance(row.get(name), str) for row in rows)}
+    head = "".join(f"<th{_side(name in text)}>{escape(_heading(name))}</th>" for name in names)
     body = "".join(
-        "<tr>"
-        + "".join(f"<td>{escape(number_text(row.get(name, '')))}</td>" for name in names)
-        + "</tr>\n"
+        "<tr>" + "".join(_cell(row.get(name, ""), name in text) for name in names) + "</tr>\n"
         for row in rows
     )
     return f"<table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table>\n"
+
+
+def _heading(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _side(text: bool) -> str:
+    return " class='text'" if text else ""
+
+
+def _cell(value: Any, text: bool) -> str:
+    if isinstance(value, bool | np.bool_):
+        shown = "yes" if value else "no"
+    else:
+        shown = "" if value != value else number_text(value)
+    whole = f" title='{escape(shown)}'" if len(shown) > _LONGEST else ""
+    shown = shown if not whole else shown[: _LONGEST - 2] + " …"
+    return f"<td{_side(text)}{whole}>{escape(shown)}</td>"
 
 
 def index_page(
@@ -36,7 +62,9 @@ def index_page(
     style = (
         "body{font:16px/1.5 sans-serif;max-width:70em;margin:2em auto;padding:0 1em}"
         "table{border-collapse:collapse;font-size:13px;margin:.5em 0}"
-        "td,th{border-bottom:1px solid #ccc;padding:.15em .6em;text-align:right}"
+        "td,th{border-bottom:1px solid #ccc;padding:.15em .6em;text-align:right;"
+        "vertical-align:bottom}td{white-space:nowrap}.text{text-align:left}"
+        "th:first-child,td:first-child{text-align:left;position:sticky;left:0;background:#fff}"
         "img{max-width:100%}.wide{overflow-x:auto}"
     )
     parts = [

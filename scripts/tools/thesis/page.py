@@ -93,8 +93,9 @@ def page(thesis: Thesis) -> str:
 
 _COEFFICIENTS = """\
 Figs. B.1-1 to B.5-2: what the thesis identified on its machine; the true value of the simulated
-one; what `make demo` identified on that, with its standard error; and the output sensitivities of
-both. Where the simulated machine is far from the thesis's, no machine can have the printed value
+one; what `make demo` identified on that, with its standard and [systematic
+error](uncertainty.md#systematic-errors); and the output sensitivities of both. Where the simulated
+machine is far from the thesis's, no machine can have the printed value
 ([why](puma_a_b.md#contradictions-of-the-printed-coefficients)).
 """
 
@@ -198,11 +199,13 @@ def _coefficients(machine: str) -> str:
     printed = zip(thesis.coefficients.tolist(), thesis.sensitivity.tolist(), strict=True)
     rows: list[list[str]] = []
     for row, (value, sensitivity) in zip(table, printed, strict=True):
-        cells = [value, *(float(row[name]) for name in ("true", "value", "standard_error"))]
+        names = ("true", "value", "standard_error", "systematic_error")
+        cells = [value, *(float(row[name]) for name in names)]
         ours = float(row["sensitivity"])
         rows.append([row["name"], row["unit"], *map(_text, [*cells, sensitivity, ours])])
-    heads = ["", "unit", "thesis", "simulated machine", "identified", "standard error"]
-    return _table([*heads, "sensitivity, thesis", "sensitivity, now"], rows, text=2)
+    heads = ["", "unit", "thesis", "simulated machine", "identified"]
+    heads += ["standard error", "systematic error", "sensitivity, thesis", "sensitivity, now"]
+    return _table(heads, rows, text=2)
 
 
 def _symbols(symbols: Sequence[Symbol]) -> str:

@@ -13,6 +13,7 @@ STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
         (
             "errors_a.csv",
             "errors_b.csv",
+            "intervals.csv",
             "peaks.csv",
             "thresholds_a.csv",
             "thresholds_b.csv",
@@ -26,6 +27,10 @@ STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
             "coefficients_b.csv",
             "one_design.csv",
         ),
+    ),
+    "peral_study": (
+        "python scripts/studies/training/peral.py --seeds 30 --starts 30",
+        ("epochs.csv",),
     ),
 }
 
@@ -75,6 +80,21 @@ def hand_over_errors() -> list[float]:
     """ε on the training patterns at which PERAL takes part, of PUMA A and PUMA B [N m]."""
     tables = (rows("demo", f"training_{machine}.csv") for machine in ("a", "b"))
     return [float(table[0]["training ε at hand-over [N m]"]) for table in tables]
+
+
+def fine_tuning(problem: str, variant: str, goal: str) -> list[float]:
+    """Median epochs of backpropagation from the hand-over to a goal of Section 6.3, and how many
+    times fewer PERAL takes."""
+    (row,) = (
+        row
+        for row in rows("peral_study", "epochs.csv")
+        if (row["problem"], row["variant"], row["goal"]) == (problem, variant, goal)
+        and row["rule"] == "backpropagation"
+    )
+    return [
+        float(row["epochs, median"]),
+        float(row["backpropagation's median epochs over PERAL's"]),
+    ]
 
 
 def peak_torques(machine: str) -> list[float]:

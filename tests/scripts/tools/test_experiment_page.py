@@ -49,6 +49,13 @@ def test_what_the_page_says_in_words(letter: str) -> None:
     }
     ratio = fits["Fig. B.6"] / fits["as chosen"]
     assert {"a": 0.7 < ratio < 0.8, "b": ratio > 1.0}[letter]
+    (intervals,) = (
+        row for row in results.rows("demo", "intervals.csv") if row[""] == f"PUMA {letter.upper()}"
+    )
+    assert int(intervals["standard error"]) < 0.85 * int(intervals["intervals"])
+    assert int(intervals["all causes"]) > 0.9 * int(intervals["intervals"])
+    alone = ("smoothing", "torque timing", "torque offset", "static friction", "motor saturation")
+    assert max(alone, key=lambda cause: int(intervals[cause])) == "torque timing"
     thresholds = results.rows("demo", f"thresholds_{letter}.csv")
     seen = [
         sum(row[column] == "True" for row in thresholds)
