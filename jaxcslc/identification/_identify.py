@@ -89,6 +89,7 @@ def identify(
                 validation,
                 settings,
                 offsets=offsets,
+                systematic=systematic,
                 adapted=_for_validation,
                 step=step,
             )

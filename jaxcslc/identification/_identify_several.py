@@ -6,6 +6,7 @@ from ..network import CSLC
 from ._held_out import held_out_error, left_out_error
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
+from ._systematic import SystematicError, systematic_error
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import choose_settings
 from .several import fit_recordings
@@ -18,6 +19,7 @@ def identify_several(
     settings: Settings | None,
     *,
     offsets: bool,
+    systematic: bool,
     adapted: Callable[..., tuple[Settings, list[str]]],
     step: Callable[[str], None],
 ) -> Report:
@@ -39,9 +41,6 @@ def identify_several(
     warnings = [f"{name}: {note}" for name, some in training.items() for note in some.notes]
     warnings += [] if validation is None else [f"validation: {note}" for note in validation.notes]
     warnings += [f"{main}: {sentence}" for sentence in settings.check(training[main])]
-    warnings.append(
-        "several recordings: systematic errors are not computed, intervals allow for noise alone"
-    )
     by_recording = {main: base}
     for name, recording in training.items():
         if name != main:
@@ -59,6 +58,15 @@ def identify_several(
         warnings += slopes.warnings
     step("fitting coefficients")
     several = fit_recordings(network, patterns, base.solver, offsets=offsets)
+    shifts: SystematicError | None = None
+    if systematic:
+        step("computing systematic errors")
+        several, shifts = several.allowing_for(
+            {
+                name: systematic_error(network, recording, by_recording[name], several.alone[name])
+                for name, recording in training.items()
+            }
+        )
     step("computing errors")
     judged: dict[str, Patterns] = {"training": joined_patterns(list(several.patterns.values()))}
     if validation is None:
@@ -87,7 +95,7 @@ def identify_several(
         degree_of_excitation(network, judged["training"]),
         held_out,
         slopes,
-        None,
+        shifts,
         None,
         tuple(warnings),
         selection,

@@ -57,7 +57,7 @@ class SlopeEquations:
         support = list(network.support)
         for i, joint in enumerate(joints):
             support[joint] = (*support[joint], network.size + i)
-        names = (*network.names, *(f"slope of joint {joint + 1}" for joint in joints))
+        names = (*network.names, *(f"slope of {network.output_names[joint]}" for joint in joints))
         qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
         speeds = [np.abs(qd[mask[:, joint], joint]) for joint in joints]
         moving = [speed[speed > 0.0] for speed in speeds]
@@ -101,7 +101,8 @@ class SlopeEquations:
 
     def reason(self, i: int, slope: float, error: float = np.inf) -> str:
         """Why a joint loses its static friction."""
-        head = f"joint {self.joints[i] + 1}: static friction dropped, its slope is not determined"
+        joint = self.unknowns.names[i - len(self.joints)].removeprefix("slope of ")
+        head = f"{joint}: static friction dropped, its slope is not determined"
         if self.fastest[i] <= 0.0:
             return f"{head} (no pair in motion)"
         if self.at_bound(i, slope):

@@ -150,12 +150,19 @@ class TestIdentify:
         # What smoothing 50 Hz does to coefficients of motion below 0.3 Hz.
         np.testing.assert_allclose(report.k, K, rtol=0.05, atol=0.02)
         assert "validation" in report.errors and "a: " in str(report)
-        assert "systematic errors are not computed" in report.warnings[0]
         page = report_page(report_data(report, several=report.several), charts=False)
         (table,) = (
             b for b in page.sections[0].blocks if isinstance(b, Table) and b.name == "several"
         )
         assert [row[0] for row in table.rows] == ["a", "b"]
+        assert report.systematic is not None
+        bare = jc.identify(
+            network, recordings, settings=jc.Settings(), offsets=True, systematic=False
+        )
+        assert bare.several is not None and bare.systematic is None
+        for name in recordings:
+            wide, narrow = (some.several.agreement.standard_error[name] for some in (report, bare))
+            assert np.all(wide > narrow)
 
     def test_wrong_arguments(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
         one = self.recording(motions[0])

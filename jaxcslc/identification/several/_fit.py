@@ -9,9 +9,11 @@ from jaxtyping import Float
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
+from .._systematic import SystematicError
 from ..solver import Equations, Identification, LeastSquares
 from ._agreement import Agreement, agreement_of
 from ._recording_equations import RecordingEquations
+from ._systematic import combined_systematic
 
 
 # Rounds of weighting each joint of each recording by its residual: two change no weight by 1 %.
@@ -28,6 +30,7 @@ class SeveralFit:
     - `patterns`: by recording, less its torque offsets.
     - `offsets`: by recording, (n,) constant torques that were fitted along; zero if not asked for.
     - `noise`: by recording, (n,) RMS residual, by which its equations are weighted.
+    - `alone`: by recording, the fit of it by itself.
     - `without`: by recording, the (p,) coefficients of the others.
     - `agreement`: of the recordings.
     """
@@ -36,8 +39,33 @@ class SeveralFit:
     patterns: Mapping[str, Patterns]
     offsets: Mapping[str, Float[np.ndarray, " joints"]]
     noise: Mapping[str, Float[np.ndarray, " joints"]]
+    alone: Mapping[str, Identification]
     without: Mapping[str, Float[np.ndarray, " coefficients"]]
     agreement: Agreement
+
+    def allowing_for(
+        self, errors: Mapping[str, SystematicError]
+    ) -> tuple["SeveralFit", SystematicError]:
+        """The same with an agreement that allows for systematic errors, and that of the fit.
+
+        - `errors`: by recording, of its fit in `alone`.
+        """
+        difference: dict[str, np.ndarray] = {}
+        for name in self.alone:
+            others = {n: fit for n, fit in self.alone.items() if n != name}
+            other = combined_systematic(others, {n: errors[n] for n in others})
+            difference[name] = np.hypot(errors[name].total, other.total)
+        agreement = dataclasses.replace(
+            self.agreement,
+            standard_error=MappingProxyType(
+                {
+                    name: np.hypot(error, difference[name])
+                    for name, error in self.agreement.standard_error.items()
+                }
+            ),
+        )
+        changed = dataclasses.replace(self, agreement=agreement)
+        return changed, combined_systematic(self.alone, errors)
 
     def document(self) -> dict[str, Any]:
         """Of each recording what a report says of it, as plain data."""
@@ -156,6 +184,7 @@ def fit_recordings(
         ),
         MappingProxyType(offset_torques),
         MappingProxyType(noise),
+        MappingProxyType(alone),
         MappingProxyType({name: np.asarray(fit.k) for name, fit in others.items()}),
         agreement_of(network, all_equations, alone, others),
     )
