@@ -104,6 +104,16 @@ def recordings_of(
     return dict(zip(names, read, strict=True))
 
 
+def with_notes(text: object, **recordings: Recording | None) -> str:
+    """What a command prints, followed by what was decided in reading its recordings."""
+    lines = [
+        f"warning: {name} recording: {note}"
+        for name, recording in recordings.items()
+        for note in (() if recording is None else recording.notes)
+    ]
+    return "\n\n".join([str(text), *(["\n".join(lines)] if lines else [])])
+
+
 def names_in(text: str) -> list[str]:
     """The names of a list that is separated by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]

@@ -19,6 +19,7 @@ from ._common import (
     recording_of,
     robot_named,
     with_drives,
+    with_notes,
 )
 
 
@@ -44,12 +45,14 @@ def constants_command(
     """
     with one_line_errors(), progress("reading") as step:
         manipulator = with_drives(robot_named(robot, base, tip), friction, coupled)
+        alone = recording_of(unloaded, manipulator, columns)
+        carrying = recording_of(loaded, manipulator, columns)
         report = identify_torque_constants(
             network_of(manipulator, "numeric"),
-            recording_of(unloaded, manipulator, columns),
-            recording_of(loaded, manipulator, columns),
+            alone,
+            carrying,
             mass,
             None if settings is None else load_settings(settings),
             progress=step,
         )
-    typer.echo(str(report))
+    typer.echo(with_notes(report, unloaded=alone, loaded=carrying))

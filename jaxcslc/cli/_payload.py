@@ -15,6 +15,7 @@ from ._common import (
     progress,
     recording_of,
     robot_named,
+    with_notes,
 )
 
 
@@ -46,14 +47,18 @@ def payload_command(
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
         saved = load_report(previous, robot_named(robot, base, tip))
+        arm = saved.network.robot
+        carrying = recording_of(loaded, arm, columns)
+        alone = None if unloaded is None else recording_of(unloaded, arm, columns)
         report = identify_payload(
             saved.network,
-            recording_of(loaded, saved.network.robot, columns),
-            None if unloaded is None else recording_of(unloaded, saved.network.robot, columns),
+            carrying,
+            alone,
             saved.settings if settings is None else load_settings(settings),
             previous=saved.fit if unloaded is None else None,
             progress=step,
         )
         step("writing")
         paths = report.save(output)
-    typer.echo(f"{report}\n\nwrote " + ", ".join(str(path) for path in paths))
+    text = with_notes(report, loaded=carrying, unloaded=alone)
+    typer.echo(f"{text}\n\nwrote " + ", ".join(str(path) for path in paths))
