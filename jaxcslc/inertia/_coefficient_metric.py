@@ -58,16 +58,12 @@ def whitening(
     if free.size:
         free = free / np.linalg.norm(free, axis=1, keepdims=True)
         free = np.linalg.svd(free, full_matrices=False)[2][: numerical_rank(free.T)]
-    rank = len(units) - len(free)
     scaled = covariance / np.outer(units, units)
-    # Of rank `rank` already; the floor is added within its range.
-    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-    values, vectors = values[::-1][:rank], vectors[:, ::-1][:, :rank]
-    floor = np.diag((_FINEST * sizes / units) ** 2)
-    if not free.size:
-        values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + floor)
-        return (vectors.T / np.sqrt(values)[:, None]) / units
-    inner = np.diag(np.maximum(values, 0.0)) + vectors.T @ floor @ vectors
-    coordinates = np.linalg.inv(np.concatenate([vectors, free.T], axis=1))[:rank]
-    half = np.linalg.cholesky((inner + inner.T) / 2)
-    return np.linalg.solve(half, coordinates) / units
+    scaled = (scaled + scaled.T) / 2 + np.diag((_FINEST * sizes / units) ** 2)
+    # Numbers that changes along undetermined combinations leave as they are. The covariance's range
+    # would do as well, but beside a variance of infinity it cannot be told from rounding.
+    numbers = np.eye(len(units))
+    if free.size:
+        numbers = np.linalg.svd(free)[2][len(free) :]
+    values, vectors = np.linalg.eigh(numbers @ scaled @ numbers.T)
+    return (vectors.T / np.sqrt(values)[:, None]) @ numbers / units

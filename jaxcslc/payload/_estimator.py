@@ -10,17 +10,22 @@ from jaxtyping import Array, Bool, Float, Int
 from ..control import LowPassChain
 from ..identification.solver import Identification
 from ..network import CSLC
+from ._change_detection import disagreement, likelihood_ratio, payload_evidence
 from ._possible_body import possible_body
-from ._recursive_least_squares import PRIOR_DEVIATION, NormalEquations, disagreement
+from ._recursive_least_squares import PRIOR_DEVIATION, NormalEquations
 
 
 Joints = Float[Array | np.ndarray, " joints"]
 _SIZE = len(PRIOR_DEVIATION)
 # After this time of motion a payload is decided on even if its mass is not accurate.
 _LONGEST_UNDECIDED = 1.0  # s
-# A disagreement of so many thresholds needs no detection time: neither noise nor a moment of
-# stiction causes it.
+# Evidence or disagreement of so many thresholds needs no detection time: neither noise nor a moment
+# of stiction causes it.
 _CERTAIN = 20.0
+# A mass of so many standard errors is above zero.
+_SIGNIFICANT = 4.0
+# All joints below their thresholds for so long is a standstill, where payloads change [s].
+_STANDSTILL = 0.1
 
 
 class PayloadEstimate(NamedTuple):
@@ -36,6 +41,8 @@ class PayloadEstimate(NamedTuple):
     - `carrying`: whether there is a payload, as decided last; see `PayloadEstimator`.
     - `picked_up`, `put_down`: when that was detected last [s since `begin`]; −1 for never.
     - `change`: disagreement of the latest motion with the estimate: χ² of ten degrees of freedom.
+    - `evidence`: for the next change, the natural logarithm of its likelihood ratio: for a payload
+      while there is none, for none while there is one.
     """
 
     body: Float[Array, "10"]
@@ -48,6 +55,7 @@ class PayloadEstimate(NamedTuple):
     picked_up: Float[Array, ""]
     put_down: Float[Array, ""]
     change: Float[Array, ""]
+    evidence: Float[Array, ""]
 
 
 class PayloadState(NamedTuple):
@@ -61,9 +69,15 @@ class PayloadState(NamedTuple):
     - `samples`, `time`: since `begin` [1], [s].
     - `since_update`: time since the latest update [s].
     - `motion_time`: time in motion since the last reset [s].
-    - `disagreement_time`: time in motion for which the disagreement has lasted [s].
+    - `rest_time`: time for which all joints have been at rest [s].
+    - `disagreement_time`, `evidence_time`: time in motion for which the disagreement, or the
+      evidence, has exceeded its threshold [s].
     - `long_term`, `short_term`: equations of the present payload, and of the latest motion.
-    - `undecided`: whether there is a payload is unknown: at first, and after a change.
+    - `candidate`, `candidate_time`: equations since the last standstill before which nothing spoke
+      for a change, and time in motion since then [s].
+    - `absence`: cumulative sum of the evidence against the payload that is carried.
+    - `reference`: the body that it is tested against: the estimate before that sum rose, (10,).
+    - `undecided`: whether there is a payload is unknown, after a change.
     - `estimate`: the present `PayloadEstimate`.
     """
 
@@ -75,9 +89,15 @@ class PayloadState(NamedTuple):
     time: Float[Array, ""]
     since_update: Float[Array, ""]
     motion_time: Float[Array, ""]
+    rest_time: Float[Array, ""]
     disagreement_time: Float[Array, ""]
+    evidence_time: Float[Array, ""]
     long_term: NormalEquations
     short_term: NormalEquations
+    candidate: NormalEquations
+    candidate_time: Float[Array, ""]
+    absence: Float[Array, ""]
+    reference: Float[Array, "10"]
     undecided: Bool[Array, ""]
     estimate: PayloadEstimate
 
@@ -97,12 +117,20 @@ class PayloadEstimator(eqx.Module):
       (`torque_noise`), so that a second of correlated samples does not count as five hundred
       independent ones. The covariance of the arm's coefficients, if known, is propagated.
     - **Possible.** The estimated body is physically possible at every sample (`possible_body`).
-    - **Change detection.** A second estimator with a short forgetting time is compared with the
+    - **Picking up.** An arm without payload has x = 0 exactly: equations since the last standstill
+      are tested against that, by the logarithm of the Bayes factor of a payload. They are
+      kept over standstills as long as they speak for a payload, so that several short motions count
+      together, and dropped there otherwise (a cumulative sum: Page 1954). If the evidence exceeds
+      `evidence_threshold` for `detection_time`, the estimate is from these equations. It is
+      published as soon as the mass is accurate to `mass_tolerance` or above zero by four standard
+      errors, or, for an arm that hardly senses the mass, after a second of motion.
+    - **Putting down.** While a payload is carried, the cumulative sum of the log likelihood ratio
+      of no payload and of the estimate, against the same threshold.
+    - **Another payload.** A second estimator with a short forgetting time is compared with the
       first. If they disagree by more than `detection_threshold` for `detection_time`, the equations
-      are dropped and the payload is identified again. The published estimate does not change until
-      the mass is accurate to `mass_tolerance` or, for an arm that hardly senses the mass, for a
-      second of motion; then a payload has been picked up or put down. At rest nothing is
-      identified, since friction holds the payload.
+      are dropped and the payload is identified again; the published estimate does not change until
+      the new one can be published, as above. At rest nothing is identified, since friction holds
+      the payload.
 
     Needs float64. Numbers are leaves; `step` is pure: `jit` it, `scan` over it, `vmap` over arms.
 
@@ -116,9 +144,12 @@ class PayloadEstimator(eqx.Module):
     - `forgetting_time`: over which the weight of an equation falls by a factor e [s]; from update
       to update the forgetting factor is exp(−interval / forgetting time).
     - `short_forgetting_time`: the same for change detection [s].
+    - `evidence_threshold`: natural logarithm of the likelihood ratio at which a payload has been
+      picked up or put down. Noise as `noise` says exceeds it with a probability of exp(−threshold)
+      from one standstill to the next, at most.
     - `detection_threshold`: χ² of ten degrees of freedom that noise does not exceed.
-    - `detection_time`: how long it has to be exceeded, in motion [s]; twenty times the threshold
-      counts at once.
+    - `detection_time`: how long either has to be exceeded, in motion [s]; twenty times the
+      threshold counts at once.
     - `mass_tolerance`: standard error of the mass at which the presence of a payload is decided,
       and a third of the least mass that is one [kg].
     - `update_every`: samples from update to update.
@@ -150,6 +181,7 @@ class PayloadEstimator(eqx.Module):
     filter: LowPassChain
     forgetting_time: float
     short_forgetting_time: float
+    evidence_threshold: float
     detection_threshold: float
     detection_time: float
     mass_tolerance: float
@@ -165,6 +197,7 @@ class PayloadEstimator(eqx.Module):
         filter: LowPassChain | None = None,
         forgetting_time: float = 10.0,
         short_forgetting_time: float = 0.3,
+        evidence_threshold: float = 10.0,
         detection_threshold: float = 60.0,
         detection_time: float = 0.1,
         mass_tolerance: float = 0.05,
@@ -203,6 +236,7 @@ class PayloadEstimator(eqx.Module):
             raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
         self.forgetting_time = forgetting_time
         self.short_forgetting_time = short_forgetting_time
+        self.evidence_threshold = evidence_threshold
         self.detection_threshold, self.detection_time = detection_threshold, detection_time
         self.mass_tolerance, self.update_every = mass_tolerance, update_every
 
@@ -226,10 +260,16 @@ class PayloadEstimator(eqx.Module):
             time=zero,
             since_update=zero,
             motion_time=zero,
+            rest_time=zero,
             disagreement_time=zero,
+            evidence_time=zero,
             long_term=empty,
             short_term=empty,
-            undecided=jnp.asarray(True),
+            candidate=empty,
+            candidate_time=zero,
+            absence=zero,
+            reference=jnp.zeros(_SIZE, q.dtype),
+            undecided=jnp.asarray(False),
             estimate=self._estimate(empty, None, zero),
         )
 
@@ -276,41 +316,76 @@ class PayloadEstimator(eqx.Module):
         residual = torque - arm_rows @ self.k
         moving = jnp.abs(qd) > self.velocity_threshold
         weight = jnp.where(moving, state.since_update / self.noise, 0.0)
-        elapsed = state.since_update * jnp.any(weight > 0)
+        sample = NormalEquations.of_sample(payload_rows, arm_rows, residual, weight)
+        return self._decided(self._accumulated(state, sample, jnp.any(weight > 0)))
+
+    def _accumulated(
+        self, state: PayloadState, sample: NormalEquations, moving: Bool[Array, ""]
+    ) -> PayloadState:
+        """The state with the equations of another sample, and with the evidence for a change."""
+        elapsed = jnp.where(moving, state.since_update, 0.0)
+        rest_time = jnp.where(moving, 0.0, state.rest_time + state.since_update)
 
         def updated(equations: NormalEquations, time: float | Array) -> NormalEquations:
-            forgetting = jnp.exp(-state.since_update / time)
-            return equations.updated(payload_rows, arm_rows, residual, weight, forgetting)
+            return equations.with_sample(sample, jnp.exp(-state.since_update / time))
 
-        long_term = updated(state.long_term, self.forgetting_time)
-        short_term = updated(state.short_term, self.short_forgetting_time)
-        change = disagreement(long_term, short_term)
+        before = state.estimate
+        reference = jnp.where(state.absence > 0.0, state.reference, before.body)
+        absence = jnp.maximum(state.absence - likelihood_ratio(sample, reference), 0.0)
+        absence = jnp.where(before.carrying & ~state.undecided, absence, 0.0)
+        candidate = updated(state.candidate, self.forgetting_time)
+        evidence = jnp.where(before.carrying, absence, payload_evidence(candidate))
+        dropped = (rest_time > _STANDSTILL) & (evidence <= 0.0)
+        exceeded = (evidence > self.evidence_threshold) & ~state.undecided
+        return state._replace(
+            since_update=jnp.zeros_like(state.since_update),
+            motion_time=state.motion_time + elapsed,
+            rest_time=rest_time,
+            disagreement_time=state.disagreement_time + elapsed,
+            evidence_time=jnp.where(exceeded, state.evidence_time + elapsed, 0.0),
+            long_term=updated(state.long_term, self.forgetting_time),
+            short_term=updated(state.short_term, self.short_forgetting_time),
+            candidate=candidate.reset(dropped),
+            candidate_time=jnp.where(dropped, 0.0, state.candidate_time + elapsed),
+            absence=absence,
+            reference=reference,
+            estimate=before._replace(evidence=evidence),
+        )
+
+    def _decided(self, state: PayloadState) -> PayloadState:
+        """The state with a new estimate, after decisions on whether there is a payload."""
+        before = state.estimate
+        exceeded = (before.evidence > self.evidence_threshold) & ~state.undecided
+        certain = before.evidence > _CERTAIN * self.evidence_threshold
+        evident = exceeded & ((state.evidence_time > self.detection_time) | certain)
+        gone, appeared = evident & before.carrying, evident & ~before.carrying
+        long_term = state.long_term.replaced(state.candidate, evident)
+        motion_time = jnp.where(evident, state.candidate_time, state.motion_time)
+
+        change = disagreement(long_term, state.short_term)
         # A payload that is just beginning to be identified is not tested for changes.
-        motion_time = state.motion_time + elapsed
         exceeded = (change > self.detection_threshold) & (motion_time > self.short_forgetting_time)
-        disagreement_time = jnp.where(exceeded, state.disagreement_time + elapsed, 0.0)
+        exceeded = exceeded & before.carrying & ~evident
+        disagreement_time = jnp.where(exceeded, state.disagreement_time, 0.0)
         certain = exceeded & (change > _CERTAIN * self.detection_threshold)
         changed = (disagreement_time > self.detection_time) | certain
         # Both have equations from before the change as well: none are kept.
-        long_term, short_term = long_term.reset(changed), short_term.reset(changed)
+        long_term = long_term.reset(changed)
+        short_term = state.short_term.reset(changed | evident)
         motion_time = jnp.where(changed, 0.0, motion_time)
         disagreement_time = jnp.where(changed, 0.0, disagreement_time)
 
-        before = state.estimate
         estimate = self._estimate(long_term, before, change)
-        undecided = state.undecided | changed
-        accurate = estimate.mass_error < self.mass_tolerance
-        decidable = (accurate & (motion_time > self.detection_time)) | (
-            motion_time > _LONGEST_UNDECIDED
-        )
-        significant = (
-            estimate.body @ long_term.information @ estimate.body > self.detection_threshold
-        )
-        loaded = jnp.where(accurate, estimate.mass > 3.0 * self.mass_tolerance, significant)
+        undecided = state.undecided | changed | appeared
+        accurate = (estimate.mass_error < self.mass_tolerance) & (motion_time > self.detection_time)
+        significant = estimate.mass > _SIGNIFICANT * estimate.mass_error
+        decidable = accurate | significant | (motion_time > _LONGEST_UNDECIDED)
+        explained = likelihood_ratio(long_term, estimate.body) > self.evidence_threshold
+        loaded = jnp.where(accurate, estimate.mass > 3.0 * self.mass_tolerance, explained)
         decided = undecided & decidable
-        up, down = decided & loaded, decided & ~loaded & before.carrying
+        up, down = decided & loaded, (decided & ~loaded & before.carrying) | gone
         estimate = estimate._replace(
-            carrying=jnp.where(decided, loaded, before.carrying),
+            carrying=jnp.where(decided, loaded, before.carrying & ~gone),
             picked_up=jnp.where(up, state.time, before.picked_up),
             put_down=jnp.where(down, state.time, before.put_down),
         )
@@ -319,12 +394,16 @@ class PayloadEstimator(eqx.Module):
         estimate = jax.tree_util.tree_map(
             lambda old, new: jnp.where(undecided, old, new), unchanged, estimate
         )
+        settled = decided | gone
         return state._replace(
             long_term=long_term,
             short_term=short_term,
-            since_update=jnp.zeros_like(state.since_update),
+            candidate=state.candidate.reset(settled),
+            candidate_time=jnp.where(settled, 0.0, state.candidate_time),
+            absence=jnp.where(settled, 0.0, state.absence),
             motion_time=motion_time,
             disagreement_time=disagreement_time,
+            evidence_time=jnp.where(settled, 0.0, state.evidence_time),
             undecided=undecided,
             estimate=estimate,
         )
@@ -356,5 +435,13 @@ class PayloadEstimator(eqx.Module):
             else (before.carrying, before.picked_up, before.put_down)
         )
         return PayloadEstimate(
-            body, covariance, mass, mass_error, centre, centre_error, *decisions, change
+            body,
+            covariance,
+            mass,
+            mass_error,
+            centre,
+            centre_error,
+            *decisions,
+            change,
+            jnp.zeros_like(mass) if before is None else before.evidence,
         )

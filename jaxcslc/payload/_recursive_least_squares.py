@@ -1,4 +1,5 @@
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
@@ -8,7 +9,6 @@ from jaxtyping import Array, Bool, Float
 # Standard deviations of the Gaussian prior around no payload [kg m², kg m, kg]; weak beside the
 # information in a second of motion.
 PRIOR_DEVIATION = np.array([0.2] * 6 + [1.0] * 3 + [5.0])
-_REGULARISATION = 1e-9
 
 
 class NormalEquations(eqx.Module):
@@ -35,59 +35,40 @@ class NormalEquations(eqx.Module):
             jnp.zeros((size, size), dtype), jnp.zeros(size, dtype), jnp.zeros((size, arm), dtype)
         )
 
-    def updated(
-        self,
+    @classmethod
+    def of_sample(
+        cls,
         payload_rows: Float[Array, "joints x"],
         arm_rows: Float[Array, "joints arm"],
         residual: Float[Array, " joints"],
         weight: Float[Array, " joints"],
-        forgetting: float | Float[Array, ""],
     ) -> "NormalEquations":
-        """With the equations of another sample.
+        """The equations of one sample.
 
         **Arguments**
 
         - `payload_rows`, `arm_rows`: the regressor's columns of the payload and of the arm.
         - `residual`: torque that the arm's coefficients do not explain [N m or N].
         - `weight`: of each joint's equation.
-        - `forgetting`: the forgetting factor for earlier equations.
         """
         weighted = payload_rows.T * weight[None, :]
-        return NormalEquations(
-            forgetting * self.information + weighted @ payload_rows,
-            forgetting * self.moment + weighted @ residual,
-            forgetting * self.cross + weighted @ arm_rows,
-        )
+        return cls(weighted @ payload_rows, weighted @ residual, weighted @ arm_rows)
+
+    def with_sample(
+        self, sample: "NormalEquations", forgetting: float | Float[Array, ""]
+    ) -> "NormalEquations":
+        """With the equations of another sample; those before weigh less by `forgetting`."""
+        return jax.tree_util.tree_map(lambda old, new: forgetting * old + new, self, sample)
 
     def reset(self, when: Bool[Array, ""]) -> "NormalEquations":
         """Without equations, if `when`."""
+        return self.replaced(jax.tree_util.tree_map(jnp.zeros_like, self), when)
 
-        def cleared(array: Array) -> Array:
-            return jnp.where(when, jnp.zeros_like(array), array)
-
-        return NormalEquations(cleared(self.information), cleared(self.moment), cleared(self.cross))
+    def replaced(self, other: "NormalEquations", when: Bool[Array, ""]) -> "NormalEquations":
+        """The equations of `other`, if `when`."""
+        return jax.tree_util.tree_map(lambda old, new: jnp.where(when, new, old), self, other)
 
     @property
     def posterior_information(self) -> Float[Array, "x x"]:
         """The information of equations and prior together."""
         return self.information + jnp.diag(jnp.asarray(1.0 / PRIOR_DEVIATION**2))
-
-
-def disagreement(long_term: NormalEquations, short_term: NormalEquations) -> Float[Array, ""]:
-    """χ² of the short-term equations at the long-term estimate: a test for a changed payload.
-
-    **Returns**
-
-    A scalar, with as many degrees of freedom as there are unknowns.
-    """
-    information = long_term.posterior_information
-    mean = jnp.linalg.solve(information, long_term.moment)
-    score = short_term.moment - short_term.information @ mean
-    # Var(score) = Λ_s + Λ_s P Λ_s. Where it is singular, χ² is that of its range.
-    variance = short_term.information + short_term.information @ jnp.linalg.solve(
-        information, short_term.information
-    )
-    scale = 1.0 / jnp.sqrt(jnp.diagonal(variance) + _REGULARISATION)
-    size = len(PRIOR_DEVIATION)
-    scaled = variance * scale[:, None] * scale[None, :] + _REGULARISATION * jnp.eye(size)
-    return (scale * score) @ jnp.linalg.solve(scaled, scale * score)

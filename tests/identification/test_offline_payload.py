@@ -12,6 +12,7 @@ import jaxcslc as jc
 import sim
 from jaxcslc.inertia import body_of, link_of, nearest_body, pseudo_inertia
 from jaxcslc.manipulator import fixed_together
+from jaxcslc.network.terms import PAYLOAD
 
 from .conftest import ORDINARY
 
@@ -246,6 +247,30 @@ class TestPhysical:
         body = body_of(payload.possible)
         assert_allclose(body[2], body_of(BODY)[2], rtol=1e-4)
         assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) > 0
+
+    @pytest.mark.parametrize("length", [0.0, 0.5])
+    def test_two_joints_that_do_not_sense_the_mass(
+        self, length: float, rng: np.random.Generator
+    ) -> None:
+        """A twist of π/2 in floating point leaves 6e-17 of a gravity term, and its first moment
+        1e12 of anything. What is determined is met by a body that can exist."""
+        rows = [(0, 0, 0, 0), (np.pi / 2, length, 0, 0)]
+        arm = jc.Manipulator.from_modified_dh(rows, gravity=(0, 0, -9.81))
+        network = jc.derive(arm, lengths="numeric").with_payload()
+        k = np.full(network.size, 0.1)
+        k[network.layout.payload] = body_of(BODY)
+        arm_k = k[network.layout.unloaded]
+        payload = jc.fit_payload(
+            network, _drawn(network, k, rng, FEW, 0.01), previous=arm_k, solver=ORDINARY
+        )
+        assert np.isinf(np.asarray(payload.physical_error)[0])  # the mass
+        assert any("pm" in sentence for sentence in payload.unidentifiable)
+        assert payload.possible is not None
+        body = body_of(payload.possible)
+        assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) > 0
+        assert np.linalg.norm(payload.possible.centre_of_gravity) < 1.0
+        index = list(PAYLOAD).index("phx")
+        assert_allclose(body[index], body_of(BODY)[index], atol=0.01)
 
     def test_an_arm_of_unknown_link_and_payload(self, rng: np.random.Generator) -> None:
         """A recording of the empty arm that does not determine the arm leaves the payload open."""

@@ -12,6 +12,7 @@ import jaxcslc as jc
 import sim
 from jaxcslc.control import ComputedTorque
 from jaxcslc.payload import PayloadCompensation, PayloadEstimator, torque_noise
+from scripts.studies.payload.bound import equations, mass_bound
 from scripts.studies.payload.errors import (
     CURVE_STEP,
     estimate_curve,
@@ -41,6 +42,7 @@ class Arm:
     fit: jc.Identification
     estimator: PayloadEstimator
     controller: ComputedTorque
+    rehearsal: jc.Recording
 
 
 class Arms:
@@ -96,6 +98,7 @@ class Arms:
                 machine,
                 *self._estimator(refined, run.recording),
                 controller,
+                run.recording,
             )
             for machine, refined, run, controller in zip(
                 machines, refinements, rehearsed, controllers, strict=True
@@ -157,6 +160,9 @@ class Arms:
         for seed, (arm, run) in enumerate(zip(arms, runs[LEARNT], strict=True)):
             row = {"case": case, "mass": mass, "seed": seed} | estimate_figures(task, run)
             if mass:
+                carried = run.recording.rows(task.carried)
+                without, loaded = equations(arm.estimator, arm.rehearsal, carried)
+                row["mass bound [kg]"] = mass_bound(arm.estimator, without, loaded)
                 row |= offline_figures(self.with_payload, arm.fit, arm.settings, task, run)
             for method, errors in off.items():
                 figures = hand_figures(task, errors[seed])

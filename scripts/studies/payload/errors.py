@@ -21,14 +21,15 @@ _BASIS = np.stack([pseudo_inertia(unit) for unit in np.eye(10)])
 def observed_estimates(state: Any) -> Mapping[str, Any]:
     """The estimates in a learning loop's state, recorded after every sample."""
     estimate = state.estimator.estimate
-    names = ("body", "mass", "mass_error", "centre", "centre_error", "carrying")
+    names = ("body", "mass", "mass_error", "centre", "centre_error", "carrying", "evidence")
     return {name: getattr(estimate, name) for name in (*names, "picked_up", "put_down")}
 
 
 def estimate_figures(task: Task, run: sim.ClosedLoop) -> dict[str, Any]:
     """Alarms and errors of the estimates of one run.
 
-    Without a payload only false alarms and the least eigenvalue of the pseudo-inertia.
+    Without a payload only false alarms, the greatest evidence and the least eigenvalue of the
+    pseudo-inertia.
     """
     observed, mass = run.observed, float(task.body.mass)
     carrying = observed["carrying"]
@@ -39,7 +40,7 @@ def estimate_figures(task: Task, run: sim.ClosedLoop) -> dict[str, Any]:
         "least eigenvalue": float(least),
     }
     if not mass:
-        return row
+        return row | {"evidence": float(observed["evidence"].max())}
     picked_up, put_down = (float(observed[name][-1]) for name in ("picked_up", "put_down"))
     row["picked up"] = picked_up - task.departed if picked_up > 0 else np.nan
     row["put down"] = put_down - task.left if put_down > 0 else np.nan
@@ -66,8 +67,7 @@ def offline_figures(
     - `network`: with payload.
     - `fit`, `settings`: of the arm without payload.
     """
-    carried = slice(task.sample(task.picked), task.sample(task.placed))
-    recording = run.recording.rows(carried)
+    recording = run.recording.rows(task.carried)
     payload = jc.fit_payload(
         network, settings.patterns(recording), previous=fit, solver=settings.solver
     )

@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxcslc.identification.report import text_table
 from scripts.studies.payload.arms import LEARNT, METHODS, NOT_LEARNT
+from scripts.studies.payload.errors import SIGMAS
 from scripts.studies.payload.task import CASES, MOMENTS
 from scripts.studies.tables import median_text
 
@@ -65,8 +66,25 @@ class Tables:
         header += ["centre error [mm]", "worst", "95 % ±", "covered"]
         return text_table(header, cells, left=("after",))
 
+    def bounds(self) -> str:
+        """The least standard error of the mass that the motion allows, and the errors made."""
+        cells: list[list[str]] = []
+        for case, mass in self.pairs:
+            if not mass:
+                continue
+            bound = 1e3 * np.array(self.of(case, mass, "mass bound [kg]"))
+            off = 10.0 * mass * np.array(self.of(case, mass, "mass error [%], end"))
+            half = 10.0 * mass * np.array(self.of(case, mass, "mass interval [%], end"))
+            some = off[np.isfinite(off)]
+            spread = f"{np.std(some, ddof=1):.2g}" if len(some) > 1 else "-"
+            mean = f"{np.mean(some):+.2g}" if len(some) else "-"
+            errors = [median_text(bound), median_text(half / SIGMAS), mean, spread]
+            cells.append([CASES[case].description, f"{mass:g}", *errors])
+        header = ["case", "kg", "bound [g]", "standard error [g]", "mean error [g]", "scatter [g]"]
+        return text_table(header, cells)
+
     def moments(self) -> str:
-        """When picking up and putting down were detected, and false alarms."""
+        """When picking up and putting down were detected, false alarms, and how near to one."""
         cells: list[list[str]] = []
         for case, mass in self.pairs:
             up, down = (
@@ -82,11 +100,12 @@ class Tables:
                         for text in (f"{np.isfinite(times).sum()}/{len(times)}", median_text(times))
                     ),
                     f"{sum(self.of(case, mass, 'false alarms')):g}",
+                    "-" if mass else f"{max(self.of(case, mass, 'evidence')):.2g}",
                     f"{min(self.of(case, mass, 'least eigenvalue')):.2g}",
                 ]
             )
-        header = ["case", "kg", "up", "after [s]", "down", "after [s]", "false", "least eigenvalue"]
-        return text_table(header, cells)
+        header = ["case", "kg", "up", "after [s]", "down", "after [s]", "false"]
+        return text_table([*header, "evidence", "least eigenvalue"], cells)
 
     def hand(self) -> str:
         """Errors of the hand by method, and their ratio without and with learning."""

@@ -148,7 +148,10 @@ def study(options: argparse.Namespace) -> int:
     cases = [case for case in CASES if case in options.cases]
     masses = sorted(set(options.masses))
     pairs = [(case, mass) for case in cases for mass in masses]
-    code = [Path(__file__).with_name(f"{name}.py") for name in ("arms", "errors", "loops", "task")]
+    code = [
+        Path(__file__).with_name(f"{name}.py")
+        for name in ("arms", "bound", "errors", "loops", "task")
+    ]
     names = ("seeds", "frequency", "training", "quick")
     digest = made_of({name: getattr(options, name) for name in names}, code)
     finished = Rows(options.output / "rows.jsonl", ("case", "mass"), digest)
@@ -166,6 +169,8 @@ def study(options: argparse.Namespace) -> int:
             f"{options.seeds} arms: median (10 to 90 %)",
             "Estimates, after so much motion with the payload\n" + tables.estimates(),
             "Detected after so much time from setting off on\n" + tables.moments(),
+            "Errors of the mass at the end, and the Cramér-Rao bound of the motion\n"
+            + tables.bounds(),
             "The hand\n" + tables.hand(),
         ]
     )

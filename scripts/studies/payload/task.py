@@ -65,6 +65,11 @@ class Task:
         self.moments = {f"{t:g} s": int(np.searchsorted(in_motion, t)) for t in MOMENTS}
         self.moments["end"] = self.sample(self.placed) - 1
 
+    @property
+    def carried(self) -> slice:
+        """The samples at which the payload is there."""
+        return slice(self.sample(self.picked), self.sample(self.placed))
+
     def sample(self, time: float) -> int:
         """The sample at a time."""
         return round(time / INTERVAL)
