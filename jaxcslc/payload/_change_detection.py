@@ -33,6 +33,32 @@ def likelihood_ratio(equations: NormalEquations, body: Float[Array, "10"]) -> Fl
     return body @ equations.moment - 0.5 * body @ equations.information @ body
 
 
+def absence_evidence(
+    equations: NormalEquations,
+    payload_rows: Float[Array, "joints 10"],
+    residual: Float[Array, " joints"],
+    weight: Float[Array, " joints"],
+) -> Float[Array, ""]:
+    """The logarithm of how much better a sample is predicted by no payload than by the present one.
+
+    Of the present one, the predictive density of its equations: what they do not determine yet
+    predicts nothing. With the most probable body instead, a payload that had just been picked up
+    was lost again at the next motion of the wrist.
+
+    **Arguments**
+
+    - `equations`: of the payload so far.
+    - `payload_rows`, `residual`, `weight`: of the sample, as of `NormalEquations.of_sample`.
+    """
+    rows, torque = jnp.sqrt(weight)[:, None] * payload_rows, jnp.sqrt(weight) * residual
+    information = equations.posterior_information
+    innovation = torque - rows @ jnp.linalg.solve(information, equations.moment)
+    variance = jnp.eye(len(weight)) + rows @ jnp.linalg.solve(information, rows.T)
+    lower = jnp.linalg.cholesky(0.5 * (variance + variance.T))
+    white = jax.scipy.linalg.solve_triangular(lower, innovation, lower=True)
+    return 0.5 * (white @ white - torque @ torque) + jnp.sum(jnp.log(jnp.diagonal(lower)))
+
+
 def disagreement(long_term: NormalEquations, short_term: NormalEquations) -> Float[Array, ""]:
     """χ² of the short-term equations at the long-term estimate: a test for a changed payload.
 

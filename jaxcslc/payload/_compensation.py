@@ -12,7 +12,8 @@ from ..control import (
     OutputFeedbackState,
     Reference,
 )
-from ._estimator import PayloadEstimator, PayloadState
+from ._estimator import PayloadEstimator
+from ._payload_state import PayloadState
 
 
 class PayloadCompensationState(NamedTuple):

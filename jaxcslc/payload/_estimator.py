@@ -1,16 +1,20 @@
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from ..control import LowPassChain
 from ..identification.solver import Identification
 from ..network import CSLC
-from ._change_detection import disagreement, likelihood_ratio, payload_evidence
+from ._change_detection import (
+    absence_evidence,
+    disagreement,
+    likelihood_ratio,
+    payload_evidence,
+)
+from ._payload_state import PayloadEstimate, PayloadState
 from ._possible_body import possible_body
 from ._recursive_least_squares import PRIOR_DEVIATION, NormalEquations
 
@@ -26,80 +30,6 @@ _CERTAIN = 20.0
 _SIGNIFICANT = 4.0
 # All joints below their thresholds for so long is a standstill, where payloads change [s].
 _STANDSTILL = 0.1
-
-
-class PayloadEstimate(NamedTuple):
-    """The estimate of a payload at one instant, in the frame of the link that carries it.
-
-    **Attributes**
-
-    - `body`: its ten inertial parameters in the order of `BODY`, physically possible.
-    - `covariance`: of the unconstrained estimate, (10, 10).
-    - `mass`, `mass_error`: and its standard error [kg].
-    - `centre`, `centre_error`: centre of gravity and its standard error, (3,) [m]; the error is
-      infinite while the mass may be zero.
-    - `carrying`: whether there is a payload, as decided last; see `PayloadEstimator`.
-    - `picked_up`, `put_down`: when that was detected last [s since `begin`]; −1 for never.
-    - `change`: disagreement of the latest motion with the estimate: χ² of ten degrees of freedom.
-    - `evidence`: for the next change, the natural logarithm of its likelihood ratio: for a payload
-      while there is none, for none while there is one.
-    """
-
-    body: Float[Array, "10"]
-    covariance: Float[Array, "10 10"]
-    mass: Float[Array, ""]
-    mass_error: Float[Array, ""]
-    centre: Float[Array, "3"]
-    centre_error: Float[Array, "3"]
-    carrying: Bool[Array, ""]
-    picked_up: Float[Array, ""]
-    put_down: Float[Array, ""]
-    change: Float[Array, ""]
-    evidence: Float[Array, ""]
-
-
-class PayloadState(NamedTuple):
-    """The memory of a `PayloadEstimator`.
-
-    **Attributes**
-
-    - `position`: the latest reading, (n,) [rad or m].
-    - `torque`: the torque command for it, (n,) [N m or N].
-    - `motion`, `effort`: states of the filters on readings and on torques, (lags, n).
-    - `samples`, `time`: since `begin` [1], [s].
-    - `since_update`: time since the latest update [s].
-    - `motion_time`: time in motion since the last reset [s].
-    - `rest_time`: time for which all joints have been at rest [s].
-    - `disagreement_time`, `evidence_time`: time in motion for which the disagreement, or the
-      evidence, has exceeded its threshold [s].
-    - `long_term`, `short_term`: equations of the present payload, and of the latest motion.
-    - `candidate`, `candidate_time`: equations since the last standstill before which nothing spoke
-      for a change, and time in motion since then [s].
-    - `absence`: cumulative sum of the evidence against the payload that is carried.
-    - `reference`: the body that it is tested against: the estimate before that sum rose, (10,).
-    - `undecided`: whether there is a payload is unknown, after a change.
-    - `estimate`: the present `PayloadEstimate`.
-    """
-
-    position: Float[Array, " joints"]
-    torque: Float[Array, " joints"]
-    motion: Float[Array, "lags joints"]
-    effort: Float[Array, "lags joints"]
-    samples: Int[Array, ""]
-    time: Float[Array, ""]
-    since_update: Float[Array, ""]
-    motion_time: Float[Array, ""]
-    rest_time: Float[Array, ""]
-    disagreement_time: Float[Array, ""]
-    evidence_time: Float[Array, ""]
-    long_term: NormalEquations
-    short_term: NormalEquations
-    candidate: NormalEquations
-    candidate_time: Float[Array, ""]
-    absence: Float[Array, ""]
-    reference: Float[Array, "10"]
-    undecided: Bool[Array, ""]
-    estimate: PayloadEstimate
 
 
 class PayloadEstimator(eqx.Module):
@@ -124,8 +54,8 @@ class PayloadEstimator(eqx.Module):
       `evidence_threshold` for `detection_time`, the estimate is from these equations. It is
       published as soon as the mass is accurate to `mass_tolerance` or above zero by four standard
       errors, or, for an arm that hardly senses the mass, after a second of motion.
-    - **Putting down.** While a payload is carried, the cumulative sum of the log likelihood ratio
-      of no payload and of the estimate, against the same threshold.
+    - **Putting down.** While a payload is carried, the cumulative sum of the logarithms of how much
+      better no payload predicts a sample than the payload so far, against the same threshold.
     - **Another payload.** A second estimator with a short forgetting time is compared with the
       first. If they disagree by more than `detection_threshold` for `detection_time`, the equations
       are dropped and the payload is identified again; the published estimate does not change until
@@ -268,7 +198,6 @@ class PayloadEstimator(eqx.Module):
             candidate=empty,
             candidate_time=zero,
             absence=zero,
-            reference=jnp.zeros(_SIZE, q.dtype),
             undecided=jnp.asarray(False),
             estimate=self._estimate(empty, None, zero),
         )
@@ -317,10 +246,15 @@ class PayloadEstimator(eqx.Module):
         moving = jnp.abs(qd) > self.velocity_threshold
         weight = jnp.where(moving, state.since_update / self.noise, 0.0)
         sample = NormalEquations.of_sample(payload_rows, arm_rows, residual, weight)
-        return self._decided(self._accumulated(state, sample, jnp.any(weight > 0)))
+        against = absence_evidence(state.long_term, payload_rows, residual, weight)
+        return self._decided(self._accumulated(state, sample, against, jnp.any(weight > 0)))
 
     def _accumulated(
-        self, state: PayloadState, sample: NormalEquations, moving: Bool[Array, ""]
+        self,
+        state: PayloadState,
+        sample: NormalEquations,
+        against: Float[Array, ""],
+        moving: Bool[Array, ""],
     ) -> PayloadState:
         """The state with the equations of another sample, and with the evidence for a change."""
         elapsed = jnp.where(moving, state.since_update, 0.0)
@@ -330,8 +264,7 @@ class PayloadEstimator(eqx.Module):
             return equations.with_sample(sample, jnp.exp(-state.since_update / time))
 
         before = state.estimate
-        reference = jnp.where(state.absence > 0.0, state.reference, before.body)
-        absence = jnp.maximum(state.absence - likelihood_ratio(sample, reference), 0.0)
+        absence = jnp.maximum(state.absence + against, 0.0)
         absence = jnp.where(before.carrying & ~state.undecided, absence, 0.0)
         candidate = updated(state.candidate, self.forgetting_time)
         evidence = jnp.where(before.carrying, absence, payload_evidence(candidate))
@@ -348,7 +281,6 @@ class PayloadEstimator(eqx.Module):
             candidate=candidate.reset(dropped),
             candidate_time=jnp.where(dropped, 0.0, state.candidate_time + elapsed),
             absence=absence,
-            reference=reference,
             estimate=before._replace(evidence=evidence),
         )
 

@@ -107,6 +107,7 @@ def test_picking_up_and_putting_down_are_noticed(carried: list[sim.ClosedLoop]) 
     resumed = {PICKED: 1.4, PLACED: 3.9}  # an arm at rest determines nothing
     assert 0 < observed["picked_up"][-1] - resumed[PICKED] < 1.0
     assert 0 < observed["put_down"][-1] - resumed[PLACED] < 1.0
+    assert np.count_nonzero(np.diff(observed["carrying"])) == 2  # and not lost in between
     before = carried[1].truth.time < resumed[PICKED]
     assert not observed["carrying"][before].any() and not observed["carrying"][-1]
     assert np.all(observed["picked_up"][before] == -1.0)

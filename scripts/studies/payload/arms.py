@@ -23,7 +23,7 @@ from scripts.studies.payload.errors import (
     offline_figures,
 )
 from scripts.studies.payload.loops import KnownPayloadLoop, LoopBatch
-from scripts.studies.payload.task import CASES, START, Task, rehearsal
+from scripts.studies.payload.task import CASES, INTERVAL, START, Task, rehearsal
 
 
 METHODS = LEARNT, NOT_LEARNT, KNOWN = "learnt", "not learnt", "known"
@@ -50,7 +50,8 @@ class Arms:
 
     **Attributes**
 
-    - `select`: whether settings are selected by cross-validation; fixed ones otherwise.
+    - `select`: whether settings are selected by cross-validation, and estimates compared with
+      off-line fits and bounds; of a trial run, settings are fixed, and the rehearsal is short.
     """
 
     def __init__(self, seeds: int, frequency: float, training: int, *, select: bool = True) -> None:
@@ -89,7 +90,9 @@ class Arms:
             for machine, refined in zip(machines, refinements, strict=True)
         ]
         loops = LoopBatch.of([self.known_payload(controller, None) for controller in controllers])
-        unloaded = sim.Trajectory("rehearsal", START, loops, samples=5500, path=rehearsal())
+        unloaded = sim.Trajectory(
+            "rehearsal", START, loops, samples=5500 if self.select else 2500, path=rehearsal()
+        )
         rehearsed = successes(
             sim.close_loop(machines, unloaded, [number + 1 for number in numbers])
         )
@@ -159,10 +162,11 @@ class Arms:
         rows: list[dict[str, Any]] = []
         for seed, (arm, run) in enumerate(zip(arms, runs[LEARNT], strict=True)):
             row = {"case": case, "mass": mass, "seed": seed} | estimate_figures(task, run)
-            if mass:
+            if mass and self.select:
                 carried = run.recording.rows(task.carried)
                 without, loaded = equations(arm.estimator, arm.rehearsal, carried)
-                row["mass bound [kg]"] = mass_bound(arm.estimator, without, loaded)
+                interval = INTERVAL * arm.estimator.update_every
+                row["mass bound [kg]"] = mass_bound(without, loaded, interval)
                 row |= offline_figures(self.with_payload, arm.fit, arm.settings, task, run)
             for method, errors in off.items():
                 figures = hand_figures(task, errors[seed])

@@ -10,9 +10,9 @@ from jaxtyping import Array, Bool, Float
 
 import jaxcslc as jc
 from jaxcslc.payload import PayloadEstimator
+from scripts.studies.payload.task import INTERVAL
 
 
-_INTERVAL = 0.002  # of samples [s]
 _REACH = 0.5  # of the errors' autocovariance [s]
 # The errors' spectrum is no less than this part of its maximum, for what is left of it at higher
 # frequencies is rounding and the filter's.
@@ -35,12 +35,16 @@ class Equations(NamedTuple):
 
 def equations(estimator: PayloadEstimator, *recordings: jc.Recording) -> list[Equations]:
     """The equations that an estimator makes of each recording."""
-    return [
-        Equations(
-            *map(np.asarray, _equations(estimator, *map(jnp.asarray, (one.position, one.torque))))
-        )
-        for one in recordings
-    ]
+    longest = max(len(recording.time) for recording in recordings)
+    made: list[Equations] = []
+    for recording in recordings:
+        # At one length one compiled program serves all of them.
+        missing = ((0, longest - len(recording.time)), (0, 0))
+        signals = (recording.position, recording.torque)
+        padded = (jnp.asarray(np.pad(signal, missing, mode="edge")) for signal in signals)
+        updates = len(recording.time) // estimator.update_every
+        made.append(Equations(*(np.asarray(x)[:updates] for x in _equations(estimator, *padded))))
+    return made
 
 
 @eqx.filter_jit
@@ -51,8 +55,8 @@ def _equations(
 
     def filtered(state: tuple[Array, Array], sample: tuple[Array, ...]) -> tuple[Any, Any]:
         before, now, demand_before, demand = sample
-        motion = chain.step(state[0], before, now, _INTERVAL)
-        effort = chain.step(state[1], demand_before, demand, _INTERVAL, hold="constant")
+        motion = chain.step(state[0], before, now, INTERVAL)
+        effort = chain.step(state[1], demand_before, demand, INTERVAL, hold="constant")
         return (motion, effort), (chain.read(motion), chain.read(effort).value)
 
     begin = chain.begin(q[0]), chain.begin(torque[0])
@@ -75,7 +79,7 @@ def autocovariance(
     return np.array(sums) / np.maximum(pairs, 1) * (1.0 - np.arange(lags) / lags)
 
 
-def mass_bound(estimator: PayloadEstimator, unloaded: Equations, carrying: Equations) -> float:
+def mass_bound(unloaded: Equations, carrying: Equations, interval: float) -> float:
     """The least standard error of an unbiased estimate of the mass [kg].
 
     For errors of each joint that are Gaussian and stationary, with the autocovariance of those of
@@ -85,11 +89,11 @@ def mass_bound(estimator: PayloadEstimator, unloaded: Equations, carrying: Equat
 
     - `unloaded`: without payload; their residual is the model's error.
     - `carrying`: while the payload is carried.
+    - `interval`: from update to update [s].
     """
-    interval, count = _INTERVAL * estimator.update_every, len(carrying.residual)
+    count, lags = len(carrying.residual), round(_REACH / interval)
     information = np.diag(1.0 / _PRIOR**2)
     for joint in range(carrying.residual.shape[1]):
-        lags = round(_REACH / interval)
         covariance = autocovariance(unloaded.residual[:, joint], unloaded.moving[:, joint], lags)
         circle = np.zeros(4 * count)
         circle[:lags], circle[-lags + 1 :] = covariance, covariance[:0:-1]

@@ -28,9 +28,9 @@ class Tables:
         self.pairs = list(dict.fromkeys((row["case"], row["mass"]) for row in rows))
 
     def of(self, case: str, mass: float, name: str) -> list[float]:
-        """One number of each seed."""
+        """One number of each seed; NaN for what a trial run leaves out."""
         selected = [row for row in self.rows if (row["case"], row["mass"]) == (case, mass)]
-        return [float(row[name]) for row in selected]
+        return [float(row.get(name, np.nan)) for row in selected]
 
     def estimates(self) -> str:
         """Errors of the estimates, and their intervals."""
