@@ -88,6 +88,17 @@ def test_libfranka(motion: Recording, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.velocity, motion.velocity)
 
 
+def test_logs_that_lack_a_column(tmp_path: Path) -> None:
+    names = ["time", *(f"{stem}[{i}]" for stem in ("state.q", "state.tau_J") for i in range(7))]
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(name for name in names if name != "state.tau_J[3]") + "\n")
+    with pytest.raises(RecordingError, match=r"no column 'state.tau_J\[3\]'; the file has time"):
+        load_recording(path)
+    path.write_text(",".join(names[:8]) + "\n")
+    with pytest.raises(RecordingError, match=r"no torque: the log has no column state.tau_J\[6\]"):
+        load_recording(path)
+
+
 class TestNamedColumns:
     def test_units_and_names(self, motion: Recording, tmp_path: Path) -> None:
         names = motion.joint_names or ()

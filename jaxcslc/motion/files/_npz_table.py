@@ -1,4 +1,5 @@
 import contextlib
+import struct
 import zipfile
 import zlib
 from pathlib import Path
@@ -9,6 +10,10 @@ import numpy as np
 from .. import RecordingError
 from ._errors import one_line
 from ._layout import Header
+
+
+# What unpacking a damaged file raises; `RuntimeError` is of encrypted ones and unknown versions.
+_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error)
 
 
 def read_npz(path: Path) -> tuple[Header, dict[str, Any]]:
@@ -26,7 +31,7 @@ def read_npz(path: Path) -> tuple[Header, dict[str, Any]]:
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except RecordingError:
         raise
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (ValueError, OSError, EOFError, RuntimeError, *_DAMAGE) as error:
         if isinstance(error, PermissionError):
             raise
         raise RecordingError(f"{path}: is no readable .npz file: {one_line(error)}") from error

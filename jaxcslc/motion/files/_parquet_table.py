@@ -74,7 +74,7 @@ def _batches(path: Path, types: dict[str, pa.DataType]) -> Iterator[pa.RecordBat
                 ]
                 yield pa.record_batch(columns, names=names)
                 row += batch.num_rows
-    except (pa.ArrowInvalid, OSError) as error:
+    except (pa.ArrowInvalid, UnicodeDecodeError, OSError) as error:
         raise RecordingError(f"{path}: is damaged after row {row}: {one_line(error)}") from error
 
 
@@ -82,7 +82,7 @@ def _schema(path: Path) -> pa.Schema:
     try:
         with pq.ParquetFile(path) as file:
             return file.schema_arrow
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
+    except (pa.ArrowException, UnicodeDecodeError, OSError) as error:
         if isinstance(error, PermissionError):
             raise
         raise RecordingError(f"{path}: is no readable Parquet file: {one_line(error)}") from error

@@ -179,6 +179,9 @@ def _kind_of(path: Path) -> str:
 def _checked_header(path: Path, header: Header, check: Check[C]) -> C:
     columns = check(str(path), header)
     for name in columns.names:
+        if name not in header.names:
+            listed = ", ".join(header.names[:12]) + (", ..." if header.names[12:] else "")
+            raise RecordingError(f"{path}: no column {name!r}; the file has {listed}")
         if header.names.count(name) > 1:
             raise RecordingError(f"{path}: column {name!r} occurs more than once")
     return columns
