@@ -1,88 +1,204 @@
-"""The index page of the experiment."""
+"""The index page of the experiment: its tables and figures by topic, terms explained first."""
 
+import math
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
 
-from scripts.studies.tables import number_text
+from jaxcslc.page import (
+    AbstractBlock,
+    Column,
+    Details,
+    Link,
+    Message,
+    Page,
+    Paragraph,
+    Picture,
+    Section,
+    Table,
+    Tone,
+    render,
+)
 
 
 Rows = list[dict[str, Any]]
 
-
-# Of coefficients; the CSV files have these too.
-_LEFT_OUT = ("group", "positive", "relative_error")
-_LAST = ("reason", "expression")
-_LONGEST = 70  # characters of a cell; the whole text appears under the pointer
-
-
-def html_table(rows: Rows) -> str:
-    """Rows as an HTML table; numbers to four digits, columns of text to the left."""
-    names = [name for name in rows[0] if name not in (*_LEFT_OUT, *_LAST)]
-    names += [name for name in _LAST if name in rows[0]]
-    text = {name for name in names if any(isinstance(row.get(name), str) for row in rows)}
-    head = "".join(f"<th{_side(name in text)}>{escape(_heading(name))}</th>" for name in names)
-    body = "".join(
-        "<tr>" + "".join(_cell(row.get(name, ""), name in text) for name in names) + "</tr>\n"
-        for row in rows
-    )
-    return f"<table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table>\n"
-
-
-def _heading(name: str) -> str:
-    return name.replace("_", " ")
-
-
-def _side(text: bool) -> str:
-    return " class='text'" if text else ""
-
-
-def _cell(value: Any, text: bool) -> str:
-    if isinstance(value, bool | np.bool_):
-        shown = "yes" if value else "no"
-    else:
-        shown = "" if value != value else number_text(value)
-    whole = f" title='{escape(shown)}'" if len(shown) > _LONGEST else ""
-    shown = shown if not whole else shown[: _LONGEST - 2] + " …"
-    return f"<td{_side(text)}{whole}>{escape(shown)}</td>"
+# Sections: title, explanation, tables (all whose names begin so) and figures.
+_TOPICS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
+    (
+        "Torque errors",
+        "Predicted against measured torque of the comparison trajectory, to which nothing was"
+        " fitted (Figs. 7.6-1 to 7.6-3). mean |e1|: mean modulus of joint 1's error. ε: half the"
+        " root mean square of the joints' errors in one sample, averaged over samples. CSLC: the"
+        " network's coefficients identified from the training trajectory, by the direct solve; CSLC"
+        " trained: by the thesis's route. Ar+LS: links as Armstrong et al. measured them on another"
+        " arm, with the friction of Leahy and Saridis. Ar+Rg: the same links, friction regressed"
+        " from this arm's training trajectory. true: the coefficients of the simulated arm itself.",
+        ("errors",),
+        ("7.6-1", "7.6-2"),
+    ),
+    (
+        "Coefficients",
+        "Identified values with their 95 % intervals, beside the true ones, those that Ar+LS has,"
+        " and the thesis's of its real arms (Figs. B.1 to B.5). Expressions, verdicts' reasons and"
+        " sensitivities are in the CSV files.",
+        ("intervals", "coefficients", "one_design"),
+        (),
+    ),
+    (
+        "Networks trained as in 7.5",
+        "Backpropagation until ε is that of Ar+LS, then PERAL; beside it the direct solve of the"
+        " same patterns.",
+        ("training",),
+        (),
+    ),
+    (
+        "Static friction and backlash",
+        "From which speed static friction may be neglected, what other thresholds cost, and how"
+        " well Eqn. 2.5-7 tells samples within backlash.",
+        ("threshold", "backlash"),
+        ("7.6-4", "2.5-1", "2.5-3"),
+    ),
+    (
+        "Motors",
+        "Do the motors deliver what is demanded (7.2.3)? All demands stay within the range that"
+        " was seen to be linear; one table says what it costs if they do not.",
+        ("demands", "peaks", "weak"),
+        ("7.2-1", "7.2-2", "7.4-1"),
+    ),
+    (
+        "Motion and its smoothing",
+        "Training motion, and how velocities and accelerations come out of encoder counts.",
+        (),
+        ("7.3-1", "7.3-2", "7.4-2"),
+    ),
+)
+# Columns of tables of coefficients that fit a laptop, by the name of the rows' entry.
+_COEFFICIENTS = ("name", "value", "low", "high", "true", "trained", "Ar+LS", "thesis", "unit")
+_SHORT = 20  # rows of a table; longer ones open on a click
+_VERDICTS: dict[str, Tone] = {
+    "well determined": "good",
+    "poorly determined": "caution",
+    "systematic error": "caution",
+    "wrong sign": "bad",
+    "not determined": "bad",
+    "indistinguishable from zero": "plain",
+}
 
 
 def index_page(
     tables: Mapping[str, tuple[str, Rows]], captions: Mapping[str, str], notes: Sequence[str]
 ) -> str:
-    """One page with every table and figure.
+    """One page with every table and figure, in sections by topic.
 
     **Arguments**
 
     - `tables`: captions and rows, by the name of the CSV file.
     - `captions`: of the figures, by number.
+    - `notes`: about the machines: settings, condition, agreement.
     """
-    style = (
-        "body{font:16px/1.5 sans-serif;max-width:70em;margin:2em auto;padding:0 1em}"
-        "table{border-collapse:collapse;font-size:13px;margin:.5em 0}"
-        "td,th{border-bottom:1px solid #ccc;padding:.15em .6em;text-align:right;"
-        "vertical-align:bottom}td{white-space:nowrap}.text{text-align:left}"
-        "th:first-child,td:first-child{text-align:left;position:sticky;left:0;background:#fff}"
-        "img{max-width:100%}.wide{overflow-x:auto}"
+    sections: list[Section] = []
+    shown: set[str] = set()
+    for title, lead, prefixes, figures in _TOPICS:
+        names = [name for prefix in prefixes for name in tables if name.startswith(prefix)]
+        numbers = [number for number in figures if number in captions]
+        shown |= {*names, *numbers}
+        blocks = _tables(tables, names) + _figures(captions, numbers)
+        if blocks:
+            sections.append(Section(title, lead, blocks))
+    others = _tables(tables, [name for name in tables if name not in shown])
+    others += _figures(captions, [number for number in captions if number not in shown])
+    if others:
+        sections.append(Section("More", "", others))
+    sections.append(
+        Section(
+            "Machines and settings",
+            "Settings of the fits, selected by cross-validation within the training recording;"
+            " conditions, signs, and the combination of coefficients that each recording determines"
+            " least.",
+            [Paragraph(note) for note in notes],
+        )
     )
-    parts = [
-        "<!doctype html><html lang='en'><meta charset='utf-8'>",
-        f"<title>PUMA 560 experiment</title><style>{style}</style>",
-        "<h1>The identification experiment on two simulated PUMA 560s</h1>",
-        *(f"<p>{escape(note)}</p>" for note in notes),
-        "<h2>Tables</h2>",
+    tone, headline, messages = _verdict(tables)
+    page = Page(
+        title="The identification experiment on two simulated PUMA 560s",
+        subtitle="Chapter 7 of the thesis, on machines with every disturbance of its Section 7.2",
+        headline=headline,
+        tone=tone,
+        summary=messages,
+        sections=tuple(sections),
+    )
+    return render(page, interactive=False)
+
+
+def _verdict(tables: Mapping[str, tuple[str, Rows]]) -> tuple[Tone, str, tuple[Message, ...]]:
+    """Whether identification beats direct measurement on both machines, in words."""
+    messages: list[Message] = []
+    better: list[bool] = []
+    for name, (_, rows) in tables.items():
+        row = next((row for row in rows if row.get("") == "mean ε"), None)
+        if not name.startswith("errors") or row is None:
+            continue
+        measured = min(row["Ar+LS"], row["Ar+Rg"])
+        better.append(row["CSLC"] < measured)
+        messages.append(
+            Message(
+                f"PUMA {name.removeprefix('errors_').upper()}: mean torque error ε"
+                f" {row['CSLC']:.3g} N m with identified coefficients, {row['Ar+LS']:.3g} with"
+                f" measured ones (Ar+LS), {row['Ar+Rg']:.3g} with measured links and regressed"
+                f" friction (Ar+Rg), {row['true']:.3g} with the true ones.",
+                "good" if better[-1] else "caution",
+            )
+        )
+    if all(better):
+        return (
+            "good",
+            "Identified coefficients predict torques better than measured ones, on both machines.",
+            tuple(messages),
+        )
+    return (
+        "caution",
+        "Identified coefficients do not predict torques better than measured ones everywhere.",
+        tuple(messages),
+    )
+
+
+def _tables(tables: Mapping[str, tuple[str, Rows]], names: Sequence[str]) -> list[AbstractBlock]:
+    blocks: list[AbstractBlock] = []
+    for name in names:
+        caption, rows = tables[name]
+        long = len(rows) > _SHORT
+        table = _table(name, "" if long else caption, rows)
+        file = Link(f"{name}.csv")
+        blocks += [Details(caption, (table, file))] if long else [table, file]
+    return blocks
+
+
+def _table(name: str, caption: str, rows: Rows) -> Table:
+    names = list(rows[0])
+    if name.startswith("coefficients"):
+        names = [column for column in (*_COEFFICIENTS, "verdict") if column in names]
+    columns = tuple(_column(column, [row.get(column) for row in rows]) for column in names)
+    body = tuple(tuple(_value(row.get(column)) for column in names) for row in rows)
+    return Table(columns, body, caption, name)
+
+
+def _column(name: str, values: Sequence[Any]) -> Column:
+    text = any(isinstance(value, str | bool | np.bool_) for value in values)
+    tones = _VERDICTS if name == "verdict" else {}
+    wide = text and name not in ("", "name", "unit", "verdict")
+    return Column(name.replace("_", " "), numeric=not text, tones=tones, wide=wide)
+
+
+def _value(value: Any) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _figures(captions: Mapping[str, str], numbers: Sequence[str]) -> list[AbstractBlock]:
+    return [
+        Picture(f"figure_{number}.png", f"Fig. {number}. {captions[number]}") for number in numbers
     ]
-    for name, (caption, rows) in tables.items():
-        parts.append(
-            f"<h3 id='{name}'>{escape(caption)}</h3><div class='wide'>{html_table(rows)}</div>"
-            f"<p><a href='{name}.csv'>{name}.csv</a></p>"
-        )
-    parts.append("<h2>Figures</h2>")
-    for number, caption in captions.items():
-        parts.append(
-            f"<figure><img src='figure_{number}.png' alt='{escape(caption)}'>"
-            f"<figcaption>Fig. {number}. {escape(caption)}</figcaption></figure>"
-        )
-    return "\n".join(parts) + "\n"

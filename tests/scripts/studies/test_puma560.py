@@ -94,11 +94,11 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
 def test_page_has_every_table_and_figure(demo: Demo) -> None:
     page = (demo.folder / "index.html").read_text(encoding="utf-8")
     written = {path.name for path in demo.folder.iterdir()}
-    assert {name for name in re.findall(r"src='([^']+)'", page)} == {
+    assert {name for name in re.findall(r'src="([^"]+)"', page)} == {
         f"figure_{number}.png" for number in CAPTIONS
     }
     assert set(demo.figures) == set(CAPTIONS)
-    linked = set(re.findall(r"href='([^']+)'", page))
+    linked = set(re.findall(r'href="([^"#]+)"', page))
     recordings = {
         name for name in written if re.fullmatch(r"puma_[ab]_(train|compar)\w+.csv", name)
     }
