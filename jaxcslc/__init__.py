@@ -19,6 +19,8 @@ if TYPE_CHECKING:
         ErrorTable as ErrorTable,
         Identification as Identification,
         LeastSquares as LeastSquares,
+        LikelihoodFit as LikelihoodFit,
+        MaximumLikelihood as MaximumLikelihood,
         PayloadFit as PayloadFit,
         PayloadReport as PayloadReport,
         PhysicalParameters as PhysicalParameters,

@@ -37,6 +37,11 @@ from ._torque_constants import (
     fit_torque_constants as fit_torque_constants,
     identify_torque_constants as identify_torque_constants,
 )
+from .likelihood import (
+    LikelihoodFit as LikelihoodFit,
+    MaximumLikelihood as MaximumLikelihood,
+    TorqueSampling as TorqueSampling,
+)
 from .report import (
     DerivationReport as DerivationReport,
     ErrorTable as ErrorTable,

@@ -1,0 +1,122 @@
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+
+@dataclasses.dataclass(frozen=True)
+class Order:
+    """Where positions and reversals are among the unknowns, in order of time.
+
+    **Attributes**
+
+    - `position`: (samples, n) index of each.
+    - `turn`: (reversals,) index of each.
+    - `size`: number of unknowns.
+
+    >>> import numpy as np
+    >>> order = Order.of(samples=3, joints=2, reversals=np.array([1]))
+    >>> order.position.tolist(), order.turn.tolist(), order.size
+    ([[0, 1], [2, 3], [5, 6]], [4], 7)
+    """
+
+    position: Int[np.ndarray, "samples joints"]
+    turn: Int[np.ndarray, " reversals"]
+    size: int
+
+    @classmethod
+    def of(cls, samples: int, joints: int, reversals: Int[np.ndarray, " reversals"]) -> "Order":
+        """With each reversal after the positions of its sample."""
+        counts = np.bincount(reversals, minlength=samples)
+        before = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        position = (np.arange(samples) * joints + before)[:, None] + np.arange(joints)
+        rank = np.empty(len(reversals), int)
+        rank[np.argsort(reversals, kind="stable")] = np.arange(len(reversals))
+        return cls(position, (reversals + 1) * joints + rank, samples * joints + len(reversals))
+
+
+class BandedEquations:
+    """Normal equations of unknowns in order of time, which are banded, and of some others.
+
+    The others, the border, are in all equations. Memory and time are linear in the number of
+    unknowns in order of time.
+    """
+
+    def __init__(self, inner: int, border: int) -> None:
+        self._rows: list[np.ndarray] = []
+        self._columns: list[np.ndarray] = []
+        self._values: list[np.ndarray] = []
+        self.mixed = np.zeros((inner, border))
+        self.border = np.zeros((border, border))
+
+    def add(
+        self,
+        index: Int[np.ndarray, "blocks unknowns"],
+        matrix: Float[np.ndarray, "blocks unknowns unknowns"],
+    ) -> None:
+        """Adds symmetric blocks, each of some unknowns that are near in time."""
+        row, column = np.tril_indices(index.shape[1])
+        first, second = index[:, row], index[:, column]
+        self._rows.append(np.maximum(first, second).ravel())
+        self._columns.append(np.minimum(first, second).ravel())
+        self._values.append(matrix[:, row, column].ravel())
+
+    def factored(self, damping: Float[np.ndarray, " inner"]) -> "Factored":
+        """The factorisation, with damping added to the diagonal of the banded part.
+
+        **Raises** `numpy.linalg.LinAlgError` if the banded part is not positive definite.
+        """
+        size = len(self.mixed)
+        columns = np.concatenate(self._columns)
+        below = np.concatenate(self._rows) - columns
+        width = int(below.max()) + 1
+        values = np.concatenate(self._values)
+        band = np.bincount(below * size + columns, values, minlength=width * size)
+        band = band.reshape(width, size)
+        band[0] += damping
+        factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
+        return Factored(factor, self.mixed, self.border)
+
+
+class Factored:
+    """Factorised normal equations.
+
+    **Attributes**
+
+    - `information`: (border, border) of the border, when all else is eliminated.
+    """
+
+    def __init__(
+        self,
+        factor: Float[np.ndarray, "diagonals inner"],
+        mixed: Float[np.ndarray, "inner border"],
+        border: Float[np.ndarray, "border border"],
+    ) -> None:
+        self._factor, self._mixed = factor, mixed
+        self._eliminated = self._solve(mixed)
+        self._diagonal = np.diag(border)
+        information = border - mixed.T @ self._eliminated
+        self.information = 0.5 * (information + information.T)
+
+    def step(
+        self,
+        inner: Float[np.ndarray, " inner"],
+        border: Float[np.ndarray, " border"],
+        damping: float,
+    ) -> tuple[Float[np.ndarray, " inner"], Float[np.ndarray, " border"]]:
+        """The unknowns for a right side.
+
+        **Arguments**
+
+        - `inner`, `border`: the right side.
+        - `damping`: of the border, as a part of its information.
+        """
+        right_side = border - self._eliminated.T @ inner
+        floor = 1e-14 * self._diagonal
+        matrix = self.information + np.diag(damping * np.diag(self.information) + floor)
+        change = np.linalg.lstsq(matrix, right_side, rcond=1e-15)[0]
+        return self._solve(inner) - self._eliminated @ change, change
+
+    def _solve(self, right: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        return cho_solve_banded((self._factor, True), right, check_finite=False)

@@ -1,0 +1,216 @@
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...network import CSLC
+from ...network.terms import JointTerm
+from ._friction_mean import mean_inputs
+
+
+# Step of positions in central differences [rad or m].
+_ANGLE = 1e-5
+Samples = Float[Array | np.ndarray, "samples joints"]
+Rows = Float[Array | np.ndarray, "equations joints"]
+
+
+class Linearisation(NamedTuple):
+    """The torque of every equation, and its derivatives.
+
+    **Attributes**
+
+    - `torque`: (equations, n).
+    - `by_position`: (equations, n, 3 n), by the positions at three samples.
+    - `by_coefficient`: (equations, n, p + n): by `k`, then by the logarithms of slopes.
+    - `by_turn`: (equations, n), by the moment at which the joint turns.
+    """
+
+    torque: Float[Array, "equations joints"]
+    by_position: Float[Array, "equations joints positions"]
+    by_coefficient: Float[Array, "equations joints unknowns"]
+    by_turn: Float[Array, "equations joints"]
+
+
+class MotionEquations(eqx.Module):
+    """The equation of motion at every sample but the ends, as a function of positions alone.
+
+    Velocity is the derivative of the parabola through three positions, acceleration its second
+    difference: the average of the acceleration over the two intervals with a triangle.
+
+    **Attributes**
+
+    - `network`: n joints, p coefficients.
+    - `intervals`: (samples - 1,) between samples [s].
+    """
+
+    network: CSLC
+    intervals: Float[Array, " intervals"]
+
+    @eqx.filter_jit
+    def torque(
+        self,
+        k: Float[Array | np.ndarray, " coefficients"],
+        slopes: Float[Array | np.ndarray, " joints"],
+        q: Samples,
+        turn: Rows,
+        direction: Rows,
+    ) -> Rows:
+        """(equations, n). `slopes` are logarithms, unused without static friction."""
+        k, slopes, turn, direction = map(jnp.asarray, (k, slopes, turn, direction))
+        motion = self._motion(q)
+        torque = self._smooth(k, *motion[:3])
+        friction, _ = self._friction(k, slopes, motion, turn, direction)
+        return torque + friction
+
+    @eqx.filter_jit
+    def linearised(
+        self,
+        k: Float[Array | np.ndarray, " coefficients"],
+        slopes: Float[Array | np.ndarray, " joints"],
+        q: Samples,
+        turn: Rows,
+        direction: Rows,
+    ) -> Linearisation:
+        """The same with derivatives."""
+        n = self.network.joint_count
+        k, slopes, turn, direction = map(jnp.asarray, (k, slopes, turn, direction))
+        motion = self._motion(q)
+        position, velocity, acceleration, before, after = motion
+
+        by_q, by_v, by_a = self._smooth_derivatives(k, position, velocity, acceleration)
+
+        def friction(slopes: Array, q: Array, v: Array, b: Array, a: Array, turn: Array) -> Array:
+            return self._friction(k, slopes, (q, v, v, b, a), turn, direction)[0]
+
+        point = (position, velocity, before, after, turn)
+        one = jnp.ones_like(position)
+        value = friction(slopes, *point)
+
+        # One tangent for each argument: equation and joint by themselves.
+        tangents = tuple(
+            jnp.zeros((6, *x.shape)).at[index].set(one) for index, x in enumerate(point)
+        )
+        of_slopes = jnp.zeros((6, n)).at[5].set(1.0)
+
+        def along(of_slopes: Array, *tangent: Array) -> Array:
+            return jax.jvp(friction, (slopes, *point), (of_slopes, *tangent))[1]
+
+        f_q, f_v, f_b, f_a, f_turn, by_slope = jax.vmap(along)(of_slopes, *tangents)
+
+        eye = jnp.eye(n)
+        h1, h2 = self._two_intervals()
+        # v = (h2 u1 + h1 u2) / (h1 + h2), a = 2 (u2 - u1) / (h1 + h2), u: mean velocities.
+        total = h1 + h2
+        weights_v = (-h2 / (h1 * total), h2 / (h1 * total) - h1 / (h2 * total), h1 / (h2 * total))
+        weights_a = (2 / (h1 * total), -2 / (h1 * h2), 2 / (h2 * total))
+        of_velocity = by_v + f_v[:, :, None] * eye[None]
+        of_acceleration = by_a + (f_b * h1 + f_a * h2)[:, :, None] * eye[None]
+        of_position = by_q + f_q[:, :, None] * eye[None]
+        blocks = [
+            of_velocity * wv[:, :, None] + of_acceleration * wa[:, :, None]
+            for wv, wa in zip(weights_v, weights_a, strict=True)
+        ]
+        blocks[1] = blocks[1] + of_position
+        return Linearisation(
+            self._smooth(k, position, velocity, acceleration) + value,
+            jnp.concatenate(blocks, axis=2),
+            jnp.concatenate(
+                [
+                    *self._columns(slopes, motion, turn, direction),
+                    by_slope[:, :, None] * eye[None],
+                ],
+                axis=2,
+            ),
+            f_turn,
+        )
+
+    def _two_intervals(self) -> tuple[Array, Array]:
+        return self.intervals[:-1, None], self.intervals[1:, None]
+
+    def _motion(self, q: Samples) -> tuple[Array, Array, Array, Array, Array]:
+        """Position, velocity, acceleration, changes of velocity before and after each sample."""
+        q = jnp.asarray(q)
+        mean = jnp.diff(q, axis=0) / self.intervals[:, None]
+        h1, h2 = self._two_intervals()
+        velocity = (h2 * mean[:-1] + h1 * mean[1:]) / (h1 + h2)
+        acceleration = 2 * (mean[1:] - mean[:-1]) / (h1 + h2)
+        return q[1:-1], velocity, acceleration, acceleration * h1, acceleration * h2
+
+    def _smooth(self, k: Array, q: Array, qd: Array, qdd: Array) -> Array:
+        """The torque of all terms but joint laws."""
+        network = self.network
+        total = jnp.zeros_like(q)
+        for term in network.terms:
+            if not isinstance(term, JointTerm):
+                total = total + term.torque(k[network.layout.of(term)], q, qd, qdd)
+        return total
+
+    def _smooth_derivatives(self, k: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, ...]:
+        """(equations, n, n) each, by position, velocity and acceleration.
+
+        Central differences of one compiled function: torque is a quadratic of velocities and linear
+        in accelerations, where they are exact, and has sines of positions, where they are good to
+        1e-9. (Compiling the derivatives of a PUMA 560's tables took a minute.)
+        """
+        n = q.shape[1]
+        steps = jnp.asarray(np.repeat([_ANGLE, 1.0, 1.0], n))
+        unit = jnp.asarray(np.eye(3 * n)) * steps[:, None]
+        shifts = jnp.concatenate([unit, -unit]).reshape(6 * n, 3, 1, n)
+        motion = jnp.stack([q, qd, qdd])[None] + shifts
+        torque = self._smooth(k, motion[:, 0], motion[:, 1], motion[:, 2])
+        derivative = (torque[: 3 * n] - torque[3 * n :]) / (2.0 * steps[:, None, None])
+        return tuple(jnp.moveaxis(x, 0, -1) for x in derivative.reshape(3, n, *q.shape))
+
+    def _friction(
+        self,
+        k: Array,
+        slopes: Array,
+        motion: tuple[Array, ...],
+        turn: Array,
+        direction: Array,
+    ) -> tuple[Array, list[tuple[JointTerm, tuple[Array, ...]]]]:
+        q, velocity, _, before, after = motion
+        network = self._with(slopes)
+        h1, h2 = self._two_intervals()
+        share = jnp.broadcast_to(h1 / (h1 + h2), q.shape)
+        total, laws = jnp.zeros_like(q), []
+        for old, term in zip(self.network.terms, network.terms, strict=True):
+            if not (isinstance(term, JointTerm) and isinstance(old, JointTerm)):
+                continue
+            inputs = mean_inputs(term.law, q, velocity, before, after, share, turn, direction)
+            laws.append((old, inputs))
+            of_term = k[self.network.layout.of(old)].reshape(len(inputs), len(term.joints))
+            for values, k_of_joints in zip(inputs, of_term, strict=True):
+                row = jnp.zeros(network.joint_count).at[np.array(term.joints)].set(k_of_joints)
+                total = total + values * row[None]
+        return total, laws
+
+    def _columns(
+        self, slopes: Array, motion: tuple[Array, ...], turn: Array, direction: Array
+    ) -> list[Array]:
+        q, qd, qdd, *_ = motion
+        k = jnp.zeros(self.network.size)
+        laws = {
+            term.kind: inputs
+            for term, inputs in self._friction(k, slopes, motion, turn, direction)[1]
+        }
+        columns = []
+        for term in self.network.terms:
+            if term.kind not in laws:
+                columns.append(term.regressor(q, qd, qdd))
+                continue
+            assert isinstance(term, JointTerm)
+            eye = jnp.eye(self.network.joint_count)[:, np.array(term.joints)]
+            columns += [
+                values[:, np.array(term.joints)][:, None, :] * eye[None]
+                for values in laws[term.kind]
+            ]
+        return columns
+
+    def _with(self, slopes: Array) -> CSLC:
+        if self.network.static_slopes is None:
+            return self.network
+        return self.network.with_static_slopes(jnp.exp(slopes))

@@ -1,0 +1,292 @@
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.linalg import LinAlgError
+
+from ._band import Factored
+from ._motion_equations import MotionEquations
+from ._objective import TURN, Linear, Objective, Point, Residuals
+from ._signs import LATEST_TURN, Signs
+
+
+# Equations left uncertain on either side of a reversal, stage by stage; after these stages,
+# reversals are moments to be estimated.
+_MARGINS = (4, 3, 2)
+_MOST_STAGES = 9
+# A stage ends when a step reduces the sum of squares, in units of variances, by less than this.
+_STAGE_TOLERANCE, _LAST_TOLERANCE = 2.0, 0.02
+_MOST_STEPS, _MOST_TRIALS = 12, 8
+# All has converged when a stage moves no coefficient by more than this part of a standard error.
+_SETTLED = 0.25
+# Levenberg and Marquardt's damping: at first, least, and its factor after good and bad steps.
+_DAMPING, _LEAST_DAMPING, _FACTOR = 1e-3, 1e-9, 10.0
+# A noise level falls to no less than this part in a stage (continuation: while torque counts for
+# little, the sum of squares has no other minima near), and never below this part of the torque,
+# where errors of second differences are.
+_FALL, _LEAST_TORQUE_NOISE = 0.25, 3e-5
+# Standard deviation of friction that is anything up to break-away, and of a reversal's whose moment
+# is estimated, as parts of the break-away torque. Simulated: 0.003 to 0.006 for the latter.
+_UNCERTAIN, _REVERSAL = 0.6, 0.01
+# Huber's constant, in standard deviations: what is beyond counts by its size, not by its square.
+_OUTLIER = 4.0
+# How far the logarithm of a slope moves in a step.
+_SLOPE_STEP = 0.7
+# A joint at rest moves by this part of its position noise from sample to sample.
+_REST = 0.02
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """What a search needs to know.
+
+    **Attributes**
+
+    - `equations`: torque as a function of positions.
+    - `time`: (samples,); `position`: (samples, n) as recorded; `torque`: (equations, n).
+    - `stuck`: (intervals, n), where joints are at standstill.
+    - `scale`: (border,) of the unknowns that all equations share; 0 fixes one.
+    - `known`: from a point, mean and inverse variance, (border,) each, of what is known of these
+      beforehand.
+    - `slope_bounds`: (n,) each, least and greatest logarithms of slopes.
+    - `breakaway`: from a point, (n,) the greatest friction at standstill.
+    - `fixed_noise`: whether the noise of positions is that of encoders, not to be estimated, (n,).
+    """
+
+    equations: MotionEquations
+    time: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, "samples joints"]
+    torque: Float[np.ndarray, "equations joints"]
+    stuck: Bool[np.ndarray, "intervals joints"]
+    scale: Float[np.ndarray, " border"]
+    known: Callable[[Point], tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]]
+    slope_bounds: tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]
+    breakaway: Callable[[Point], Float[np.ndarray, " joints"]]
+    fixed_noise: Bool[np.ndarray, " joints"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Minimum:
+    """Where a search ended.
+
+    **Attributes**
+
+    - `point`: all unknowns; `objective`: the sum of squares there; `linear`: its equations.
+    - `information`: (border, border), in units of the border's scale.
+    - `torque_noise`, `position_noise`: (n,) standard deviations.
+    - `counted`: (equations, n), which equations have the full weight.
+    - `steps`: Gauss-Newton steps; `converged`: whether the last stage changed nothing.
+    """
+
+    point: Point
+    objective: Objective
+    linear: Linear
+    information: Float[np.ndarray, "border border"]
+    torque_noise: Float[np.ndarray, " joints"]
+    position_noise: Float[np.ndarray, " joints"]
+    counted: Bool[np.ndarray, "equations joints"]
+    steps: int
+    converged: bool
+
+
+def search(
+    problem: Problem,
+    point: Point,
+    torque_noise: Float[np.ndarray, " joints"],
+    position_noise: Float[np.ndarray, " joints"],
+    progress: Callable[[str], None],
+) -> Minimum:
+    """Minimises stage by stage: signs, weights and noise levels are fixed within each stage."""
+    samples, n = problem.position.shape
+    torque_scale = np.sqrt(np.mean(problem.torque**2, axis=0))
+    least = np.maximum(_LEAST_TORQUE_NOISE * torque_scale, 1e-9)
+    torque_noise = np.maximum(torque_noise, least)
+    outlier_weight = np.ones((samples - 2, n))
+    signs: Signs | None = None
+    result: Minimum | None = None
+    damping, steps = _DAMPING, 0
+    border_before = point.border
+    for stage in range(_MOST_STAGES):
+        modelled = stage >= len(_MARGINS)
+        margin = _MARGINS[min(stage, len(_MARGINS) - 1)]
+        turned = point.turn
+        before, signs = (
+            signs,
+            Signs.of(point.q, problem.time, problem.stuck, margin=margin, modelled=modelled),
+        )
+        turn = signs.turn if before is None else signs.carried(before, turned)
+        point = dataclasses.replace(point, turn=turn)
+        extra, at_rest = _friction_variance(problem, signs, point)
+        weight = outlier_weight / (torque_noise**2 + extra)
+        weight[at_rest] = 0.0
+        expected, known = problem.known(point)
+        weights = Residuals(
+            torque=weight,
+            position=_reading_weights(problem.stuck) / position_noise**2,
+            standstill=np.where(problem.stuck, 1.0 / (_REST * position_noise) ** 2, 0.0),
+            turn=np.full(len(signs.samples), TURN**-2),
+            border=known,
+        )
+        objective = Objective(
+            problem.equations,
+            problem.position,
+            problem.torque,
+            signs,
+            weights,
+            expected,
+            problem.scale,
+        )
+        tolerance = _LAST_TOLERANCE if modelled else _STAGE_TOLERANCE
+        point, damping, used, stage_converged = _minimise(
+            problem, objective, point, damping, tolerance
+        )
+        steps += used
+        progress(f"maximum likelihood: stage {stage + 1}, {steps} steps")
+        counted = (extra == 0.0) & ~at_rest
+        linear = objective.linearised(point)
+        factored = linear.factored(0.0)
+        torque_noise, position_noise = _noise_levels(
+            problem, linear, factored, counted, torque_noise, position_noise, least
+        )
+        size = np.maximum(np.abs(linear.residuals.torque), 1e-300)
+        outlier_weight = np.where(counted, np.minimum(1.0, _OUTLIER * torque_noise / size), 1.0)
+        moved = np.abs(point.border - border_before)
+        settled = bool(np.all(moved <= _SETTLED * problem.scale * _deviation(factored)))
+        same = before is not None and np.array_equal(before.samples, signs.samples)
+        converged = modelled and stage_converged and same and settled
+        border_before = point.border
+        result = Minimum(
+            point,
+            objective,
+            linear,
+            factored.information,
+            torque_noise,
+            position_noise,
+            counted,
+            steps,
+            converged,
+        )
+        if converged:
+            break
+    assert result is not None
+    return result
+
+
+def _friction_variance(
+    problem: Problem, signs: Signs, point: Point
+) -> tuple[Float[np.ndarray, "equations joints"], Bool[np.ndarray, "equations joints"]]:
+    """Variance of friction that signs do not tell, and where joints are at standstill."""
+    breakaway = problem.breakaway(point)
+    extra = np.where(signs.uncertain, (_UNCERTAIN * breakaway) ** 2, 0.0)
+    for offset in (-1, 0, 1):
+        extra[signs.samples - 1 + offset, signs.joints] = (_REVERSAL * breakaway[signs.joints]) ** 2
+    return extra, problem.stuck[1:] | problem.stuck[:-1]
+
+
+def _reading_weights(stuck: Bool[np.ndarray, "intervals joints"]) -> Float[np.ndarray, "..."]:
+    """(samples, n): the readings of a rest are one reading, for they have one error."""
+    weights = np.ones((len(stuck) + 1, stuck.shape[1]))
+    for joint in range(stuck.shape[1]):
+        edges = np.flatnonzero(np.diff(np.r_[0, stuck[:, joint].astype(int), 0]))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            weights[start : end + 1, joint] = 1.0 / (end + 1 - start)
+    return weights
+
+
+def _minimise(
+    problem: Problem, objective: Objective, point: Point, damping: float, tolerance: float
+) -> tuple[Point, float, int, bool]:
+    """Levenberg and Marquardt's method for one objective."""
+    value = objective.value(objective.residuals(point))
+    for step in range(_MOST_STEPS):
+        linear = objective.linearised(point)
+        for _ in range(_MOST_TRIALS):
+            try:
+                factored = linear.factored(damping)
+            except LinAlgError:
+                damping = _FACTOR * max(damping, 1e-6)
+                continue
+            change = linear.step(factored, linear.residuals, damping)
+            moved = _bounded(problem, objective.moved(point, change), point)
+            moved_value = objective.value(objective.residuals(moved))
+            if moved_value <= value * (1.0 + 1e-12):
+                break
+            damping = _FACTOR * max(damping, 1e-5)
+        else:  # nothing smaller is left: a minimum, up to rounding
+            return point, _DAMPING, step, True
+        gain, point, value = value - moved_value, moved, moved_value
+        damping = max(damping / _FACTOR, _LEAST_DAMPING)
+        if gain < tolerance:
+            return point, damping, step + 1, True
+    return point, damping, _MOST_STEPS, False
+
+
+def _bounded(problem: Problem, point: Point, before: Point) -> Point:
+    low, high = problem.slope_bounds
+    near = np.clip(point.slopes, before.slopes - _SLOPE_STEP, before.slopes + _SLOPE_STEP)
+    return dataclasses.replace(
+        point,
+        slopes=np.clip(near, low, high),
+        turn=np.clip(point.turn, -LATEST_TURN, LATEST_TURN),
+    )
+
+
+def _noise_levels(
+    problem: Problem,
+    linear: Linear,
+    factored: Factored,
+    counted: Bool[np.ndarray, "equations joints"],
+    torque_noise: Float[np.ndarray, " joints"],
+    position_noise: Float[np.ndarray, " joints"],
+    least: Float[np.ndarray, " joints"],
+) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
+    """The levels at which residuals would be as large as they are.
+
+    Residuals are what fitting the same unknowns leaves of the noise of torque and of positions. One
+    draw of each, of the present levels, is fitted: their squares add up, so that the level of
+    torque noise follows from what positions do not explain (a fixed point of the marginal
+    likelihood, whose trace is estimated from one draw; Harville 1977).
+    """
+    weights, rng = linear.objective.weights, np.random.default_rng(0)
+    zeros = Residuals(
+        **{
+            part.name: np.zeros_like(getattr(weights, part.name))
+            for part in dataclasses.fields(Residuals)
+        }
+    )
+    counts = weights.torque > 0.0
+    noise = rng.normal(size=counts.shape) * np.where(counts, torque_noise, 0.0)
+    by_torque = _left(linear, factored, dataclasses.replace(zeros, torque=noise))
+    noise = rng.normal(size=weights.position.shape) * position_noise
+    by_position = _left(linear, factored, dataclasses.replace(zeros, position=noise))
+    new_torque, new_position = torque_noise.copy(), position_noise.copy()
+    for joint in range(counted.shape[1]):
+        rows = counted[:, joint]
+        if rows.any():
+            square, alone, others = (
+                np.median(np.abs(x.torque[rows, joint])) ** 2
+                for x in (linear.residuals, by_torque, by_position)
+            )
+            part = (square - others) / alone if alone > 0.0 else 0.0
+            new_torque[joint] = torque_noise[joint] * np.sqrt(np.clip(part, 0.0, 9.0))
+        if not problem.fixed_noise[joint]:
+            moving = ~np.r_[problem.stuck[:, joint], False]
+            square, alone, others = (
+                np.mean(x.position[moving, joint] ** 2)
+                for x in (linear.residuals, by_position, by_torque)
+            )
+            part = (square - others) / alone if alone > 0.0 else 1.0
+            new_position[joint] = position_noise[joint] * np.sqrt(np.clip(part, 0.1, 9.0))
+    return np.maximum(np.maximum(new_torque, _FALL * torque_noise), least), new_position
+
+
+def _left(linear: Linear, factored: Factored, drawn: Residuals) -> Residuals:
+    """What fitting all unknowns leaves of residuals."""
+    return linear.after(linear.step(factored, drawn), drawn)
+
+
+def _deviation(factored: Factored) -> Float[np.ndarray, " border"]:
+    """Standard deviations of the border in units of its scale."""
+    variance = np.diag(np.linalg.pinv(factored.information, rcond=1e-13, hermitian=True))
+    return np.sqrt(np.maximum(variance, 0.0))

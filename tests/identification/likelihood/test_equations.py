@@ -1,0 +1,106 @@
+"""The equation of motion as a function of positions: derivatives, and steps against dense ones."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.identification.likelihood._motion_equations import MotionEquations
+from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
+from jaxcslc.identification.likelihood._signs import Signs
+
+
+SAMPLES = 12
+
+
+@pytest.fixture(scope="module")
+def arm() -> jc.CSLC:
+    """Two joints that swing in a vertical plane, with three laws of friction."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.derive(robot.with_friction("viscous", "dry", "static"), lengths="numeric")
+
+
+@pytest.fixture(scope="module")
+def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.009, 0.011, SAMPLES))
+    q = np.stack([np.sin(22 * time), np.cos(5 * time)], axis=1)
+    signs = Signs.of(q, time, np.zeros((SAMPLES - 1, 2), bool), margin=1, modelled=True)
+    assert len(signs.samples) == 1
+    k = rng.uniform(0.2, 1.0, arm.size)
+    border = arm.size + 4
+    weights = Residuals(
+        torque=rng.uniform(1.0, 2.0, (SAMPLES - 2, 2)),
+        position=rng.uniform(1e4, 2e4, (SAMPLES, 2)),
+        standstill=np.where(rng.uniform(size=(SAMPLES - 1, 2)) < 0.2, 1e4, 0.0),
+        turn=np.full(1, 4.0),
+        border=rng.uniform(0.1, 1.0, border),
+    )
+    equations = MotionEquations(arm, jnp.asarray(np.diff(time)))
+    torque = rng.normal(size=(SAMPLES - 2, 2))
+    result = Objective(
+        equations, q + 1e-3, torque, signs, weights, np.zeros(border), rng.uniform(0.5, 2, border)
+    )
+    return result, Point(k, np.log([2.0, 3.0]), np.zeros(2), q, signs.turn)
+
+
+def test_derivatives(objective: tuple[Objective, Point]) -> None:
+    problem, point = objective
+    turns, direction = problem.signs.turns(point.turn), problem.signs.direction
+    linear = problem.equations.linearised(point.k, point.slopes, point.q, turns, direction)
+
+    def torque(k: jax.Array, slopes: jax.Array, q: jax.Array, turns: jax.Array) -> jax.Array:
+        return jnp.asarray(problem.equations.torque(k, slopes, q, turns, direction))
+
+    by_k, by_slopes, by_q, by_turns = jax.jacfwd(torque, (0, 1, 2, 3))(
+        jnp.asarray(point.k), jnp.asarray(point.slopes), jnp.asarray(point.q), jnp.asarray(turns)
+    )
+    p = len(point.k)
+    assert_allclose(linear.by_coefficient[:, :, :p], by_k, atol=1e-9)
+    assert_allclose(linear.by_coefficient[:, :, p:], by_slopes, atol=1e-9)
+    for row in range(SAMPLES - 2):
+        stencil = np.asarray(by_q[row, :, row : row + 3]).reshape(2, 6)
+        assert_allclose(linear.by_position[row], stencil, rtol=1e-6, atol=1e-4)
+        assert_allclose(linear.by_turn[row], np.diag(by_turns[row, :, row]), atol=1e-9)
+    product = np.asarray(linear.by_coefficient)[:, :, :p] @ point.k
+    assert_allclose(product, linear.torque, atol=1e-10)
+
+
+def test_a_step_is_that_of_dense_equations(objective: tuple[Objective, Point]) -> None:
+    problem, point = objective
+    linear = problem.linearised(point)
+    step = linear.step(linear.factored(0.0), linear.residuals)
+
+    # A dense regression of all residuals on all unknowns, columns from unit steps.
+    zero = Residuals(**{name: 0 * x for name, x in vars(linear.residuals).items()})
+    unknowns = [np.size(x) for x in (step.border, step.position, step.turn)]
+    columns = []
+    for index in range(sum(unknowns)):
+        unit = np.split(np.eye(sum(unknowns))[index], np.cumsum(unknowns)[:-1])
+        change = type(step)(unit[0], unit[1].reshape(SAMPLES, 2), unit[2])
+        after = linear.after(change, zero)
+        columns.append(np.concatenate([-np.ravel(x) for x in vars(after).values()]))
+    root = np.concatenate([np.sqrt(np.ravel(x)) for x in vars(problem.weights).values()])
+    target = np.concatenate([np.ravel(x) for x in vars(linear.residuals).values()])
+    dense = np.linalg.lstsq(np.stack(columns, axis=1) * root[:, None], target * root)[0]
+    obtained = np.concatenate([np.ravel(x) for x in (step.border, step.position, step.turn)])
+    # Normal equations of second differences lose half of the digits.
+    assert_allclose(obtained, dense, rtol=5e-5, atol=1e-6)
+
+
+def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, Point]) -> None:
+    problem, point = objective
+    linear = problem.linearised(point)
+    rng = np.random.default_rng(1)
+    size = 1e-6
+    step = type(linear.step(linear.factored(0.0), linear.residuals))(
+        size * rng.normal(size=len(problem.scale)),
+        1e-3 * size * rng.normal(size=point.q.shape),
+        size * rng.normal(size=1),
+    )
+    predicted = linear.after(step, linear.residuals)
+    actual = problem.residuals(problem.moved(point, step))
+    for name, values in vars(actual).items():
+        assert_allclose(getattr(predicted, name), values, atol=1e-9)

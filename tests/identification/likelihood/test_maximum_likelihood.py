@@ -1,0 +1,165 @@
+"""Positions and coefficients estimated together: against motion integrated by other means."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+
+
+STEP, SUBSTEPS = 0.005, 50
+# B = I + m l², G = m g l, viscous, dry friction, static friction beyond dry.
+INERTIA, WEIGHT, VISCOUS, DRY, STATIC, SLOPE = 0.4, 3.0, 0.3, 0.8, 0.3, 8.0
+
+
+def pendulum(*friction: str) -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.derive(robot.with_friction(*friction), lengths="numeric")
+
+
+def swing(samples: int, static: float = STATIC) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, position and the held torque of a pendulum, integrated with short steps."""
+    time = STEP * np.arange(samples)
+    q, qd, positions, torques = 0.0, 0.0, [], []
+    for t in time:
+        positions.append(q)
+        torque = WEIGHT * np.cos(q) + 4.0 * np.sin(3.1 * t) + 3.0 * np.sin(7.3 * t + 1.0)
+        torques.append(torque)
+        h = STEP / SUBSTEPS
+        for _ in range(SUBSTEPS):
+            drive = torque - WEIGHT * np.cos(q) - VISCOUS * qd
+            level = DRY + static * np.exp(-SLOPE * abs(qd))
+            if abs(qd) < 1e-12 and abs(drive) <= level:
+                continue
+            sign = np.sign(qd) if abs(qd) >= 1e-12 else np.sign(drive)
+            after = qd + h * (drive - sign * level) / INERTIA
+            if qd * after < 0.0:  # comes to rest within the step
+                after = 0.0
+            q, qd = q + 0.5 * h * (qd + after), after
+    return time, np.array(positions)[:, None], np.array(torques)[:, None]
+
+
+TRUE = {"kB1": INERTIA, "kv1": VISCOUS, "kd1": DRY, "ks1": STATIC}
+
+
+def test_exact_positions_give_exact_coefficients() -> None:
+    network = pendulum("viscous")
+    t = 0.01 * np.arange(400)[:, None]
+    q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    k = np.array([0.5, 0.3, -0.1, 0.2])
+    # The torque whose mean over both intervals belongs to the second difference of positions.
+    second = np.diff(q, 2, axis=0) / 0.01**2
+    first = (q[2:] - q[:-2]) / 0.02
+    wanted = np.asarray(network.torque(k, q[1:-1], first, second))
+    demand = np.zeros_like(q)
+    demand[0] = float(np.asarray(network.torque(k, q[:1], qd[:1], qdd[:1]))[0, 0])
+    for row in range(len(wanted)):
+        demand[row + 1] = 2.0 * wanted[row] - demand[row]
+    result = jc.MaximumLikelihood().fit(network, jc.Recording(t[:, 0], q, demand))
+    assert result.converged
+    assert_allclose(result.k, k, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def clean() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return swing(1200)
+
+
+def deviations(result: jc.LikelihoodFit) -> dict[str, float]:
+    """Errors over standard errors."""
+    value = dict(zip(result.fit.names, np.asarray(result.k), strict=True))
+    error = dict(zip(result.fit.names, np.asarray(result.fit.standard_error), strict=True))
+    return {name: (value[name] - true) / error[name] for name, true in TRUE.items()}
+
+
+def test_errors_of_encoders_are_those_it_states(
+    clean: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    time, position, torque = clean
+    network = pendulum("viscous", "dry", "static")
+    all_deviations = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        step = 2e-4
+        counts = step * np.round(position / step + rng.uniform(-0.5, 0.5))
+        recording = jc.Recording(time, counts, torque)
+        result = jc.MaximumLikelihood().fit(network, recording)
+        all_deviations.append(list(deviations(result).values()))
+        assert_allclose(result.position_noise, step / np.sqrt(12), rtol=1e-6)
+        # The estimated motion is nearer to the true one than a count's standard deviation.
+        assert np.std(result.position - position) < 0.5 * step / np.sqrt(12)
+    spread = np.sqrt(np.mean(np.square(all_deviations)))
+    assert 0.4 < spread < 1.6
+
+
+def test_it_is_nearer_than_regression(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    time, position, torque = clean
+    step = 2e-4
+    recording = jc.Recording(time, step * np.round(position / step), torque)
+    network = pendulum("viscous", "dry")
+    settings = jc.Settings().with_options(torque_alignment="mean")
+    regression = settings.fit(network, settings.patterns(recording))
+    likely = jc.MaximumLikelihood().fit(pendulum("viscous", "dry", "static"), recording)
+
+    def error(fit: jc.Identification) -> float:
+        value = dict(zip(fit.names, np.asarray(fit.k), strict=True))
+        return float(np.mean([abs(value[name] / TRUE[name] - 1) for name in ("kB1", "kv1")]))
+
+    assert error(likely.fit) < 0.5 * error(regression)
+
+
+def test_noise_levels_are_estimated(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    time, position, torque = swing(1200, static=0.0)
+    rng = np.random.default_rng(0)
+    noisy = jc.Recording(
+        time,
+        position + 1e-4 * rng.normal(size=position.shape),
+        torque + 0.2 * rng.normal(size=torque.shape),
+    )
+    result = jc.MaximumLikelihood(resolution=(0.0,)).fit(pendulum("viscous", "dry"), noisy)
+    # The means of two held torques that follow each other share one: slow noise of their equations
+    # is that of single torques, and positions take up the quick noise.
+    assert_allclose(result.torque_noise, 0.2, rtol=0.25)
+    assert_allclose(result.position_noise, 1e-4, rtol=0.15)
+
+
+def test_a_joint_that_never_moves_is_undetermined() -> None:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    t = 0.01 * np.arange(300)[:, None]
+    q = np.concatenate([np.sin(3 * t), np.full_like(t, 0.3)], axis=1)
+    k = np.linspace(0.5, 1.0, network.size)
+    qd = np.concatenate([3 * np.cos(3 * t), 0 * t], axis=1)
+    qdd = np.concatenate([-9 * np.sin(3 * t), 0 * t], axis=1)
+    recording = jc.Recording(t[:, 0], q, np.asarray(network.torque(k, q, qd, qdd)))
+    result = jc.MaximumLikelihood(torque_sampling="sampled").fit(network, recording)
+    determined = dict(zip(network.names, np.asarray(result.fit.determined), strict=True))
+    assert not determined["kd2"]
+    assert np.all(np.isfinite(np.asarray(result.k)))
+
+
+def test_ten_samples(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    time, position, torque = clean
+    network = pendulum("viscous")
+    short = jc.Recording(time[100:110], position[100:110], torque[100:110])
+    settings = jc.Settings().with_options(smoothing=jc.motion.CentralDifferences(), trim=0)
+    result = jc.MaximumLikelihood(settings=settings).fit(network, short)
+    assert np.all(np.isfinite(np.asarray(result.k)))
+
+
+class TestBadInput:
+    def test_other_joints(self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+        time, position, torque = clean
+        recording = jc.Recording(time, np.tile(position, 2), np.tile(torque, 2))
+        with pytest.raises(ValueError, match="recording has 2 joints; expected 1"):
+            jc.MaximumLikelihood().fit(pendulum(), recording)
+
+    def test_too_few_samples(self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+        time, position, torque = (x[:6] for x in clean)
+        with pytest.raises(ValueError, match="has 6 samples; expected at least 10"):
+            jc.MaximumLikelihood().fit(pendulum(), jc.Recording(time, position, torque))
+
+    def test_sampling(self) -> None:
+        # A type checker at run time speaks first.
+        with pytest.raises((ValueError, TypeError), match="often"):
+            jc.MaximumLikelihood(torque_sampling="often")  # type: ignore[arg-type]
