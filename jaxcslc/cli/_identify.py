@@ -92,7 +92,8 @@ def identify_command(
             )
             if len(train) > 1 or offsets:
                 raise ValueError(f"several recordings are of robots; {robot} is another system")
-            text = _identify_system(robot, train[0], validate, output, settings, step)
+            command = command_text(context)
+            text = _identify_system(robot, train[0], validate, output, settings, command, step)
             typer.echo(text)
             return
         if (reidentify is None) != (previous is None):
@@ -130,6 +131,7 @@ def _identify_system(
     validate: Path | None,
     output: Path,
     settings: Path | None,
+    command: str,
     step: Callable[[str], None],
 ) -> str:
     """What is printed of a system's identification."""
@@ -148,4 +150,5 @@ def _identify_system(
         progress=step,
     )
     step("writing")
-    return f"{report}\n\nwrote " + ", ".join(str(path) for path in report.save(output))
+    paths = report.save(output, command=command)
+    return f"{report}\n\nwrote " + ", ".join(str(path) for path in paths)

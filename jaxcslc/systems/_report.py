@@ -107,7 +107,9 @@ class SystemReport:
 
         return pandas.DataFrame(self.rows(level)).set_index("name").rename_axis("coefficient")
 
-    def save(self, folder: str | Path, *, pictures: bool = True) -> tuple[Path, ...]:
+    def save(
+        self, folder: str | Path, *, pictures: bool = True, command: str | None = None
+    ) -> tuple[Path, ...]:
         """Writes the report into a folder: the files that `Report.save` writes of a robot.
 
         `identification.json` is read by `Identification.load`; torques are the known sides of the
@@ -117,12 +119,13 @@ class SystemReport:
 
         - `folder`: is made if it is missing.
         - `pictures`: whether to draw known sides and outputs.
+        - `command`: that repeats the identification, for the page.
 
         **Returns** the files.
 
         **Raises** as `Report.save`.
         """
-        data = report_data(self)
+        data = report_data(self, command=command)
         document = _document(self) | quality_document(data)
         return save_report(Path(folder), self, document, data, pictures=pictures)
 

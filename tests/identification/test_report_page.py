@@ -127,7 +127,7 @@ def test_verdict_stands_first_and_is_that_of_the_numbers(
     text = (saved / "a" / "index.html").read_text("utf-8")
     start = text.index("<h1>")
     assert text.index('id="verdict"') < text.index("<table>")
-    assert "coefficients are well determined" in text[start:]
+    assert "of 11 coefficients well determined" in text[start:]
     wrong = dataclasses.replace(
         reports[0], fit=dataclasses.replace(reports[0].fit, k=-reports[0].k)
     )

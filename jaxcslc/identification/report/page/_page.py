@@ -20,7 +20,7 @@ from ....page import (
     Table,
 )
 from ._bodies import arm_chart
-from ._summary import VERDICT_TONES, summary
+from ._summary import VERDICT_TONES, counted, summary
 
 
 # Trials that are shown before the others are asked for.
@@ -51,11 +51,10 @@ def report_page(data: Mapping[str, Any], *, charts: bool = True) -> Page:
         _settings(data),
         _repeat(data),
     )
-    count = len(data["joints"])
-    kind = data["kind"] if count == 1 else f"{data['kind']}s"
     return Page(
         title=f"Identification of {data['name']}",
-        subtitle=f"{count} {kind}, {len(data['coefficients'])} coefficients",
+        subtitle=f"{counted(len(data['joints']), data['kind'])},"
+        f" {counted(len(data['coefficients']), 'coefficient')}",
         headline=headline,
         tone=tone,
         summary=messages,
@@ -246,7 +245,7 @@ def _excitation(data: Mapping[str, Any], *, charts: bool) -> Section:
     else:
         tables.append(Paragraph("No two coefficients are correlated by more than 0.9."))
     blocks.append(Grid(tuple(tables)))
-    if charts and len(data["coefficients"]) <= _MOST_LABELS:
+    if charts and 1 < len(data["coefficients"]) <= _MOST_LABELS:
         labels = tuple(row["name"] for row in data["coefficients"])
         caption = "Correlations of the coefficients' errors"
         blocks.append(MatrixChart(labels, data["correlation"], caption))

@@ -119,7 +119,7 @@ def _coefficients(data: Mapping[str, Any]) -> Iterator[Message]:
     )
     missing = kinds["not determined"]
     yield Message(
-        f"{kinds['well determined']} of {len(rows)} coefficients are well determined"
+        f"{kinds['well determined']} of {counted(len(rows), 'coefficient')} well determined"
         + (f"; {others}." if others else "."),
         "caution" if missing or kinds["well determined"] < 0.5 * len(rows) else "good",
     )
@@ -147,9 +147,18 @@ def _warnings(data: Mapping[str, Any]) -> Iterator[Message]:
     count = len(data["warnings"]) + len(data["findings"])
     if count:
         yield Message(
-            f"{count} {'warning' if count == 1 else 'warnings'} about data and fit, listed below.",
+            f"{counted(count, 'warning')} about data and fit, listed below.",
             "caution",
         )
+
+
+def counted(number: int, noun: str) -> str:
+    """A number and its noun.
+
+    >>> counted(1, "joint"), counted(6, "joint")
+    ('1 joint', '6 joints')
+    """
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _range(values: np.ndarray) -> str:
