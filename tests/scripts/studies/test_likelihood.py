@@ -1,0 +1,63 @@
+"""The tables of the study of maximum likelihood, from rows that are known."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scripts.studies.likelihood import study
+
+
+def row(machine: object, samples: int, seed: int) -> dict[str, Any]:
+    """Errors of seed standard errors in each coefficient; static friction 10 % too large."""
+    del machine, samples
+    kinds = {"rigid_body": 31, "viscous": 6, "dry": 6, "static": 6, "slopes": 6}
+    return {
+        "regression": 0.02 + 0.01 * seed,
+        "likelihood": 0.003,
+        "floor": 0.015,
+        "seconds": 1.0,
+        "steps": 20,
+        "converged": True,
+        "deviations": {kind: [float(seed)] * count for kind, count in kinds.items()},
+        "static": [1.1] * 6,
+        "static error": [0.05] * 6,
+        "slope": [0.9] * 6,
+        "slope error": [0.2] * 6,
+    }
+
+
+def test_tables_and_resumption(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls: list[int] = []
+
+    def counted(*arguments: Any) -> dict[str, Any]:
+        calls.append(arguments[2])
+        return row(*arguments)
+
+    monkeypatch.setattr(study, "row_of", counted)
+    assert study.main(["--seeds", "2", "-o", str(tmp_path)]) == 0
+    assert study.main(["--seeds", "3", "-o", str(tmp_path)]) == 0
+    assert calls == [0, 1, 2]
+    printed = capsys.readouterr().out.split("ε [N m]")[-1]
+    lines = {
+        " ".join(line.split()[:-1]).split(" ")[0]: line.split()
+        for line in printed.split("\n")
+        if line
+    }
+    assert lines["regression"][1:] == ["0.0300", "0.0200", "0.0400"]
+    # Seeds 0, 1 and 2: the root of the mean of 0, 1 and 4; two of three within 1.96.
+    assert lines["viscous"][1:3] == [f"{np.sqrt(5 / 3):.2f}", "66.7"]
+    assert lines["6"][1:] == ["1.100", "10.0", "%", "5.0", "%", "0.900", "10.0", "%", "20.0", "%"]
+    rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
+    assert sum("seed" in row for row in rows) == 3
+
+
+def test_bad_options(capsys: pytest.CaptureFixture[str]) -> None:
+    for option in (["--seeds", "0"], ["--samples", "20"], ["--time-step", "0"]):
+        with pytest.raises(SystemExit):
+            study.main(option)
+        assert "error: " in capsys.readouterr().err
