@@ -37,6 +37,7 @@ SETTINGS = jc.Settings(
     jc.LeastSquares(cutoff=8.0),
 )
 MACHINES = {"PUMA A": sim.puma_a, "PUMA B": sim.puma_b}
+CONFIDENT = 0.05  # of the true value
 CASES = {"encoders": ("quantisation",), "all disturbances": ()}
 
 
@@ -84,6 +85,18 @@ def summary(rows: Sequence[dict[str, Any]], machine: str, case: str) -> dict[str
         f"{before} [%]": 100 * float(np.median([row[before] for row in some])),
         f"{after} [%]": 100 * float(np.median([row[after] for row in some])),
     }
+
+
+def confident_errors(rows: Sequence[dict[str, Any]], verdicts: str) -> int:
+    """How many coefficients are called well determined and wrong by more than `CONFIDENT`.
+
+    - `verdicts`: the field of the rows that holds them.
+    """
+    return sum(
+        verdict == "well determined" and error > CONFIDENT
+        for row in rows
+        for verdict, error in zip(row[verdicts], row["relative error"], strict=True)
+    )
 
 
 def worst_rows(
@@ -140,6 +153,13 @@ def study(options: argparse.Namespace) -> int:
     print(rows_table(table, digits=3))
     print("\nall disturbances: the coefficients that are off by the most standard errors\n")
     print(rows_table(worst, digits=3))
+    before, after = (
+        confident_errors(rows, name) for name in ("verdict, standard error", "verdict")
+    )
+    print(
+        f"\nof {len(rows) * len(names)} coefficients, well determined and wrong by more than"
+        f" {100 * CONFIDENT:g} %: {before} by standard errors alone, {after} with systematic errors"
+    )
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "systematic.csv", table)
         write_csv(folder / "worst.csv", worst)

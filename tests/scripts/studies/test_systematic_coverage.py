@@ -35,6 +35,14 @@ def test_counts_what_was_covered() -> None:
     assert line["half width [%]"] == pytest.approx(20.0)
 
 
+def test_counts_confident_errors() -> None:
+    rows = [
+        {"relative error": [0.1, 0.04, 0.2], "verdict": ["well determined"] * 2 + ["wrong sign"]},
+        {"relative error": [0.06, 3.0, 0.0], "verdict": ["well determined"] * 3},
+    ]
+    assert study.confident_errors(rows, "verdict") == 3
+
+
 def test_machines_have_the_disturbances_of_their_case() -> None:
     assert not any(study.machine_of("PUMA A", "encoders").backlash)
     assert any(study.machine_of("PUMA B", "all disturbances").backlash)
