@@ -90,6 +90,11 @@ def keep_compiled() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
+def compile_quickly() -> None:
+    """Compiles with fewer optimisations: for trial runs that compile longer than they compute."""
+    jax.config.update("jax_disable_most_optimizations", True)
+
+
 def duration_text(seconds: float) -> str:
     """A duration in words, to two digits at most."""
     for unit, length in (("hours", 3600.0), ("minutes", 60.0)):
