@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from .identification import (
         RESULTS as RESULTS,
         Candidates as Candidates,
+        DataCheck as DataCheck,
         ErrorTable as ErrorTable,
+        Finding as Finding,
         Identification as Identification,
         LeastSquares as LeastSquares,
         LikelihoodFit as LikelihoodFit,
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
         Selection as Selection,
         Settings as Settings,
         SlopeFit as SlopeFit,
+        check as check,
         choose_settings as choose_settings,
         compare as compare,
         fit_payload as fit_payload,

@@ -7,6 +7,7 @@ from typing import Annotated
 import jax
 import typer
 
+from ._check import check_command
 from ._compare import compare_command
 from ._constants import constants_command
 from ._derive import derive_command
@@ -22,6 +23,7 @@ app = typer.Typer(
     help="Derive a robot's inverse dynamics, and identify its coefficients from recordings.",
 )
 app.command("derive")(derive_command)
+app.command("check")(check_command)
 app.command("identify")(identify_command)
 app.command("compare")(compare_command)
 app.command("export")(export_command)

@@ -4,7 +4,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -15,6 +15,12 @@ from ..motion import Recording, RecordingError
 from ..motion.files import load_recording
 from ..network import CSLC, derive
 
+
+if TYPE_CHECKING:
+    CommandContext = typer.Context
+else:
+    # What commands get is of the class below it, which a checker of annotations insists on.
+    CommandContext = typer.Context.__mro__[1]
 
 BUNDLED = {"puma560": puma560, "panda": panda, "tx40": tx40}
 """Robots that the library brings with it, by the name that the command takes."""
@@ -91,17 +97,14 @@ def recording_of(path: Path, robot: Manipulator, columns: Path | None) -> Record
     return load_recording(path, joints=robot.joint_names, columns=columns)
 
 
-def recordings_of(
-    paths: Sequence[Path], robot: Manipulator, columns: Path | None
-) -> dict[str, Recording]:
-    """Recordings of a robot by the names of their files, or by their paths where names repeat."""
+def recordings_of(paths: Sequence[Path], read: Callable[[Path], Recording]) -> dict[str, Recording]:
+    """Recordings by the names of their files, or by their paths where names repeat."""
     names = [path.name for path in paths]
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]
     if repeated := [name for name in names if names.count(name) > 1]:
         raise ValueError(f"{repeated[0]}: is given twice; expected different recordings")
-    read = (recording_of(path, robot, columns) for path in paths)
-    return dict(zip(names, read, strict=True))
+    return dict(zip(names, map(read, paths), strict=True))
 
 
 def with_notes(text: object, **recordings: Recording | None) -> str:
@@ -135,7 +138,7 @@ def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | N
     return robot.with_coupling(*pairs) if pairs else robot
 
 
-def command_text(context: typer.Context) -> str:
+def command_text(context: CommandContext) -> str:
     """The command line that a command was called by: what was typed, defaults left out."""
     words = ["jaxcslc", context.info_name or ""]
     for parameter in context.command.params:

@@ -9,6 +9,7 @@ from ..identification.report import check_output_folder, load_report, load_setti
 from ._common import (
     BaseOption,
     ColumnsOption,
+    CommandContext,
     CoupledOption,
     FrictionOption,
     LengthsOption,
@@ -22,15 +23,22 @@ from ._common import (
     network_of,
     one_line_errors,
     progress,
-    recording_of,
     recordings_of,
     robot_named,
     with_drives,
 )
+from ._recording_options import (
+    BetweenOption,
+    DespikeOption,
+    DropStaleOption,
+    EveryOption,
+    PeriodOption,
+    RecordingOptions,
+)
 
 
 def identify_command(
-    context: typer.Context,
+    context: CommandContext,
     robot: RobotOrSystemArgument,
     train: Annotated[
         list[Path],
@@ -55,6 +63,29 @@ def identify_command(
             "--offsets", help="Fit a constant torque of each joint in each recording along."
         ),
     ] = False,
+    between: BetweenOption = None,
+    every: EveryOption = None,
+    period: PeriodOption = None,
+    drop_stale: DropStaleOption = False,
+    despike: DespikeOption = False,
+    torque_lag: Annotated[
+        float | None,
+        typer.Option(help="How much later than positions torques were measured [s]."),
+    ] = None,
+    loss: Annotated[
+        str | None,
+        typer.Option(
+            metavar="squared|huber|bisquare",
+            help="Loss of the fit; huber and bisquare bound what outliers do to it.",
+        ),
+    ] = None,
+    folds: Annotated[
+        int | None,
+        typer.Option(help="Stretches that settings are chosen by; 8, or fewer if it is short."),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option(help="Check the recordings first, as jaxcslc check does.")
+    ] = True,
     reidentify: Annotated[
         str | None,
         typer.Option(
@@ -89,6 +120,12 @@ def identify_command(
                 reidentify=reidentify,
                 previous=previous,
                 columns=columns,
+                between=between,
+                every=every,
+                period=period,
+                torque_lag=torque_lag,
+                loss=loss,
+                folds=folds,
             )
             if len(train) > 1 or offsets:
                 raise ValueError(f"several recordings are of robots; {robot} is another system")
@@ -109,14 +146,19 @@ def identify_command(
         else:
             network = saved.network
         options = saved.settings if saved is not None else None
+        reading = RecordingOptions(columns, between, every, period, drop_stale, despike)
+        changes = {"torque_lag": torque_lag, "loss": loss}
         report = identify(
             network,
-            recordings_of(train, network.robot, columns),
-            None if validate is None else recording_of(validate, network.robot, columns),
+            recordings_of(train, lambda path: reading.read(path, network.robot)),
+            None if validate is None else reading.read(validate, network.robot),
             options if settings is None else load_settings(settings),
             offsets=offsets,
             previous=None if saved is None else saved.fit,
             groups=None if reidentify is None else names_in(reidentify),
+            options={name: value for name, value in changes.items() if value is not None},
+            folds=folds,
+            checks=check,
             systematic=systematic,
             progress=step,
         )

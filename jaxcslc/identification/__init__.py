@@ -37,6 +37,14 @@ from ._torque_constants import (
     fit_torque_constants as fit_torque_constants,
     identify_torque_constants as identify_torque_constants,
 )
+from .checks import (
+    DataCheck as DataCheck,
+    Finding as Finding,
+    TorqueLag as TorqueLag,
+    check as check,
+    estimate_torque_lag as estimate_torque_lag,
+    without_outliers as without_outliers,
+)
 from .likelihood import (
     LikelihoodFit as LikelihoodFit,
     MaximumLikelihood as MaximumLikelihood,

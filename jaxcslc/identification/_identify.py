@@ -2,20 +2,26 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from ..motion import Patterns, Recording, Sampling
+from ..motion import Patterns, Preparation, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._identify_several import identify_several
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import systematic_error
+from .checks import check
 from .report import Report, compare, degree_of_excitation, fit_warnings
-from .selection import Candidates, choose_settings
+from .selection import Candidates, Selection, choose_settings
 from .solver import Identification, LeastSquares, Previous
+
+
+# Stretches that settings are chosen by, and how many samples each has at least.
+_FOLDS, _FEWEST_OF_FOLD = 8, 80
 
 
 def identify(
@@ -27,6 +33,9 @@ def identify(
     offsets: bool = False,
     previous: Previous | None = None,
     groups: Sequence[str] | None = None,
+    options: Mapping[str, Any] | None = None,
+    folds: int | None = None,
+    checks: bool = True,
     systematic: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
@@ -52,6 +61,10 @@ def identify(
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
     - `groups`: coefficients to re-identify, by group (`"viscous"`, `"dry"`, ...) or name.
+    - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
+      `{"torque_lag": 0.02, "loss": "huber"}`.
+    - `folds`: as of `choose_settings`; by default 8, or fewer where the recording is short.
+    - `checks`: look for wrong units, signs, times and samples first; see `check`.
     - `systematic`: widen intervals by errors that residuals do not show, and let verdicts know
       them; see `systematic_error`. It costs about one more fit.
     - `progress`: is called with a few words at the start of each step.
@@ -78,22 +91,33 @@ def identify(
     if (previous is None) != (groups is None):
         raise ValueError("identify: got one of previous and groups; expected both or neither")
     step = progress or without_progress
-    if not isinstance(training, Recording):
-        by_name = _by_name(training)
-        if len(by_name) > 1:
-            if previous is not None:
-                raise ValueError("identify: previous is for one recording, got several")
-            return identify_several(
-                network,
-                by_name,
-                validation,
-                settings,
-                offsets=offsets,
-                systematic=systematic,
-                adapted=_for_validation,
-                step=step,
-            )
-        (training,) = by_name.values()
+    by_name = (
+        {"training recording": training} if isinstance(training, Recording) else _by_name(training)
+    )
+    data_check = None
+    if checks:
+        listed = by_name if validation is None else {**by_name, "validation recording": validation}
+        lag = 0.0 if settings is None else settings.preparation.torque_lag
+        lag = (options or {}).get("torque_lag", lag)
+        on_time = [_without_lag(recording, lag) for recording in listed.values()]
+        data_check = check(network, on_time, list(listed), progress=step)
+    if len(by_name) > 1:
+        if previous is not None:
+            raise ValueError("identify: previous is for one recording, got several")
+        if options or folds is not None:
+            raise ValueError("identify: options and folds are for one recording, got several")
+        report = identify_several(
+            network,
+            by_name,
+            validation,
+            settings,
+            offsets=offsets,
+            systematic=systematic,
+            adapted=_for_validation,
+            step=step,
+        )
+        return dataclasses.replace(report, data_check=data_check)
+    (training,) = by_name.values()
     if offsets:
         raise ValueError(
             "identify: offsets are of several recordings; for one use the friction term 'offset'"
@@ -104,10 +128,11 @@ def identify(
     by_recording: dict[str, Settings] = {}
     with recording_named("training"):
         if settings is None:
-            selection = choose_settings(network, training)
+            selection = _selected(network, training, options or {}, folds)
             base_settings = selection.settings
         else:
             selection, base_settings = None, settings
+        base_settings = base_settings.with_options(**(options or {}))
         by_recording["training"] = base_settings.for_network(network)
     warnings = [f"training recording: {sentence}" for sentence in training.notes]
     warnings += [f"training recording: {sentence}" for sentence in base_settings.check(training)]
@@ -173,6 +198,7 @@ def identify(
         None if groups is None else tuple(groups),
         tuple(warnings),
         selection,
+        data_check=data_check,
     )
 
 
@@ -186,6 +212,24 @@ def _by_name(training: Sequence[Recording] | Mapping[str, Recording]) -> dict[st
     if not named:
         raise ValueError("identify: got no recording; expected one or more")
     return named
+
+
+def _without_lag(recording: Recording, lag: float) -> Recording:
+    """The recording, its torques so much earlier [s]."""
+    torque = Preparation(torque_lag=lag).aligned(recording.time, recording.torque)
+    return dataclasses.replace(recording, torque=torque)
+
+
+def _selected(
+    network: CSLC, recording: Recording, options: Mapping[str, Any], folds: int | None
+) -> Selection:
+    """The settings that cross-validation selects, some options set in advance."""
+    candidates = Candidates.suited_to(recording, network)
+    if "torque_lag" in options:
+        candidates = dataclasses.replace(candidates, torque_lags=(options["torque_lag"],))
+    if folds is None:
+        folds = max(2, min(_FOLDS, recording.samples // _FEWEST_OF_FOLD))
+    return choose_settings(network, recording, candidates, folds=folds)
 
 
 def _without_static_friction(

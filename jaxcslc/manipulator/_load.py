@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeGuard
@@ -11,9 +12,9 @@ from ._link_parameters import LinkParameters, fixed_together, seen_from
 from ._manipulator import Manipulator
 from ._mujoco_reader import Body, BodyTree, FileJoint, read_bodies
 from ._placement import Axis, modified_dh
-from ._source import Source
+from ._source import JointLimits, Source
 from ._toml import read_toml
-from ._urdf_checks import check_urdf
+from ._urdf_checks import check_urdf, urdf_limits
 from ._xml import read_xml
 
 
@@ -75,7 +76,12 @@ def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = N
     urdf = root.tag == "robot"
     tree = read_bodies(path, urdf=urdf)
     name = root.attributes.get("name") or root.attributes.get("model") or path.stem
-    return _robot(tree, path, name, base, tip, urdf=urdf)
+    robot = _robot(tree, path, name, base, tip, urdf=urdf)
+    if not urdf or robot.source is None:
+        return robot
+    limits = urdf_limits(root)
+    listed = tuple(limits.get(joint, JointLimits()) for joint in robot.source.joints)
+    return dataclasses.replace(robot, source=dataclasses.replace(robot.source, limits=listed))
 
 
 def _robot(

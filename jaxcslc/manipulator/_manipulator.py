@@ -17,7 +17,7 @@ from ._inertia import InertiaForm, LinkInertia
 from ._joint import Joint, Length, length_table, parse_angle, parse_length, unused_lengths
 from ._link_parameters import LinkParameters
 from ._numbering import Numbering, Subnumbering
-from ._source import Source
+from ._source import JointLimits, Source
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,6 +119,16 @@ class Manipulator:
         """
         names = (None,) * self.joint_count if self.source is None else self.source.joints
         return tuple(name or f"joint {i}" for i, name in enumerate(names, start=1))
+
+    @property
+    def joint_limits(self) -> tuple[JointLimits, ...]:
+        """What the robot's file says that each joint can do; infinite where it says nothing.
+
+        >>> Manipulator.from_modified_dh([(0, 0, 0, 0)]).joint_limits[0].speed
+        inf
+        """
+        limits = () if self.source is None else self.source.limits
+        return limits or (JointLimits(),) * self.joint_count
 
     @property
     def has_joint_names(self) -> bool:

@@ -1,3 +1,4 @@
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,6 +9,27 @@ from ._link_parameters import LinkParameters
 
 
 RobotFormat = Literal["toml", "urdf", "mjcf"]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What a robot's file says a joint can do; infinite where it says nothing.
+
+    **Attributes**
+
+    - `low`, `high`: of its position [rad or m].
+    - `speed`: [rad/s or m/s].
+    - `torque`: [N m or N].
+
+    >>> from jaxcslc.manipulator import JointLimits
+    >>> JointLimits(speed=2.2).torque
+    inf
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    speed: float = math.inf
+    torque: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +45,7 @@ class Source:
       lengths in m.
     - `carried`: for each link, all else that is fixed to the body, as one body in the link's
       frame; or None.
+    - `limits`: of the joints; empty where the file has none.
     """
 
     path: str
@@ -33,3 +56,4 @@ class Source:
     carried: tuple[LinkParameters | None, ...]
     base: str | None = None
     tip: str | None = None
+    limits: tuple[JointLimits, ...] = ()

@@ -1,6 +1,8 @@
+import math
 from pathlib import Path
 
 from ._errors import RobotError
+from ._source import JointLimits
 from ._xml import Element
 
 
@@ -57,6 +59,38 @@ def check_urdf(root: Element, path: Path) -> None:
             way.add(name)
             name = parents[name]
         reached |= way
+
+
+def urdf_limits(root: Element) -> dict[str, JointLimits]:
+    """The limits of a URDF's joints, by name; numbers that are none are left out.
+
+    Lower and upper limits of zero, as some exporters write for joints without limits, are none.
+    """
+    limits: dict[str, JointLimits] = {}
+    for joint in root.all("joint"):
+        element = joint.first("limit")
+        if element is None:
+            continue
+        low, high, speed, torque = (
+            _number(element.attributes.get(name))
+            for name in ("lower", "upper", "velocity", "effort")
+        )
+        revolves = joint.attributes.get("type") == "continuous" or low == high
+        limits[joint.attributes.get("name", "")] = JointLimits(
+            low=-math.inf if revolves or low is None else low,
+            high=math.inf if revolves or high is None else high,
+            speed=speed or math.inf,
+            torque=torque or math.inf,
+        )
+    return limits
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
 
 
 def _named(elements: list[Element], path: Path) -> dict[str, Element]:

@@ -175,12 +175,11 @@ class TestIdentify:
 
 
 def test_recordings_of_a_command_are_called_by_their_files(tmp_path: Path) -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)])
     paths = [tmp_path / "a" / "m.csv", tmp_path / "b" / "m.csv", tmp_path / "n.csv"]
     for path in paths:
         path.parent.mkdir(exist_ok=True)
         path.write_text("time,position_1,torque_1\n" + "".join(f"{i},{i},0\n" for i in range(6)))
-    assert list(recordings_of(paths[1:], robot, None)) == ["m.csv", "n.csv"]
-    assert list(recordings_of(paths[:2], robot, None)) == [str(path) for path in paths[:2]]
+    assert list(recordings_of(paths[1:], jc.load_recording)) == ["m.csv", "n.csv"]
+    assert list(recordings_of(paths[:2], jc.load_recording)) == [str(path) for path in paths[:2]]
     with pytest.raises(ValueError, match=r"n\.csv: is given twice"):
-        recordings_of([paths[2], paths[2]], robot, None)
+        recordings_of([paths[2], paths[2]], jc.load_recording)

@@ -13,6 +13,7 @@ from .._physical_parameters import PhysicalParameters
 from .._settings import Settings
 from .._slopes import SlopeFit
 from .._systematic import SystematicError
+from ..checks import DataCheck
 from ..selection import Selection
 from ..several import SeveralFit
 from ..solver import Identification
@@ -50,6 +51,7 @@ class Report:
     - `bodies`: possible bodies nearest to the fit, for the page; see `physical_parameters`.
     - `several`: of several training recordings: noise and offsets of each, and whether they agree.
       `patterns["training"]` then holds all of them, one after the other.
+    - `data_check`: what was read, and what looks wrong with it; None if it was not checked.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -79,6 +81,7 @@ class Report:
     selection: Selection | None = None
     bodies: PhysicalParameters | None = None
     several: SeveralFit | None = None
+    data_check: DataCheck | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -145,11 +148,15 @@ class Report:
             selection=self.selection,
             bodies=self.bodies,
             several=self.several,
-            findings=findings,
+            findings=[*findings, *self._findings],
             command=command,
         )
         document = report_document(self, data)
         return save_report(Path(folder), self, document, data, pictures=pictures)
+
+    @property
+    def _findings(self) -> list[str]:
+        return [] if self.data_check is None else list(map(str, self.data_check.findings))
 
     def __repr__(self) -> str:
         return f"Report({self.network.robot.name}; {self.fit!r})"
@@ -173,6 +180,8 @@ class Report:
         for name, table in self.errors.items():
             yield [f"torque error, {name} recording", str(table)]
         yield held_out_lines(self.held_out)
+        if self._findings:
+            yield [f"warning: {finding}" for finding in self._findings]
         yield [f"warning: {warning}" for warning in self.warnings]
 
     def _determination(self) -> list[str]:

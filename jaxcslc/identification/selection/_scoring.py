@@ -60,7 +60,7 @@ class Scoring:
         if not 2 <= folds <= most:
             raise ValueError(
                 f"{folds} folds of {samples} samples; expected from 2 to {most}, so that there is"
-                " something to judge in each"
+                " something to judge in each (option folds)"
             )
         length = -(-samples // folds)
         interval = float(np.median(np.diff(recording.time)))

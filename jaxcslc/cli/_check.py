@@ -1,0 +1,69 @@
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..identification import check
+from ..manipulator import Manipulator
+from ._common import (
+    BaseOption,
+    ColumnsOption,
+    FrictionOption,
+    RobotArgument,
+    TipOption,
+    network_of,
+    one_line_errors,
+    progress,
+    robot_named,
+    with_drives,
+)
+from ._recording_options import (
+    BetweenOption,
+    DespikeOption,
+    DropStaleOption,
+    EveryOption,
+    PeriodOption,
+    RecordingOptions,
+)
+
+
+def check_command(
+    robot: RobotArgument,
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="Recordings of the robot.")
+    ],
+    base: BaseOption = None,
+    tip: TipOption = None,
+    friction: FrictionOption = None,
+    columns: ColumnsOption = None,
+    between: BetweenOption = None,
+    every: EveryOption = None,
+    period: PeriodOption = None,
+    drop_stale: DropStaleOption = False,
+    despike: DespikeOption = False,
+) -> None:
+    """Check recordings for wrong units, signs, times and samples, before anything is identified.
+
+    Prints what was read, and what looks wrong, with the likely cause and what to do about it.
+    """
+    with one_line_errors(), progress("reading") as step:
+        manipulator = with_drives(robot_named(robot, base, tip), friction, None)
+        options = RecordingOptions(columns, between, every, period, drop_stale, despike)
+        read = [options.read(path, manipulator) for path in recordings]
+        step("deriving")
+        network = network_of(manipulator, _lengths(manipulator))
+        names = [str(path) for path in recordings]
+        page = check(network, read, names, progress=step)
+        notes = [
+            f"note: {name}: {note}"
+            for name, recording in zip(names, read, strict=True)
+            for note in recording.notes
+        ]
+    typer.echo("\n".join([str(page), *notes]))
+
+
+def _lengths(robot: Manipulator) -> str:
+    """Numeric lengths where all are known: the fewest coefficients, which a wrong column
+    contradicts soonest."""
+    lengths = (length for joint in robot.joints for _, _, length in joint.lengths)
+    return "numeric" if all(length.value is not None for length in lengths) else "symbolic"

@@ -1,0 +1,89 @@
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ..identification import without_outliers
+from ..manipulator import Manipulator
+from ..motion import Recording, load_recording, restore_clock, without_stale_rows
+
+
+BetweenOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="START,END", help="Only this stretch of the recordings [s from their start]."
+    ),
+]
+EveryOption = Annotated[
+    int | None, typer.Option(min=1, help="Only every so many rows: those with new positions.")
+]
+PeriodOption = Annotated[
+    float | None,
+    typer.Option(help="Restore the times of samples of an even clock of this period [s]."),
+]
+DropStaleOption = Annotated[
+    bool, typer.Option("--drop-stale", help="Leave out rows that repeat the row before.")
+]
+DespikeOption = Annotated[
+    bool,
+    typer.Option(
+        "--despike", help="Replace single outliers by the median of the seven samples around."
+    ),
+]
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingOptions:
+    """What to do with a recording once it is read, in this order.
+
+    **Attributes**
+
+    - `columns`: a file with a mapping of its columns.
+    - `between`: as text, start and end [s from its start].
+    - `drop_stale`, `every`, `period`, `despike`: as the options of the command say.
+    """
+
+    columns: Path | None = None
+    between: str | None = None
+    every: int | None = None
+    period: float | None = None
+    drop_stale: bool = False
+    despike: bool = False
+
+    def read(self, path: Path, robot: Manipulator) -> Recording:
+        """The recording in a file, its joints in the robot's order.
+
+        **Raises**
+
+        - `ValueError`: in one line, for a file that cannot be read, and for options that leave too
+          little of it.
+        """
+        recording = load_recording(path, joints=robot.joint_names, columns=self.columns)
+        if self.between is not None:
+            start, end = _two_numbers(self.between)
+            time = recording.time - recording.time[0]
+            recording = recording.rows((time >= start) & (time <= end))
+        if self.drop_stale:
+            recording = without_stale_rows(recording)
+        if self.every is not None:
+            recording = recording.rows(_first_of(recording, self.every))
+        if self.period is not None:
+            recording = restore_clock(recording, self.period)
+        return without_outliers(recording) if self.despike else recording
+
+
+def _first_of(recording: Recording, every: int) -> slice:
+    """Every so many rows, from the row on at which most positions change."""
+    changes = np.any(np.diff(recording.position, axis=0) != 0.0, axis=1)
+    counts = [int(changes[start::every].sum()) for start in range(every)]
+    return slice((int(np.argmax(counts)) + 1) % every, None, every)
+
+
+def _two_numbers(text: str) -> tuple[float, float]:
+    try:
+        start, end = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"--between: expected START,END in s, as in 0,8.5, got {text!r}") from None
+    return start, end

@@ -1,0 +1,195 @@
+import dataclasses
+from functools import cached_property
+from operator import itemgetter
+
+import jax
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float
+
+from ...motion import (
+    Butterworth,
+    Patterns,
+    Preparation,
+    Recording,
+    noise_level,
+    resample,
+    uniform_interval,
+)
+from ...network import CSLC
+from ..solver import Identification, LeastSquares
+
+
+# A window of more samples tells no more about what is wrong.
+_MOST_SAMPLES = 40_000
+# As many rows share one compiled regressor.
+_MOST_ROWS = 4096
+_FOLDS = 5
+# After so many periods of its cut-off, a thousandth is left of what a filter has seen.
+_FADED = 3.0
+# What noise may be of the accelerations' root mean square.
+_NOISE_PART = 0.1
+_LOWEST, _HIGHEST = 3.0, 12.0  # [Hz]
+
+
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """What of a recording tells whether its motion and its torque belong together.
+
+    Positions and torques pass one low pass, which delays neither and leaves its noise in neither,
+    and are thinned out to what is left of them.
+
+    **Attributes**
+
+    - `network`: n joints.
+    - `recording`: the part of it that is looked at, at even times.
+    - `valid`: False for samples of a joint that are no measurements of it.
+    - `patterns`: low-passed and thinned out.
+    - `torque`: of all samples, low-passed, from `time[0]` on [N m or N].
+    - `time`: of all samples [s].
+    - `cutoff`: of the low pass [Hz].
+    """
+
+    network: CSLC
+    recording: Recording
+    valid: Bool[np.ndarray, "samples joints"]
+    patterns: Patterns
+    time: Float[np.ndarray, " inner"]
+    torque: Float[np.ndarray, "inner joints"]
+    cutoff: float
+
+    @classmethod
+    def of(
+        cls,
+        network: CSLC,
+        recording: Recording,
+        valid: Bool[np.ndarray, "samples joints"] | None = None,
+    ) -> "Evidence":
+        """The evidence of a recording.
+
+        - `valid`: False for samples of a joint that are no measurements of it.
+        """
+        valid = np.ones(recording.position.shape, bool) if valid is None else valid
+        recording, valid = _window(recording, valid)
+        # From zero on: a tenth of a microsecond is lost in seconds since 1970.
+        recording = dataclasses.replace(recording, time=recording.time - recording.time[0])
+        recording, valid = _uniform(recording, valid)
+        interval = float(np.median(np.diff(recording.time)))
+        cutoff = _cutoff(recording, interval)
+        preparation = Preparation(Butterworth(cutoff), smooth_torque=True, threshold_fraction=0.1)
+        patterns = preparation.patterns(recording)
+        # A motion that does not begin and end at rest leaves errors of filters at both ends.
+        ends = min(int(np.ceil(_FADED / (cutoff * interval))), recording.samples // 10)
+        valid = valid.copy()
+        valid[:ends] = valid[recording.samples - ends :] = False
+        reach = int(np.ceil(0.5 / (cutoff * interval)))
+        clear = scipy.ndimage.minimum_filter1d(valid, 2 * reach + 1, axis=0)
+        trim = preparation.trimmed(recording)
+        inside = slice(trim, recording.samples - trim)
+        step = max(1, round(0.2 / (cutoff * interval)), int(np.ceil(patterns.samples / _MOST_ROWS)))
+        thinned = slice(None, None, step)
+        return cls(
+            network,
+            recording,
+            valid,
+            Patterns(
+                patterns.time[thinned],
+                patterns.q[thinned],
+                patterns.qd[thinned],
+                patterns.qdd[thinned],
+                patterns.torque[thinned],
+                clear[inside][thinned],
+                np.asarray(patterns.friction_mask)[thinned],
+            ),
+            recording.time[inside],
+            np.asarray(patterns.torque),
+            cutoff,
+        )
+
+    @cached_property
+    def fit(self) -> Identification:
+        """The fit to all patterns."""
+        return LeastSquares(errors="independent").fit(self.network, self.patterns, throw=False)
+
+    @cached_property
+    def relative_errors(self) -> Float[np.ndarray, " joints"]:
+        """`errors` of the patterns as they are."""
+        return self.errors(self.patterns)
+
+    def errors(
+        self,
+        patterns: Patterns,
+        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+    ) -> Float[np.ndarray, " joints"]:
+        """Held-out error of each joint as part of its torque's root mean square.
+
+        - `regressor`: of the patterns' motion, if it is known already.
+        """
+        mask = np.asarray(patterns.mask)
+        solver = LeastSquares(errors="independent")
+        fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
+        error = solver.held_out_errors(self.network, patterns, fold, regressor)
+        squares = np.where(mask, error**2, 0.0).sum(axis=0)
+        size = np.where(mask, np.asarray(patterns.torque) ** 2, 0.0).sum(axis=0)
+        return np.sqrt(squares / np.where(size > 0, size, 1.0))
+
+    def quick_score(self, patterns: Patterns) -> float:
+        """As `score`, of every third row: to sort out hypotheses by."""
+        return self.score(jax.tree.map(itemgetter(slice(None, None, 3)), patterns))
+
+    def score(
+        self,
+        patterns: Patterns,
+        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+    ) -> float:
+        """Mean logarithm of these errors: the smaller, the better the patterns belong together."""
+        errors = (
+            self.relative_errors
+            if patterns is self.patterns and regressor is None
+            else self.errors(patterns, regressor)
+        )
+        return float(np.mean(np.log(np.clip(errors, 1e-6, 10.0))))
+
+
+def _window(
+    recording: Recording, valid: Bool[np.ndarray, "samples joints"]
+) -> tuple[Recording, Bool[np.ndarray, "remaining joints"]]:
+    samples = recording.samples
+    if samples <= _MOST_SAMPLES:
+        return recording, valid
+    # The stretch with the most motion.
+    change = np.abs(np.diff(recording.position, axis=0, prepend=recording.position[:1]))
+    change = (change / np.maximum(np.ptp(recording.position, axis=0), 1e-12)).sum(axis=1)
+    total = np.concatenate([[0.0], np.cumsum(change)])
+    start = int(np.argmax(total[_MOST_SAMPLES:] - total[:-_MOST_SAMPLES]))
+    part = slice(start, start + _MOST_SAMPLES)
+    return recording.rows(part), valid[part]
+
+
+def _uniform(
+    recording: Recording, valid: Bool[np.ndarray, "samples joints"]
+) -> tuple[Recording, Bool[np.ndarray, "remaining joints"]]:
+    try:
+        uniform_interval(recording.time)
+        return recording, valid
+    except ValueError:
+        pass
+    interval = float(np.median(np.diff(recording.time)))
+    uniform = resample(recording, interval)
+    nearest = np.clip(np.searchsorted(recording.time, uniform.time), 1, recording.samples - 1)
+    before, after = recording.time[nearest - 1], recording.time[nearest]
+    near = (after - before) < 5.0 * interval
+    return uniform, valid[nearest] & valid[nearest - 1] & near[:, None]
+
+
+def _cutoff(recording: Recording, interval: float) -> float:
+    noise = noise_level(recording.position)
+    highest = min(_HIGHEST, 0.2 / interval)
+    for cutoff in np.geomspace(highest, min(_LOWEST, highest), 6):
+        _, _, qdd = Butterworth(float(cutoff)).smooth(recording.time, recording.position)
+        # White noise of positions, low-passed and differentiated twice.
+        omega = 2.0 * np.pi * cutoff
+        acceleration = noise * omega**2 * np.sqrt(2.0 * cutoff * interval / 5.0)
+        if np.median(acceleration / np.maximum(np.std(qdd, axis=0), 1e-300)) < _NOISE_PART:
+            return float(cutoff)
+    return float(min(_LOWEST, highest))

@@ -1,0 +1,243 @@
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float
+
+from ...motion import Recording, encoder_resolution, stale_rows
+from ._finding import Finding
+
+
+# Part of rows, or of a joint's samples, from which on something is said.
+_STALE, _REPEATED, _CLIPPED, _OUTLYING = 2e-3, 0.3, 5e-3, 5e-5
+# An outlier is so many standard deviations from the median of its neighbours.
+_FAR, _WINDOW = 12.0, 7
+# Its distance from the mean of its two neighbours is at least this part of that: one in a pair of
+# outliers has half.
+_ALONE = 0.45
+_MOTIONLESS = 3.0  # counts
+LEAST_DISTANCE = {"position": 0.02, "torque": 0.6}
+"""Outliers are further away than this part of the range. Dry friction makes torques jump by half of
+theirs, back and forth within a few samples where a joint hesitates."""
+
+
+def sample_findings(recording: Recording, names: Sequence[str]) -> Iterator[Finding]:
+    """What is wrong with single samples: stale and repeated rows, clipping, joints at rest.
+
+    **Arguments**
+
+    - `recording`: of n joints.
+    - `names`: of the joints.
+
+    **Returns** the findings.
+    """
+    yield from _repetition(recording)
+    still = motionless(recording)
+    for joint in np.flatnonzero(still).tolist():
+        yield Finding(
+            "motionless joint",
+            names[joint],
+            f"its position stays within {np.ptp(recording.position[:, joint]):.2g}",
+            "the joint was locked, or its column is of something else",
+            "move it, or expect its own coefficients to be undetermined",
+        )
+    for joint in np.flatnonzero(np.ptp(recording.torque, axis=0) == 0.0).tolist():
+        yield Finding(
+            "constant torque",
+            names[joint],
+            f"every torque is {recording.torque[0, joint]:.4g}",
+            "its torque was not recorded",
+            "record the torque of every joint",
+        )
+    clipped = clipping(recording.torque)
+    for joint in np.flatnonzero(clipped.mean(axis=0) > _CLIPPED).tolist():
+        column, cut = recording.torque[:, joint], clipped[:, joint]
+        limits = " and ".join(f"{value:.4g}" for value in np.unique(column[cut]))
+        yield Finding(
+            "clipping",
+            names[joint],
+            f"{100 * np.mean(cut):.2g} % of its torques are exactly {limits}, and none is beyond",
+            "the drive or the recorder limits the torque there: the motion had another one",
+            "record a slower motion; --loss bisquare disregards what does not fit",
+        )
+
+
+def outlier_findings(
+    recording: Recording,
+    outlying: dict[str, Bool[np.ndarray, "samples joints"]],
+    names: Sequence[str],
+) -> Iterator[Finding]:
+    """A finding for each quantity with outliers, of all joints together.
+
+    **Arguments**
+
+    - `outlying`: by quantity, `"position"` and `"torque"`: as of `outliers`.
+    - `names`: of the joints.
+    """
+    for quantity, hit in outlying.items():
+        if hit.mean() <= _OUTLYING:
+            continue
+        joints = np.flatnonzero(hit.any(axis=0)).tolist()
+        values = getattr(recording, quantity)
+        largest = float(np.max(np.abs(values - _local_median(values))[hit]))
+        yield Finding(
+            "outliers",
+            ", ".join(names[joint] for joint in joints),
+            f"{int(hit.sum())} {quantity} values ({100 * hit.mean():.2g} %) lie up to {largest:.3g}"
+            f" from the values beside them",
+            "faults of transmission or of the sensor",
+            "--loss huber bounds what they do to the fit"
+            if quantity == "torque"
+            else "--despike replaces them by the median of their neighbours",
+        )
+
+
+def outliers(
+    values: Float[np.ndarray, "samples joints"], least: float
+) -> Bool[np.ndarray, "samples joints"]:
+    """Marks single samples that lie far from their neighbours.
+
+    A sample is compared with the median of the seven around it, which steps and slopes leave
+    where they are, in units of what such differences usually are (1.48 times their median).
+
+    **Arguments**
+
+    - `values`: shape `(samples, joints)`.
+    - `least`: distance of an outlier as part of the range of the values, see `LEAST_DISTANCE`.
+
+    **Returns** True for outliers, shape `(samples, joints)`.
+
+    >>> import numpy as np
+    >>> wave = np.sin(np.arange(200) / 20)[:, None]
+    >>> wave[50] += 3.0
+    >>> np.flatnonzero(outliers(wave, least=0.5)).tolist()
+    [50]
+    """
+    distance = np.abs(values - _local_median(values))
+    # The peak of a fast motion lies far from the median around it, too, but near its neighbours.
+    beside = np.pad(values, ((1, 1), (0, 0)), mode="reflect")
+    alone = np.abs(values - 0.5 * (beside[:-2] + beside[2:])) > _ALONE * distance
+    usual = 1.4826 * np.median(distance, axis=0)
+    # Values of a coarse grid differ from their neighbours' median by nothing, or by steps.
+    extent = np.ptp(np.quantile(values, [0.02, 0.98], axis=0), axis=0)
+    steps = np.maximum(usual, np.quantile(distance, 0.95, axis=0) / 2.0)
+    counts = np.maximum(np.maximum(steps, encoder_resolution(values) / 3.0), 1e-12)
+    return alone & (distance > np.maximum(_FAR * counts, least * extent))
+
+
+def without_outliers(recording: Recording) -> Recording:
+    """Replaces single samples that lie far from their neighbours by the median around them.
+
+    A position or a torque is an outlier if it is twelve times as far from the median of the seven
+    samples around it as such values usually are. Recorded velocities and accelerations stay.
+
+    **Arguments**
+
+    - `recording`: as recorded.
+
+    **Returns** the recording without outliers of position and torque.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import without_outliers
+    >>> wave = np.sin(np.arange(200) / 20)[:, None]
+    >>> spoilt = wave.copy()
+    >>> spoilt[50] += 3.0
+    >>> mended = without_outliers(jc.Recording(np.arange(200) * 0.01, wave, spoilt))
+    >>> bool(np.max(np.abs(mended.torque - wave)) < 0.05)
+    True
+    """
+
+    def mended(quantity: str) -> Float[np.ndarray, "samples joints"]:
+        values = getattr(recording, quantity)
+        return np.where(outliers(values, LEAST_DISTANCE[quantity]), _local_median(values), values)
+
+    return dataclasses.replace(recording, position=mended("position"), torque=mended("torque"))
+
+
+def clipping(torque: Float[np.ndarray, "samples joints"]) -> Bool[np.ndarray, "samples joints"]:
+    """Marks the torques that a limit holds: many equal ones at the end of a joint's range.
+
+    A smooth peak of rounded values stays on its highest level, too, but only 2.4 times as long as
+    on the level below.
+
+    **Arguments**
+
+    - `torque`: shape `(samples, joints)`.
+
+    **Returns** True where a joint's torque is at a limit, shape `(samples, joints)`.
+
+    >>> import numpy as np
+    >>> wave = np.sin(np.arange(1000) / 20)[:, None]
+    >>> int(clipping(wave).sum()), int(clipping(np.clip(wave, -0.9, 2.0)).sum())
+    (0, 144)
+    """
+    clipped = np.zeros(torque.shape, bool)
+    for joint, column in enumerate(torque.T):
+        levels, counts = np.unique(column, return_counts=True)
+        for end, below in ((0, slice(1, 4)), (-1, slice(-4, -1))):
+            if levels.size > 8 and counts[end] > max(4, 4 * int(np.sum(counts[below]))):
+                clipped[:, joint] |= column == levels[end]
+    return clipped
+
+
+def motionless(recording: Recording) -> Bool[np.ndarray, " joints"]:
+    """True for each joint that does not leave three counts of its encoder."""
+    extent = np.ptp(recording.position, axis=0)
+    return extent <= np.maximum(_MOTIONLESS * encoder_resolution(recording.position), 1e-9)
+
+
+def _repetition(recording: Recording) -> Iterator[Finding]:
+    moving = _moving(recording)
+    if moving.sum() < 100:
+        return
+    stale = stale_rows(recording)
+    part = float(np.mean(stale[moving]))
+    if part > _STALE:
+        yield Finding(
+            "stale rows",
+            "",
+            f"{100 * part:.2g} % of the rows during motion repeat all values of the row before",
+            "the recorder polls faster than its source delivers, or messages were late",
+            "--drop-stale leaves them out",
+        )
+        moving &= ~stale
+    for quantity, other in (("position", "torque"), ("torque", "position")):
+        repeated = _repeats(getattr(recording, quantity)) & ~_repeats(getattr(recording, other))
+        part = float(np.mean(repeated[moving]))
+        if part > _REPEATED and not (quantity == "torque" and _is_coarse(recording.torque)):
+            every = round(1.0 / (1.0 - part))
+            yield Finding(
+                "rate",
+                "",
+                f"{quantity} values change in every {every}. row only, where the others change in"
+                " every row",
+                f"the source of {quantity} values is slower than the recorder",
+                f"--every {every} keeps the rows with new values",
+            )
+
+
+def _repeats(values: Float[np.ndarray, "samples joints"]) -> Bool[np.ndarray, " samples"]:
+    return np.append(False, np.all(values[1:] == values[:-1], axis=1))
+
+
+def _is_coarse(values: Float[np.ndarray, "samples joints"]) -> bool:
+    """Whether values have so few levels that repetitions are rounding."""
+    return bool(np.median([np.unique(column).size for column in values.T]) < 50)
+
+
+def _moving(recording: Recording) -> Bool[np.ndarray, " samples"]:
+    """Rows around which some joint moves by several counts from row to row."""
+    position = recording.position
+    reach = 8
+    ahead = np.abs(np.roll(position, -reach, axis=0) - np.roll(position, reach, axis=0)) / (
+        2 * reach
+    )
+    ahead[:reach] = ahead[-reach:] = 0.0
+    fastest = np.quantile(ahead, 0.98, axis=0)
+    steps = 2.0 * np.maximum(encoder_resolution(position), 1e-12)
+    return np.any((ahead > 0.1 * fastest) & (ahead > steps), axis=1)
+
+
+def _local_median(values: Float[np.ndarray, "samples joints"]) -> np.ndarray:
+    return scipy.ndimage.median_filter(values, size=(_WINDOW, 1), mode="mirror")

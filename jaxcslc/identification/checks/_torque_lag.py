@@ -1,0 +1,249 @@
+import dataclasses
+from operator import itemgetter
+
+import jax
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ...motion import Butterworth, Patterns, Preparation, Recording, zero_phase
+from ...network import CSLC
+from ..solver import Equations, LeastSquares, Unknowns, regressor_of
+from ._evidence import Evidence
+
+
+# The search looks this far to either side, in steps that no motion below the cut-off outruns [s].
+_FARTHEST, _STEP = 0.25, 0.0125
+# It ends here if a lag within explains the torque to e^-3 of it.
+_NEAR, _GOOD = 0.1, -3.0
+LEAST_LAG = 2e-3
+"""Less is no matter [s]."""
+_ROUNDS = 4
+_PIECE = 4096
+# How much wider than the equations' filter the smoothing of the positions is.
+_WIDER = 3.0
+# And how much narrower that of the torque's slope.
+_SMOOTHER = 3.0
+
+
+@dataclasses.dataclass(frozen=True)
+class TorqueLag:
+    """How much later than the positions the torques of a recording were measured.
+
+    **Attributes**
+
+    - `lag`: the estimate [s]; negative where torques are early. `Preparation.torque_lag` takes it.
+    - `low`, `high`: 95 % interval [s].
+    - `gain`: how much smaller the mean logarithm of the joints' torque errors is with it.
+
+    >>> from jaxcslc.identification import TorqueLag
+    >>> TorqueLag(0.02, 0.019, 0.021, 1.2).beyond(0.002)
+    True
+    """
+
+    lag: float
+    low: float
+    high: float
+    gain: float
+
+    def beyond(self, lag: float) -> bool:
+        """Whether the whole interval lies further from zero than a lag [s]."""
+        return self.low > lag or self.high < -lag
+
+
+def estimate_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
+    """Estimates how late the torques of a recording are, from torque and motion alone.
+
+    Positions and torques pass the same low pass, which delays neither. A search takes the shift of
+    the torque under which the network predicts held-out torque best. There the lag is one more
+    coefficient of the torque equation,
+
+    $Y k = \\tau(t + \\delta_0) + \\dot\\tau(t + \\delta_0)\\,(\\delta - \\delta_0)$,
+
+    fitted together with the others (Gauss-Newton), so that its interval allows for correlation in
+    time as theirs do.
+
+    A drive that holds its demand from sample to sample applies it half an interval later, in the
+    mean: its torque is *early* by half an interval, which `torque_alignment="mean"` mends.
+
+    **Arguments**
+
+    - `network`: n joints.
+    - `recording`: of n joints.
+
+    **Returns** a `TorqueLag`.
+
+    **Raises**
+
+    - `ValueError`: a recording that is too short, or of another number of joints.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import estimate_torque_lag
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(4000)[:, None] * 0.002
+    >>> motion = lambda t: (np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t))
+    >>> k = np.array([0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> late = np.asarray(network.torque(k, *motion(t - 0.02)))
+    >>> lag = estimate_torque_lag(network, jc.Recording(t[:, 0], motion(t)[0], late))
+    >>> round(lag.lag, 4)
+    0.02
+    """
+    evidence = Evidence.of(network, recording)
+    return _refined(evidence, *_search(evidence))
+
+
+def torque_lag_of(evidence: Evidence, least: float = 0.0) -> TorqueLag | None:
+    """The lag that the evidence of a recording shows; None if a first look shows less than
+    `least` [s]."""
+    coarse, gain = _search(evidence)
+    return _refined(evidence, coarse, gain) if abs(coarse) >= least else None
+
+
+def _search(evidence: Evidence) -> tuple[float, float]:
+    """The best lag of a grid [s], and how much better than no lag it is."""
+    patterns = evidence.patterns
+    regressor = np.asarray(regressor_of(evidence.network, patterns))
+    spline = scipy.interpolate.make_interp_spline(evidence.time, evidence.torque, k=3)
+    time = np.asarray(patterns.time)
+    farthest = min(_FARTHEST, 0.1 * float(evidence.time[-1] - evidence.time[0]))
+    inside = (time > evidence.time[0] + farthest) & (time < evidence.time[-1] - farthest)
+    valid = np.asarray(patterns.backlash_mask) & inside[:, None]
+
+    def score(lag: float) -> float:
+        shifted = Patterns(
+            patterns.time,
+            patterns.q,
+            patterns.qd,
+            patterns.qdd,
+            spline(time + lag),
+            valid,
+            patterns.friction_mask,
+        )
+        return evidence.score(shifted, regressor)
+
+    scores = {0: score(0.0)}
+
+    def look_at(steps: int) -> None:
+        if steps not in scores:
+            scores[steps] = score(_STEP * steps)
+
+    for reach in (min(_NEAR, farthest), farthest):
+        most = int(reach / _STEP) // 2 * 2
+        for steps in range(-most, most + 1, 2):
+            look_at(steps)
+        best = min(scores, key=scores.__getitem__)
+        if abs(best) < most and scores[best] < _GOOD:
+            break
+    best = min(scores, key=scores.__getitem__)
+    look_at(best - 1)
+    look_at(best + 1)
+    best = min(scores, key=scores.__getitem__)
+    gain = scores[0] - scores[best]
+    look_at(best - 1)
+    look_at(best + 1)
+    before, after = scores[best - 1], scores[best + 1]
+    bend = before - 2.0 * scores[best] + after
+    between = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    return _STEP * (best + float(np.clip(between, -0.5, 0.5))), gain
+
+
+def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
+    """The lag as one more coefficient of equations whose two sides pass the same filter."""
+    network, recording = evidence.network, evidence.recording
+    interval = float(np.median(np.diff(recording.time)))
+    preparation = Preparation(
+        Butterworth(min(_WIDER * evidence.cutoff, 0.2 / interval)), threshold_fraction=0.1
+    )
+    patterns = preparation.patterns(recording)
+    trim = preparation.trimmed(recording)
+    valid = evidence.valid[trim : recording.samples - trim]
+    time = np.asarray(patterns.time)
+    regressor = _regressor(network, patterns)
+    joints = network.joint_count
+    unknowns = Unknowns(
+        (*network.names, *(f"lag {joint + 1}" for joint in range(joints))),
+        tuple((*support, network.size + joint) for joint, support in enumerate(network.support)),
+    )
+    columns = np.concatenate([regressor, np.zeros((*regressor.shape[:2], joints))], axis=2)
+    estimate = _Combined(lag, np.inf, 1.0)
+    for number in range(_ROUNDS):
+        torque = dataclasses.replace(preparation, torque_lag=lag).aligned(
+            recording.time, recording.torque
+        )[trim : recording.samples - trim]
+        last = number == _ROUNDS - 1
+        fit = LeastSquares(errors="correlated" if last else "independent").fit_equations(
+            Equations.of(
+                unknowns,
+                columns,
+                torque,
+                np.asarray(patterns.mask) & valid,
+                time=time,
+                cutoff=evidence.cutoff,
+            ),
+            patterns.samples,
+            throw=False,
+        )
+        k = np.asarray(fit.k)
+        if number > 0:
+            estimate = _Combined.of(
+                _STEP * k[network.size :], _STEP * np.asarray(fit.standard_error)[network.size :]
+            )
+            lag += float(np.clip(estimate.mean, -_STEP, _STEP))
+        # The torque as predicted has no noise that would damp the steps, and is smoothed further:
+        # noise in the third derivative of the positions is correlated with that in the first,
+        # which viscous friction multiplies, and would pass for a lag.
+        slope = zero_phase(
+            np.gradient(regressor @ k[: network.size], interval, axis=0),
+            interval,
+            cutoff=evidence.cutoff / _SMOOTHER,
+        )
+        for joint in range(joints):
+            columns[:, joint, network.size + joint] = -_STEP * slope[:, joint]
+    half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.975)) * estimate.error
+    return TorqueLag(lag, lag - half, lag + half, gain)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Combined:
+    """A mean of joints' estimates whose errors may be larger than they say.
+
+    What friction and gears do that no term describes looks like a lag, another one at each joint:
+    the variance between joints counts as well (DerSimonian and Laird, Controlled Clinical Trials
+    7, 1986, doi:10.1016/0197-2456(86)90046-2).
+    """
+
+    mean: float
+    error: float
+    degrees_of_freedom: float
+
+    @classmethod
+    def of(
+        cls, values: Float[np.ndarray, " joints"], errors: Float[np.ndarray, " joints"]
+    ) -> "_Combined":
+        usable = np.isfinite(errors) & (errors > 0) & np.isfinite(values)
+        values, errors = values[usable], errors[usable]
+        if values.size == 0:
+            return cls(0.0, np.inf, 1.0)
+        if values.size == 1:
+            return cls(float(values[0]), float(errors[0]), 30.0)
+        weights = errors**-2
+        mean = float(np.average(values, weights=weights))
+        excess = float(weights @ (values - mean) ** 2) - (values.size - 1)
+        between = max(0.0, excess / float(weights.sum() - (weights @ weights) / weights.sum()))
+        weights = 1.0 / (errors**2 + between)
+        mean = float(np.average(values, weights=weights))
+        # As many as the joints that have a say.
+        degrees_of_freedom = max(float(weights.sum() ** 2 / (weights @ weights)) - 1.0, 1.0)
+        return cls(
+            mean, float(weights.sum() ** -0.5), 30.0 if between == 0.0 else degrees_of_freedom
+        )
+
+
+def _regressor(network: CSLC, patterns: Patterns) -> Float[np.ndarray, "samples joints columns"]:
+    """The regressor, of pieces that share one compiled function."""
+    pieces: list[np.ndarray] = []
+    for start in range(0, patterns.samples, _PIECE):
+        part = slice(start, start + _PIECE)
+        pieces.append(np.asarray(regressor_of(network, jax.tree.map(itemgetter(part), patterns))))
+    return np.concatenate(pieces)

@@ -1,0 +1,1 @@
+"""How often `jaxcslc check` names the cause of a spoilt recording, and how often it errs."""
