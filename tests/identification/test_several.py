@@ -161,8 +161,8 @@ class TestIdentify:
         )
         assert bare.several is not None and bare.systematic is None
         for name in recordings:
-            wide, narrow = (some.several.agreement.standard_error[name] for some in (report, bare))
-            assert np.all(wide > narrow)
+            wide = report.several.agreement.standard_error[name]
+            assert np.all(wide > bare.several.agreement.standard_error[name])
 
     def test_wrong_arguments(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
         one = self.recording(motions[0])

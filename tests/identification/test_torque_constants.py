@@ -72,7 +72,7 @@ def test_intervals_hold_the_truth(
     solver = LeastSquares(errors="independent")
     results = [
         fit_torque_constants(
-            network, *(noisy(patterns, rng, 0.05) for patterns in exact), MASS, solver=solver
+            network, noisy(exact[0], rng, 0.05), noisy(exact[1], rng, 0.05), MASS, solver=solver
         )
         for _ in range(12)
     ]

@@ -60,7 +60,7 @@ def test_rows_take_every_quantity() -> None:
         pytest.param({"position": np.array([["a", "b"]])}, "position is not an array", id="text"),
     ],
 )
-def test_shapes_that_disagree(change: dict[str, np.ndarray], message: str) -> None:
+def test_shapes_that_disagree(change: dict[str, Any], message: str) -> None:
     with pytest.raises(RecordingError, match=message):
         Recording(**{**arrays(), **change})
 
@@ -76,7 +76,7 @@ def test_values_that_no_joint_shows() -> None:
     position[2, 1] = -1e160
     message = r"sample 3, position_2: -1e\+160 where a number up to 1e\+30 was expected"
     with pytest.raises(RecordingError, match=message):
-        Recording(**{**arrays(), "position": position})
+        Recording(**dict[str, Any](arrays(), position=position))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -90,7 +90,7 @@ def test_values_that_are_not_finite(quantity: str, value: float) -> None:
         parts[quantity][3, 1] = value
         column = f"{quantity}_2"
     with pytest.raises(RecordingError, match=f"sample 4, {column}: {value} where a finite"):
-        Recording(**parts)
+        Recording(**dict[str, Any](parts))
 
 
 def test_the_earliest_fault_is_named() -> None:

@@ -122,7 +122,8 @@ class TestNamedColumns:
             load_recording(path)
 
     def test_order_is_that_of_the_robot(self, motion: Recording, tmp_path: Path) -> None:
-        names = motion.joint_names or ()
+        names = motion.joint_names
+        assert names is not None
         path = tmp_path / "motion.csv"
         save_recording(motion, path)
         assert path.read_text().startswith(f"time,position_{names[0]},")

@@ -67,7 +67,8 @@ class RecordingEquations:
         k = np.asarray(fit.k)
         pairs = zip(self.equations.rows, self.equations.unknowns.support, strict=True)
         residuals = [rows[:, -1] - rows[:, :-1] @ k[list(support)] for rows, support in pairs]
-        return np.sqrt([np.mean(error**2) if error.size else 0.0 for error in residuals])
+        squares = [float(np.mean(error**2)) if error.size else 0.0 for error in residuals]
+        return np.sqrt(np.array(squares))
 
     def offsets(self, fit: Identification) -> Float[np.ndarray, " joints"]:
         """The constant torques that a fit leaves; zeros if none were eliminated."""
