@@ -116,7 +116,8 @@ def outliers(
     """
     distance = np.abs(values - _local_median(values))
     # The peak of a fast motion lies far from the median around it, too, but near its neighbours.
-    beside = np.pad(values, ((1, 1), (0, 0)), mode="reflect")
+    # At the ends, where only one side tells, nothing counts as an outlier.
+    beside = np.pad(values, ((1, 1), (0, 0)), mode="reflect", reflect_type="odd")
     alone = np.abs(values - 0.5 * (beside[:-2] + beside[2:])) > _ALONE * distance
     usual = 1.4826 * np.median(distance, axis=0)
     # Values of a coarse grid differ from their neighbours' median by nothing, or by steps.

@@ -240,13 +240,15 @@ def _verdict(comparison: ReportComparison) -> tuple[Tone, str, tuple[Message, ..
     sizes = [abs(r["standard_errors"]) for r in comparison.rows if r["standard_errors"] is not None]
     notable = sum(size > _NOTABLE for size in sizes)
     # Standard errors that follow from few independent residuals are uncertain themselves.
-    freedom = min(float(r.fit.degrees_of_freedom) for r in (comparison.first, comparison.second))
-    freedom, count = max(freedom, 1.0), max(len(sizes), 1)
-    chance = 2.0 * float(scipy.special.stdtr(freedom, -_NOTABLE))
+    degrees_of_freedom = min(
+        float(r.fit.degrees_of_freedom) for r in (comparison.first, comparison.second)
+    )
+    degrees_of_freedom, count = max(degrees_of_freedom, 1.0), max(len(sizes), 1)
+    chance = 2.0 * float(scipy.special.stdtr(degrees_of_freedom, -_NOTABLE))
     # What one comparison in a hundred of equal arms exceeds, if coefficients' errors were
     # independent: how many differ, and by how much the most different does.
     most = float(scipy.stats.binom.isf(_CHANCE, count, chance))
-    largest = float(scipy.special.stdtrit(freedom, 1.0 - 0.5 * _CHANCE / count))
+    largest = float(scipy.special.stdtrit(degrees_of_freedom, 1.0 - 0.5 * _CHANCE / count))
     messages = [
         Message(
             f"{notable} of {len(sizes)} coefficients differ by more than {_NOTABLE:g} standard"

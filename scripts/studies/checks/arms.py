@@ -358,8 +358,8 @@ def _record_puma(conditions: Conditions, seed: int) -> jc.Recording:
         try:
             recording, _ = sim.simulate(machine, trajectory, seed=seed)
             break
-        except sim.SimulationError:  # out of a joint's range: less motion
-            amplitude = 0.85 * amplitude
+        except sim.SimulationError:  # out of a joint's range: less motion of the wrist
+            amplitude[3:] *= 0.85
     step = max(1, round(500 / conditions.rate))
     recording = recording.rows(slice(None, None, step))
     return _measured(rng, conditions, recording)
