@@ -20,7 +20,7 @@ _SMALL = 0.03
 # Torques of this many times those of the file's masses are in another unit.
 _OTHER_UNIT = 3.0
 # What the file's masses must explain of a joint's torque that is gravity's for the most part.
-_FEW, _MOST = 0.35, 0.4
+_FEW, _MOST = 0.2, 0.4
 # Error beyond noise, as part of the torque, that a right model rarely leaves.
 _UNEXPLAINED = 0.4
 # Held-out over training error, in logarithms, from which a recording has too little motion.
