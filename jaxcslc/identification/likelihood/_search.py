@@ -12,9 +12,10 @@ from ._signs import LATEST_TURN, Signs
 
 
 # Equations left uncertain on either side of a reversal, stage by stage; after these stages,
-# reversals are moments to be estimated.
+# reversals are moments to be estimated. Noise levels, estimated from one draw, are fixed after some
+# stages: they would go on to change by a tenth.
 _MARGINS = (4, 3, 2)
-_MOST_STAGES = 9
+_LEVEL_STAGES, _MOST_STAGES = 6, 10
 # A stage ends when a step reduces the sum of squares, in units of variances, by less than this.
 _STAGE_TOLERANCE, _LAST_TOLERANCE = 2.0, 0.02
 _MOST_STEPS, _MOST_TRIALS = 12, 8
@@ -146,11 +147,12 @@ def search(
         counted = (extra == 0.0) & ~at_rest
         linear = objective.linearised(point)
         factored = linear.factored(0.0)
-        torque_noise, position_noise = _noise_levels(
-            problem, linear, factored, counted, torque_noise, position_noise, least
-        )
-        size = np.maximum(np.abs(linear.residuals.torque), 1e-300)
-        outlier_weight = np.where(counted, np.minimum(1.0, _OUTLIER * torque_noise / size), 1.0)
+        if stage < _LEVEL_STAGES:
+            torque_noise, position_noise = _noise_levels(
+                problem, linear, factored, counted, torque_noise, position_noise, least
+            )
+            size = np.maximum(np.abs(linear.residuals.torque), 1e-300)
+            outlier_weight = np.where(counted, np.minimum(1.0, _OUTLIER * torque_noise / size), 1.0)
         moved = np.abs(point.border - border_before)
         settled = bool(np.all(moved <= _SETTLED * problem.scale * _deviation(factored)))
         same = before is not None and np.array_equal(before.samples, signs.samples)
