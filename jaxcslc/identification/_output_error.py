@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..motion import Recording
 from ..network import CSLC
+from .likelihood import runs
 
 
 _STEPS = 4  # of integration between two samples
@@ -56,11 +57,11 @@ def motion_windows(
     resting = np.zeros(len(velocity), dtype=bool)
     resting[:trim] = resting[len(velocity) - trim :] = True
     for slow in (np.abs(velocity) < slowest).T:
-        for start, end in _runs(slow):
+        for start, end in runs(slow):
             resting[start:end] |= end - start >= _RESTING
     parts = [
         part
-        for start, end in _runs(~resting)
+        for start, end in runs(~resting)
         for part in np.array_split(np.arange(start, end), -(-(end - start) // length))
         if len(part) >= _FEWEST
     ]
@@ -70,13 +71,6 @@ def motion_windows(
     return MotionWindows(
         np.reshape(rows, shape).astype(int), np.reshape(within, shape).astype(bool)
     )
-
-
-def _runs(marked: Bool[np.ndarray, " samples"]) -> list[tuple[int, int]]:
-    """First samples of the stretches of marked samples, and the samples behind their ends."""
-    edges = np.diff(marked.astype(int), prepend=0, append=0)
-    pairs = zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)
-    return [(int(start), int(end)) for start, end in pairs]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -149,7 +149,8 @@ class MaximumLikelihood:
 
         **Raises**
 
-        - `ValueError`: recording and network differ in joints, or the recording is too short.
+        - `ValueError`: recording and network differ in joints, the recording is too short, or the
+          network has a payload.
         - `RuntimeError`: the regression that it starts from fails.
         """
         require_float64()
@@ -159,6 +160,8 @@ class MaximumLikelihood:
                 f"the recording has {recording.position.shape[1]} joints; expected {n}, those of"
                 f" {network.name!r}"
             )
+        if network.payload is not None:
+            raise ValueError(f"{network.name!r} has a payload; expected a network without one")
         if recording.samples < _FEWEST_SAMPLES:
             raise ValueError(
                 f"the recording has {recording.samples} samples; expected at least"

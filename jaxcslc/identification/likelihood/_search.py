@@ -8,7 +8,7 @@ from scipy.linalg import LinAlgError
 from ._band import Factored
 from ._motion_equations import MotionEquations
 from ._objective import TURN, Linear, Objective, Point, Residuals
-from ._signs import LATEST_TURN, Signs
+from ._signs import LATEST_TURN, Signs, runs
 
 
 # Equations left uncertain on either side of a reversal, stage by stage; after these stages,
@@ -190,8 +190,7 @@ def _reading_weights(stuck: Bool[np.ndarray, "intervals joints"]) -> Float[np.nd
     """(samples, n): the readings of a rest are one reading, for they have one error."""
     weights = np.ones((len(stuck) + 1, stuck.shape[1]))
     for joint in range(stuck.shape[1]):
-        edges = np.flatnonzero(np.diff(np.r_[0, stuck[:, joint].astype(int), 0]))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in runs(stuck[:, joint]):
             weights[start : end + 1, joint] = 1.0 / (end + 1 - start)
     return weights
 
@@ -203,6 +202,7 @@ def _minimise(
     value = objective.value(objective.residuals(point))
     for step in range(_MOST_STEPS):
         linear = objective.linearised(point)
+        expected = np.inf
         for _ in range(_MOST_TRIALS):
             try:
                 factored = linear.factored(damping)
@@ -210,13 +210,15 @@ def _minimise(
                 damping = _FACTOR * max(damping, 1e-6)
                 continue
             change = linear.step(factored, linear.residuals, damping)
+            if expected == np.inf:  # what linear equations promise, before damping grows
+                expected = value - objective.value(linear.after(change, linear.residuals))
             moved = _bounded(problem, objective.moved(point, change), point)
             moved_value = objective.value(objective.residuals(moved))
             if moved_value <= value * (1.0 + 1e-12):
                 break
             damping = _FACTOR * max(damping, 1e-5)
-        else:  # nothing smaller is left: a minimum, up to rounding
-            return point, _DAMPING, step, True
+        else:  # a minimum up to rounding, if nothing was to be expected
+            return point, _DAMPING, step, expected < tolerance
         gain, point, value = value - moved_value, moved, moved_value
         damping = max(damping / _FACTOR, _LEAST_DAMPING)
         if gain < tolerance:

@@ -134,6 +134,16 @@ def dilated(mask: Bool[np.ndarray, "rows joints"], by: int) -> Bool[np.ndarray, 
     return result
 
 
+def runs(mask: Bool[np.ndarray, " rows"]) -> list[tuple[int, int]]:
+    """First row and row after the last of each stretch of true rows.
+
+    >>> runs(np.array([True, False, True, True]))
+    [(0, 1), (2, 4)]
+    """
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0])).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def rests(
     position: Float[np.ndarray, "samples joints"],
     speed: Float[np.ndarray, "samples joints"],
@@ -144,16 +154,15 @@ def rests(
 
     **Arguments**
 
-    - `position`: as recorded; `speed`: of the smoothed motion, absolute.
-    - `resolution`: readings that differ by less than one and a half of it are the same.
-    - `slowest`: speed below which a joint counts as slow.
+    - `position`: as recorded [rad or m]; `speed`: of the smoothed motion [rad/s or m/s].
+    - `resolution`: of the encoders; readings that differ by less than half of it are the same.
+    - `slowest`: speed below which a joint counts as slow [rad/s or m/s].
     """
     stuck = np.zeros((len(position) - 1, position.shape[1]), bool)
     for joint in range(position.shape[1]):
         same = np.abs(np.diff(position[:, joint])) < 0.5 * resolution[joint]
         slow = np.maximum(speed[:-1, joint], speed[1:, joint]) < slowest[joint]
-        edges = np.flatnonzero(np.diff(np.r_[0, (same & slow).astype(int), 0]))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in runs(same & slow):
             if end - start >= _LONG:
                 stuck[start + _ENDS : end - _ENDS, joint] = True
     return stuck

@@ -76,9 +76,9 @@ def starting_point(
         # Encoders are within half a step, and friction at rest rarely is above twice the dry one:
         # without the latter, static friction that the motion does not show grows without bounds,
         # with a slope that hides it.
-        dry = np.maximum(static.dry(point.k), 1e-9)[static.joints]
+        dry = static.dry(point.k)[static.joints]
         of_k = np.zeros(p)
-        of_k[static.indices] = dry**-2.0
+        of_k[static.indices] = np.where(static.rubs, np.maximum(dry, 1e-9) ** -2.0, 0.0)
         of_slopes = np.zeros(n)
         of_slopes[static.joints] = _SLOPE_DEVIATION**-2
         return (
@@ -89,7 +89,8 @@ def starting_point(
     def breakaway(point: Point) -> Joints:
         dry, at_rest = static.dry(point.k), np.zeros(n)
         at_rest[static.joints] = np.abs(point.k[static.indices])
-        return dry + np.minimum(at_rest, dry) + 1e-9
+        beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
+        return dry + beyond + 1e-9
 
     moves = np.zeros(n)
     moves[static.joints] = 0.5
@@ -138,7 +139,7 @@ def averaged_torque(
 
 
 class _Static:
-    """Which joints have static friction, and a network without it."""
+    """Which joints have static friction, and which of them dry friction; a network without it."""
 
     def __init__(self, network: CSLC) -> None:
         laws = network.robot.friction_per_joint
@@ -147,6 +148,7 @@ class _Static:
         if self.joints:
             self.without = network.without_law("static", [joint + 1 for joint in self.joints])
             self.indices = network.layout.indices("static")
+        self.rubs = np.array(["dry" in laws[joint] for joint in self.joints], bool)
         self._with_dry = [joint for joint, kinds in enumerate(laws) if "dry" in kinds]
         self._dry = network.layout.indices("dry") if self._with_dry else self.indices[:0]
         self._joint_count = network.joint_count

@@ -147,7 +147,23 @@ def test_ten_samples(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     assert np.all(np.isfinite(np.asarray(result.k)))
 
 
+def test_static_friction_without_dry_friction(
+    clean: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Nothing is then known of its size beforehand: it takes up what it can of dry friction."""
+    time, position, torque = clean
+    recording = jc.Recording(time, position, torque)
+    result = jc.MaximumLikelihood().fit(pendulum("viscous", "static"), recording)
+    static = dict(zip(result.fit.names, np.asarray(result.k), strict=True))["ks1"]
+    assert 0.5 * DRY < static < 2.0 * (DRY + STATIC)
+
+
 class TestBadInput:
+    def test_a_payload(self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+        network = pendulum("viscous").with_payload()
+        with pytest.raises(ValueError, match="has a payload; expected a network without one"):
+            jc.MaximumLikelihood().fit(network, jc.Recording(*clean))
+
     def test_other_joints(self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
         time, position, torque = clean
         recording = jc.Recording(time, np.tile(position, 2), np.tile(torque, 2))
