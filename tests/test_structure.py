@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("jaxcslc", "sim", "scripts")
 MOST_FILES = 16  # of a folder, beside its `__init__.py`
 MOST_LINES = 450
+MOST_LINES_OF_FUNCTION = 60  # of the command, docstrings left out
 
 # Names that do not say what a thing is.
 VAGUE = {
@@ -69,6 +70,16 @@ def identifiers(source: str) -> Iterator[str]:
             yield node.name
 
 
+def lines_of_functions(source: str) -> Iterator[tuple[str, int]]:
+    """Functions with the number of their lines, docstring left out."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            words = ast.get_docstring(node, clean=False)
+            assert node.end_lineno is not None
+            documented = 0 if words is None else words.count("\n") + 1
+            yield node.name, node.end_lineno - node.lineno + 1 - documented
+
+
 def is_vague(name: str) -> bool:
     return name in VAGUE or name.lstrip("_").startswith("refuse_")
 
@@ -83,6 +94,17 @@ def test_folders_have_few_files(package: str) -> None:
 def test_files_are_short(package: str) -> None:
     lengths = {path: path.read_text("utf-8").count("\n") for path in files_of(package)}
     long = {str(path.relative_to(ROOT)) for path, lines in lengths.items() if lines > MOST_LINES}
+    assert long == set()
+
+
+def test_functions_of_the_command_are_short() -> None:
+    """The command parses, calls one function and prints: what takes longer is the library's."""
+    long = {
+        f"{path.name}: {name}"
+        for path in files_of("jaxcslc/cli")
+        for name, lines in lines_of_functions(path.read_text("utf-8"))
+        if lines > MOST_LINES_OF_FUNCTION
+    }
     assert long == set()
 
 

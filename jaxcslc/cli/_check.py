@@ -15,7 +15,6 @@ from ._common import (
     one_line_errors,
     progress,
     robot_named,
-    with_drives,
 )
 from ._recording_options import (
     BetweenOption,
@@ -47,11 +46,11 @@ def check_command(
     Prints what was read, and what looks wrong, with the likely cause and what to do about it.
     """
     with one_line_errors(), progress("reading") as step:
-        manipulator = with_drives(robot_named(robot, base, tip), friction, None)
+        manipulator = robot_named(robot, base, tip)
         options = RecordingOptions(columns, between, every, period, drop_stale, despike)
         read = [options.read(path, manipulator) for path in recordings]
         step("deriving")
-        network = network_of(manipulator, _lengths(manipulator))
+        network = network_of(manipulator, _lengths(manipulator), friction)
         names = [str(path) for path in recordings]
         page = check(network, read, names, progress=step)
         notes = [

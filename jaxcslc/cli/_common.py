@@ -25,6 +25,9 @@ else:
 BUNDLED = {"puma560": puma560, "panda": panda, "tx40": tx40}
 """Robots that the library brings with it, by the name that the command takes."""
 
+# What commands on systems that are not robots take.
+_SYSTEM_PARAMETERS = {"robot", "train", "validate", "output", "settings"}
+
 RobotArgument = Annotated[
     str,
     typer.Argument(
@@ -73,6 +76,7 @@ CoupledOption = Annotated[
 ]
 
 
+OutputOption = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 SettingsOption = Annotated[
     Path | None,
     typer.Option(
@@ -122,7 +126,9 @@ def names_in(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
-def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | None) -> Manipulator:
+def _with_drives(
+    robot: Manipulator, friction: str | None, coupled: list[str] | None
+) -> Manipulator:
     """The robot with friction terms and couplings that its file format cannot express."""
     if friction is not None:
         robot = robot.with_friction(*names_in(friction))
@@ -141,10 +147,10 @@ def with_drives(robot: Manipulator, friction: str | None, coupled: list[str] | N
 def command_text(context: CommandContext) -> str:
     """The command line that a command was called by: what was typed, defaults left out."""
     words = ["jaxcslc", context.info_name or ""]
+    typed = typed_options(context)
     for parameter in context.command.params:
         name = parameter.name or ""
-        source = context.get_parameter_source(name)
-        if source is None or source.name != "COMMANDLINE":
+        if name not in typed:
             continue
         value = context.params[name]
         option = parameter.param_type_name == "option"
@@ -166,11 +172,25 @@ def is_system(name: str) -> bool:
         return False  # whoever reads it as a robot says what is wrong
 
 
-def check_no_robot_options(name: str, **options: object) -> None:
+def typed_options(context: CommandContext) -> set[str]:
+    """Names of the parameters that stand on the command line, defaults left out."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, source in sources.items() if source and source.name == "COMMANDLINE"}
+
+
+def check_no_robot_options(context: CommandContext, name: str) -> None:
     """**Raises** `ValueError` for an option of robots in a command on a system."""
-    for option, value in options.items():
-        if value not in (None, "auto") and value != []:
-            raise ValueError(f"--{option} is for robots; {name} describes another system")
+    typed = typed_options(context) - _SYSTEM_PARAMETERS
+    for parameter in context.command.params:
+        if parameter.name in typed:
+            value = context.params[parameter.name]
+            options = parameter.secondary_opts if value is False else parameter.opts
+            raise ValueError(f"{options[0]} is for robots; {name} describes another system")
+
+
+def without_none(**options: object) -> dict[str, object]:
+    """The options that were set."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def robot_named(name: str, base: str | None = None, tip: str | None = None) -> Manipulator:
@@ -182,8 +202,14 @@ def robot_named(name: str, base: str | None = None, tip: str | None = None) -> M
     return BUNDLED[name]()
 
 
-def network_of(robot: Manipulator, lengths: str) -> CSLC:
-    """The network, with lengths as `LengthsOption` describes them."""
+def network_of(
+    robot: Manipulator,
+    lengths: str,
+    friction: str | None = None,
+    coupled: list[str] | None = None,
+) -> CSLC:
+    """The network, with lengths, friction terms and couplings as their options describe them."""
+    robot = _with_drives(robot, friction, coupled)
     if lengths == "auto" or lengths == "symbolic" or lengths == "numeric":
         return derive(robot, lengths=lengths)
     return derive(robot, lengths=names_in(lengths))

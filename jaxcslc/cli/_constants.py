@@ -18,7 +18,6 @@ from ._common import (
     progress,
     recording_of,
     robot_named,
-    with_drives,
     with_notes,
 )
 
@@ -44,11 +43,11 @@ def constants_command(
     The recordings hold currents as torques: constant = 1 in [torque] of the file of --columns.
     """
     with one_line_errors(), progress("reading") as step:
-        manipulator = with_drives(robot_named(robot, base, tip), friction, coupled)
+        manipulator = robot_named(robot, base, tip)
         alone = recording_of(unloaded, manipulator, columns)
         carrying = recording_of(loaded, manipulator, columns)
         report = identify_torque_constants(
-            network_of(manipulator, "numeric"),
+            network_of(manipulator, "numeric", friction, coupled),
             alone,
             carrying,
             mass,

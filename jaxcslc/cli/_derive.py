@@ -6,6 +6,7 @@ import typer
 from ..identification.report import DerivationReport, check_output_folder
 from ._common import (
     BaseOption,
+    CommandContext,
     CoupledOption,
     FrictionOption,
     LengthsOption,
@@ -16,11 +17,11 @@ from ._common import (
     network_of,
     one_line_errors,
     robot_named,
-    with_drives,
 )
 
 
 def derive_command(
+    context: CommandContext,
     robot: RobotOrSystemArgument,
     lengths: LengthsOption = "auto",
     base: BaseOption = None,
@@ -39,12 +40,10 @@ def derive_command(
         if output is not None:
             check_output_folder(output)
         if is_system(robot):
-            check_no_robot_options(
-                robot, lengths=lengths, base=base, tip=tip, friction=friction, coupled=coupled
-            )
+            check_no_robot_options(context, robot)
             _derive_system(robot, output)
             return
-        network = network_of(with_drives(robot_named(robot, base, tip), friction, coupled), lengths)
+        network = network_of(robot_named(robot, base, tip), lengths, friction, coupled)
         report = DerivationReport.of(network)
         typer.echo(report)
         if output is not None:

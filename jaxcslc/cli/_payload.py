@@ -8,6 +8,7 @@ from ..identification.report import check_output_folder, load_report, load_setti
 from ._common import (
     BaseOption,
     ColumnsOption,
+    OutputOption,
     RobotArgument,
     SettingsOption,
     TipOption,
@@ -35,9 +36,7 @@ def payload_command(
             " recordings, in place of those of --previous."
         ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "payload"
-    ),
+    output: OutputOption = Path("payload"),
     base: BaseOption = None,
     tip: TipOption = None,
     settings: SettingsOption = None,

@@ -2,12 +2,11 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from ..identification import without_outliers
 from ..manipulator import Manipulator
-from ..motion import Recording, load_recording, restore_clock, without_stale_rows
+from ..motion import Recording, fresh_rows, load_recording, restore_clock, without_stale_rows
 
 
 BetweenOption = Annotated[
@@ -62,23 +61,14 @@ class RecordingOptions:
         """
         recording = load_recording(path, joints=robot.joint_names, columns=self.columns)
         if self.between is not None:
-            start, end = _two_numbers(self.between)
-            time = recording.time - recording.time[0]
-            recording = recording.rows((time >= start) & (time <= end))
+            recording = recording.between(*_two_numbers(self.between))
         if self.drop_stale:
             recording = without_stale_rows(recording)
         if self.every is not None:
-            recording = recording.rows(_first_of(recording, self.every))
+            recording = fresh_rows(recording, self.every)
         if self.period is not None:
             recording = restore_clock(recording, self.period)
         return without_outliers(recording) if self.despike else recording
-
-
-def _first_of(recording: Recording, every: int) -> slice:
-    """Every so many rows, from the row on at which most positions change."""
-    changes = np.any(np.diff(recording.position, axis=0) != 0.0, axis=1)
-    counts = [int(changes[start::every].sum()) for start in range(every)]
-    return slice((int(np.argmax(counts)) + 1) % every, None, every)
 
 
 def _two_numbers(text: str) -> tuple[float, float]:

@@ -41,6 +41,7 @@ from ._recording import (
     as_columns as as_columns,
     column_names as column_names,
     first_fault as first_fault,
+    fresh_rows as fresh_rows,
     stale_rows as stale_rows,
     without_stale_rows as without_stale_rows,
 )

@@ -250,6 +250,30 @@ class Recording(eqx.Module):
             notes=self.notes,
         )
 
+    def between(self, start: float, end: float) -> "Recording":
+        """A stretch of the recording.
+
+        **Arguments**
+
+        - `start`, `end`: seconds since the first sample; both ends belong to the stretch.
+
+        **Returns**
+
+        The recording of this stretch, its times unchanged.
+
+        **Raises**
+
+        - `RecordingError`: fewer than five samples are left.
+
+        >>> import numpy as np
+        >>> from jaxcslc.motion import Recording
+        >>> time, line = 10.0 + np.arange(100) * 0.1, np.arange(100.0)[:, None]
+        >>> Recording(time, line, line).between(1.0, 2.0).time[[0, -1]].tolist()
+        [11.0, 12.0]
+        """
+        time = self.time - self.time[0]
+        return self.rows((time >= start) & (time <= end))
+
 
 def without_stale_rows(recording: Recording) -> Recording:
     """Drops every sample whose values all repeat those of the sample before it.
@@ -279,6 +303,40 @@ def without_stale_rows(recording: Recording) -> Recording:
     array([0.  , 0.01, 0.03, 0.04, 0.05])
     """
     return recording.rows(~stale_rows(recording))
+
+
+def fresh_rows(recording: Recording, every: int) -> Recording:
+    """Keeps every so many rows: those at which positions are new.
+
+    A source that is slower than its recorder repeats its positions, while torques may change in
+    every row. Of the rows to start from, that with the most changes of positions is taken.
+
+    **Arguments**
+
+    - `recording`: as recorded.
+    - `every`: rows for each new one, 1 or more.
+
+    **Returns**
+
+    The recording of these rows.
+
+    **Raises**
+
+    - `ValueError`: less than 1.
+    - `RecordingError`: too few samples are left.
+
+    >>> import numpy as np
+    >>> from jaxcslc.motion import Recording, fresh_rows
+    >>> position = np.repeat(np.arange(10.0), 3)[1:, None]  # a new one in every third row
+    >>> recording = Recording(np.arange(29) * 0.01, position, position)
+    >>> fresh_rows(recording, 3).position[:4, 0].tolist()
+    [1.0, 2.0, 3.0, 4.0]
+    """
+    if every < 1:
+        raise ValueError(f"every is {every}; expected 1 or more rows")
+    changes = np.any(np.diff(recording.position, axis=0) != 0.0, axis=1)
+    counts = [int(changes[start::every].sum()) for start in range(every)]
+    return recording.rows(slice((int(np.argmax(counts)) + 1) % every, None, every))
 
 
 def stale_rows(recording: Recording) -> Bool[np.ndarray, " samples"]:

@@ -5,7 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxcslc.motion import Recording, RecordingError, restore_clock, stale_rows, without_stale_rows
+from jaxcslc.motion import (
+    Recording,
+    RecordingError,
+    fresh_rows,
+    restore_clock,
+    stale_rows,
+    without_stale_rows,
+)
 
 
 def arrays(samples: int = 8, joints: int = 2) -> dict[str, Any]:
@@ -114,6 +121,25 @@ def test_repeated_rows_are_named_as_such() -> None:
     parts["torque"][5, 0] += 1.0
     with pytest.raises(RecordingError, match=r"sample 6, time: .* increase strictly"):
         Recording(**parts)
+
+
+@pytest.mark.parametrize("start", range(3))
+def test_fresh_rows_are_those_with_new_positions(start: int) -> None:
+    position = np.repeat(np.arange(12.0), 3)[start:, None]
+    torque = np.arange(len(position), dtype=float)[:, None]  # new in every row
+    recording = Recording(np.arange(len(position)) * 0.01, position, torque)
+    rows = fresh_rows(recording, 3)
+    first = np.flatnonzero(np.diff(position[:, 0]))[0] + 1
+    np.testing.assert_array_equal(rows.torque[:, 0], np.arange(first % 3, len(position), 3))
+    with pytest.raises(ValueError, match="every is 0; expected 1 or more"):
+        fresh_rows(recording, 0)
+
+
+def test_between_keeps_both_ends() -> None:
+    recording = Recording(**arrays(samples=9))
+    assert recording.between(0.004, 0.012).time.tolist() == recording.time[2:7].tolist()
+    with pytest.raises(RecordingError, match="3 samples; expected at least"):
+        recording.between(0.0, 0.004)
 
 
 def test_stale_rows_repeat_every_value_but_the_time() -> None:

@@ -179,6 +179,9 @@ def test_wrong_commands_end_in_one_line(tmp_path: Path) -> None:
     result = run("derive", system, "--base", "link0")
     assert result.exit_code == 2
     assert "--base is for robots; " in result.stderr
+    result = run("identify", system, training, "--no-check", "-o", tmp_path / "results")
+    assert result.exit_code == 2
+    assert "--no-check is for robots; " in result.stderr
 
 
 def test_a_recording_is_checked() -> None:

@@ -1,0 +1,51 @@
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+TrainingArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="TRAIN...", help="Recording to fit, or several of one robot."),
+]
+ValidationOption = Annotated[
+    Path | None, typer.Option(help="Recording to judge the fit on; it is not fitted.")
+]
+OffsetsOption = Annotated[
+    bool,
+    typer.Option("--offsets", help="Fit a constant torque of each joint in each recording along."),
+]
+TorqueLagOption = Annotated[
+    float | None,
+    typer.Option(help="How much later than positions torques were measured [s]."),
+]
+LossOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="squared|huber|bisquare",
+        help="Loss of the fit; huber and bisquare bound what outliers do to it.",
+    ),
+]
+FoldsOption = Annotated[
+    int | None,
+    typer.Option(help="Stretches that settings are chosen by; 8, or fewer if it is short."),
+]
+ChecksOption = Annotated[
+    bool, typer.Option(help="Check the recordings first, as jaxcslc check does.")
+]
+ReidentifyOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="GROUPS",
+        help="Fit only these coefficients, by group or name as in viscous,dry; all others are"
+        " fixed at those of --previous.",
+    ),
+]
+PreviousOption = Annotated[
+    Path | None,
+    typer.Option(help="The identification.json of a previous run, for --reidentify."),
+]
+SystematicOption = Annotated[
+    bool,
+    typer.Option(help="Widen a robot's intervals by errors of smoothing and of missing terms."),
+]
