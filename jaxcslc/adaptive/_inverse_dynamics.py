@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..derivation import Table
-from ..network import CSLC, JAX_FUNCTIONS, input_layer
+from ..network import CSLC, JAX_FUNCTIONS, input_rows
 from ._activations import LINEAR_COMBINER
 from ._layers import ContextLayer, Layer
 from ._links import Links
@@ -51,13 +51,13 @@ def _signals(
     q, qd, qdd = (jnp.moveaxis(x, -1, 0) for x in (q, qd, qdd))
     algebra = network.algebra
     tables = (algebra.mass, algebra.velocity, algebra.gravity)
-    used = tuple(dict.fromkeys(monomial for table in tables for monomial in table.inputs))
-    values = input_layer(algebra.ring, used, list(q))
+    row_of: dict[tuple[int, ...], int] = {}
+    for table in tables:
+        for monomial in table.inputs:
+            row_of.setdefault(monomial, len(row_of))
+    values = input_rows(algebra.ring, tuple(row_of), list(q))
     mass, velocity, gravity = (
-        jnp.stack([values(monomial) for monomial in table.inputs])
-        if table.inputs
-        else jnp.zeros((0, *q.shape[1:]), q.dtype)
-        for table in tables
+        values[np.array([row_of[monomial] for monomial in table.inputs], int)] for table in tables
     )
     motion = [list(x) for x in (q, qd, qdd)]
     friction = [jnp.stack(term.inputs(JAX_FUNCTIONS, *motion)) for term in network.input_terms]

@@ -17,5 +17,5 @@ from .terms import (
     RigidBodyTables as RigidBodyTables,
     StaticFriction as StaticFriction,
     carrier as carrier,
-    input_layer as input_layer,
+    input_rows as input_rows,
 )

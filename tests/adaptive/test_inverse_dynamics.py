@@ -13,6 +13,7 @@ import jaxcslc as jc
 from jaxcslc import CSLC
 from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics, network_order, order_per_output
 from jaxcslc.manipulator import LinkParameters, Manipulator
+from jaxcslc.network import input_rows
 
 
 TERMS = ("viscous", "dry", "offset")
@@ -210,3 +211,17 @@ def test_motion_of_wrong_shapes(puma: CSLC, shapes: Any) -> None:
     assert str(failure.value) == (
         f"motion: expected q, qd and qdd of one shape (..., 6), got {', '.join(map(str, shapes))}"
     )
+
+
+def test_a_panda_s_inputs_are_products_of_sines_and_cosines(rng: np.random.Generator) -> None:
+    """By powers in NumPy: thousands of products, formed degree by degree."""
+    algebra = jc.derive(jc.panda()).algebra
+    q = rng.uniform(-3.0, 3.0, (7, 5))
+    monomials = algebra.velocity.inputs
+    assert len(monomials) > 5000
+    angles = [
+        sum(sign * q[joint] for joint, sign in angle.terms) for angle in algebra.ring.chain.angles
+    ]
+    variables = np.array([f(angle) for angle in angles for f in (np.cos, np.sin)])
+    expected = np.prod(variables ** np.array(monomials)[:, :, None], axis=1)
+    assert_allclose(input_rows(algebra.ring, monomials, list(jnp.asarray(q))), expected, atol=1e-14)
