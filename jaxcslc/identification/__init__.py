@@ -78,7 +78,7 @@ from .selection import (
     choose_settings as choose_settings,
 )
 from .several import (
-    Agreement as Agreement,
+    RecordingAgreement as RecordingAgreement,
     SeveralFit as SeveralFit,
     fit_recordings as fit_recordings,
 )

@@ -106,7 +106,7 @@ def identify(
             raise ValueError("identify: previous is for one recording, got several")
         if options or folds is not None:
             raise ValueError("identify: options and folds are for one recording, got several")
-        report = identify_several(
+        return identify_several(
             network,
             by_name,
             validation,
@@ -114,9 +114,9 @@ def identify(
             offsets=offsets,
             systematic=systematic,
             adapted=_for_validation,
+            data_check=data_check,
             step=step,
         )
-        return dataclasses.replace(report, data_check=data_check)
     (training,) = by_name.values()
     if offsets:
         raise ValueError(

@@ -1,4 +1,5 @@
-from collections.abc import Callable, Mapping
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 from ..motion import Patterns, Recording, joined_patterns
@@ -7,9 +8,10 @@ from ._held_out import held_out_error, left_out_error
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import SystematicError, systematic_error
+from .checks import AGREEMENT_KINDS, DataCheck
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import choose_settings
-from .several import fit_recordings
+from .several import RecordingAgreement, fit_recordings
 
 
 def identify_several(
@@ -21,6 +23,7 @@ def identify_several(
     offsets: bool,
     systematic: bool,
     adapted: Callable[..., tuple[Settings, list[str]]],
+    data_check: DataCheck | None,
     step: Callable[[str], None],
 ) -> Report:
     """What `identify` does with several recordings.
@@ -29,6 +32,7 @@ def identify_several(
     of their own, by `adapted`. Slopes of static friction are those of the longest.
 
     - `adapted`: settings for a further recording, and warnings about them.
+    - `data_check`: of all recordings, the one for validation included.
     """
     step("choosing settings")
     main = max(training, key=lambda name: training[name].samples)
@@ -67,6 +71,9 @@ def identify_several(
                 for name, recording in training.items()
             }
         )
+    if data_check is not None:
+        data_check, agreement = _joined(data_check, several.agreement, list(training))
+        several = dataclasses.replace(several, agreement=agreement)
     step("computing errors")
     judged: dict[str, Patterns] = {"training": joined_patterns(list(several.patterns.values()))}
     if validation is None:
@@ -100,4 +107,32 @@ def identify_several(
         tuple(warnings),
         selection,
         several=several,
+        data_check=data_check,
+    )
+
+
+def _joined(
+    data_check: DataCheck, agreement: RecordingAgreement, training: Sequence[str]
+) -> tuple[DataCheck, RecordingAgreement]:
+    """One message of each disagreement: the test says which recordings, the check the cause.
+
+    The check compares each recording with the first, so that a first one that differs from all
+    others has their cause.
+    """
+    findings = {
+        finding.recording: finding
+        for finding in data_check.findings
+        if finding.kind in AGREEMENT_KINDS and finding.recording in training
+    }
+    if not findings or not any(agreement.differing.values()):
+        return data_check, agreement
+    findings.setdefault(training[0], next(iter(findings.values())))
+    causes = {
+        name: f"likely cause: {finding.cause}; remedy: {finding.remedy}"
+        for name, finding in findings.items()
+    }
+    others = [some for some in data_check.findings if some is not findings.get(some.recording)]
+    return (
+        dataclasses.replace(data_check, findings=tuple(others)),
+        dataclasses.replace(agreement, causes=MappingProxyType(causes)),
     )

@@ -39,7 +39,9 @@ class TorqueConstants:
     >>> def current(k):
     ...     torque = np.asarray(network.torque(k, q, qd, -q * [1.1**2, 1.7**2]))
     ...     return jc.Recording(t[:, 0], q, torque / [0.1, 0.2])
-    >>> loaded, unloaded = current(k), current(np.where(np.arange(len(k)) < k.size - 10, k, 0.0))
+    >>> loaded = current(k)
+    >>> k[network.layout.payload] = 0.0
+    >>> unloaded = current(k)
     >>> result = identify_torque_constants(network, unloaded, loaded, 2.0, settings=jc.Settings())
     >>> np.round(result.constants, 3).tolist()
     [0.1, 0.2]
@@ -188,7 +190,7 @@ def fit_torque_constants(
 class CurrentEquations:
     """Equations of one recording in the arm's coefficients, the payload's and the constants.
 
-    - `unknowns`: all of them but the payload's mass, which is last in the network.
+    - `unknowns`: all of them but the payload's mass, which is known.
     - `regressor`: of the coefficients; `mass_torque`: of the known mass.
     """
 
@@ -205,20 +207,20 @@ class CurrentEquations:
         """Of a network with payload that carries this mass, or nothing."""
         whole = np.array(regressor_of(network, patterns))
         payload = network.layout.payload
-        last = payload.stop - 1
-        mass_torque = mass * whole[:, :, last]
+        (mass_index,) = network.layout.indices("pm").tolist()
+        mass_torque = mass * whole[:, :, mass_index]
         if mass == 0.0:
             whole[:, :, payload] = 0.0
-        names = tuple(name for i, name in enumerate(network.names) if i != last)
+        names = tuple(name for i, name in enumerate(network.names) if i != mass_index)
         joints = network.joint_count
         support = tuple(
-            (*(i - (i > last) for i in indices if i != last), len(names) + joint)
+            (*(i - (i > mass_index) for i in indices if i != mass_index), len(names) + joint)
             for joint, indices in enumerate(network.support)
         )
         constants = tuple(f"constant of {name}" for name in network.output_names)
         unknowns = Unknowns((*names, *constants), support)
         assert len(unknowns.names) == network.size - 1 + joints
-        return cls(unknowns, np.delete(whole, last, axis=2), mass_torque, patterns, cutoff)
+        return cls(unknowns, np.delete(whole, mass_index, axis=2), mass_torque, patterns, cutoff)
 
     def about(self, k: Float[np.ndarray, " unknowns"] | None) -> Equations:
         """The equations of currents, linear about some unknowns.

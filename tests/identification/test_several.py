@@ -164,6 +164,23 @@ class TestIdentify:
             wide = report.several.agreement.standard_error[name]
             assert np.all(wide > bare.several.agreement.standard_error[name])
 
+    def test_a_disagreement_is_one_message_with_its_cause(
+        self, network: jc.CSLC, motions: list[jc.Patterns]
+    ) -> None:
+        k = K.copy()
+        k[network.names.index("kv2")] += 1.0
+        warm = with_torque(
+            motions[1],
+            np.asarray(network.torque(k - K, motions[1].q, motions[1].qd, motions[1].qdd)),
+        )
+        recordings = {"cold": self.recording(motions[0]), "warm": self.recording(warm)}
+        report = jc.identify(network, recordings, settings=jc.Settings(), systematic=False)
+        (sentence,) = (s for s in str(report).splitlines() if "disagrees" in s or "friction:" in s)
+        assert "warm disagrees with the others in kv2" in sentence
+        assert "likely cause: another temperature or state of the gears" in sentence
+        assert report.data_check is not None
+        assert all(finding.recording != "warm" for finding in report.data_check.findings)
+
     def test_wrong_arguments(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
         one = self.recording(motions[0])
         with pytest.raises(ValueError, match="got no recording; expected one or more"):

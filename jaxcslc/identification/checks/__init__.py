@@ -1,3 +1,4 @@
+from ._agreement import AGREEMENT_KINDS as AGREEMENT_KINDS
 from ._check import DataCheck as DataCheck, check as check
 from ._finding import Finding as Finding
 from ._sample_findings import without_outliers as without_outliers

@@ -11,6 +11,9 @@ from ._evidence import Evidence
 from ._finding import Finding
 
 
+AGREEMENT_KINDS = ("payload", "friction", "disagreement")
+"""Kinds of findings that say that a recording is not of the same arm as the first."""
+
 # Recordings at rates that differ by more are not smoothed alike.
 _OTHER_RATE = 1.2
 # Root mean square of a joint's error under another recording's coefficients over that under its own
@@ -102,7 +105,7 @@ def _cause(
     loaded = network.with_payload()
     fit = reidentify(loaded, patterns, k, groups=("payload",), solver=solver)
     parts["payload"] = explained(_errors(loaded, np.asarray(fit.k), patterns))
-    mass = float(np.asarray(fit.k)[-1])
+    (mass,) = np.asarray(fit.k)[loaded.layout.indices("pm")]
     best = max(parts, key=parts.__getitem__)
     if best == "payload" and parts[best] > _EXPLAINED:
         return Finding(

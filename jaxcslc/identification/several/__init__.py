@@ -1,2 +1,2 @@
-from ._agreement import Agreement as Agreement
+from ._agreement import RecordingAgreement as RecordingAgreement
 from ._fit import SeveralFit as SeveralFit, fit_recordings as fit_recordings

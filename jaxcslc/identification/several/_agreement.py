@@ -13,10 +13,12 @@ from ._recording_equations import RecordingEquations
 
 # Recordings of the same robot are said to disagree once in so many times.
 _CHANCE = 0.01
+# What a sentence ends with where no cause of a disagreement is known.
+_NO_CAUSE = "check temperature, payload and robot, or fit it by itself"
 
 
 @dataclasses.dataclass(frozen=True)
-class Agreement:
+class RecordingAgreement:
     """Whether recordings show the same coefficients: each one against all others together.
 
     A recording at another temperature, with a payload, or of another robot differs in some.
@@ -33,11 +35,12 @@ class Agreement:
     - `alone`, `others`: by recording, RMS torque error of each joint under the recording's own
       coefficients, and under those of the others.
     - `joint_names`: for sentences; numbers if None.
+    - `causes`: by recording, the likely cause of its disagreement, where one is known.
 
     >>> import numpy as np
-    >>> from jaxcslc.identification import Agreement
+    >>> from jaxcslc.identification import RecordingAgreement
     >>> one, rms = np.array([0.1, 3.0]), np.ones(1)
-    >>> agreement = Agreement(
+    >>> agreement = RecordingAgreement(
     ...     ("kB1", "kv1"), {"b.csv": one}, {"b.csv": np.array([0.1, 0.5])}, {"b.csv": 3.5},
     ...     {"b.csv": rms}, {"b.csv": 2 * rms}
     ... )
@@ -52,6 +55,7 @@ class Agreement:
     alone: Mapping[str, Float[np.ndarray, " joints"]]
     others: Mapping[str, Float[np.ndarray, " joints"]]
     joint_names: tuple[str, ...] | None = None
+    causes: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def differing(self) -> dict[str, tuple[str, ...]]:
@@ -84,8 +88,7 @@ class Agreement:
             sentences.append(
                 f"{recording} disagrees with the others in {', '.join(names[:6])}{more}:"
                 f" RMS torque error of {label} {others[joint]:.3g} under the others' coefficients,"
-                f" {alone[joint]:.3g} under its own; check temperature, payload and robot, or fit"
-                " it by itself"
+                f" {alone[joint]:.3g} under its own; {self.causes.get(recording, _NO_CAUSE)}"
             )
         return tuple(sentences)
 
@@ -103,7 +106,7 @@ def agreement_of(
     equations: Mapping[str, RecordingEquations],
     alone: Mapping[str, Identification],
     others: Mapping[str, Identification],
-) -> Agreement:
+) -> RecordingAgreement:
     """Of recordings' own fits with the fits of all others.
 
     - `equations`: by recording, in the order of the fits.
@@ -121,7 +124,7 @@ def agreement_of(
         degrees = min(float(some.degrees_of_freedom) for some in (fit, other))
         tests = max(int(np.count_nonzero(both)), 1) * comparisons
         limit[name] = float(scipy.special.stdtrit(degrees, 1.0 - 0.5 * _CHANCE / tests))
-    return Agreement(
+    return RecordingAgreement(
         network.names,
         MappingProxyType(difference),
         MappingProxyType(error),

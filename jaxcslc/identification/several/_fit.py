@@ -11,7 +11,7 @@ from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 from .._systematic import SystematicError
 from ..solver import Equations, Identification, LeastSquares
-from ._agreement import Agreement, agreement_of
+from ._agreement import RecordingAgreement, agreement_of
 from ._recording_equations import RecordingEquations
 from ._systematic import combined_systematic
 
@@ -41,7 +41,7 @@ class SeveralFit:
     noise: Mapping[str, Float[np.ndarray, " joints"]]
     alone: Mapping[str, Identification]
     without: Mapping[str, Float[np.ndarray, " coefficients"]]
-    agreement: Agreement
+    agreement: RecordingAgreement
 
     def allowing_for(
         self, errors: Mapping[str, SystematicError]
