@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..identification.report import text_table
+from .._text_table import text_table
 
 
 @dataclasses.dataclass(frozen=True)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .._text_table import text_table
 from ..identification import PhysicalParameters, physical_parameters
-from ..identification.report import text_table
 from ..identification.solver import Identification
 from ..motion import Patterns
 from ..network import CSLC

@@ -2,6 +2,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .._rank import pseudo_inverse
 from ._masks import friction_thresholds
 
 
@@ -203,11 +204,12 @@ def _fitted(
     basis = np.stack([np.ones_like(bins.speed), bins.speed, np.exp(-bins.speed / gamma)], axis=1)
     weighted = basis / bins.deviation[:, None]
     target = bins.residual / bins.deviation
-    coefficients, *_ = np.linalg.lstsq(weighted, target, rcond=None)
+    inverse = pseudo_inverse(weighted)
+    coefficients = inverse @ target
     left = float(np.sum((target - weighted @ coefficients) ** 2))
     # Bins that scatter more than they should make everything less certain, γ's choice included.
     scatter = max(1.0, left / max(bins.speed.size - 4, 1))
-    return coefficients, scatter * np.linalg.pinv(weighted.T @ weighted), left
+    return coefficients, scatter * inverse @ inverse.T, left
 
 
 def _binned(

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from .._rank import pseudo_inverse
 from ..identification import Identification
 from ._system import System
 from .algebra import COMPLEX_STEP
@@ -115,7 +116,7 @@ def constants_from(system: System, fit: Identification) -> tuple[ConstantEstimat
     misfit = np.abs(np.real(separation.evaluate(best.x)) - k)
     if np.any(misfit > np.maximum(10.0 * error, 1e-3 * np.abs(k))):
         return ()
-    inverse = np.linalg.pinv(gradient(best.x), rcond=1e-10) * weight[None, :]
+    inverse = pseudo_inverse(gradient(best.x)) * weight[None, :]
     covariance = inverse @ np.asarray(fit.covariance) @ inverse.T
     units = {constant.name: constant.unit for constant in system.unknown}
     return tuple(

@@ -3,6 +3,7 @@ from typing import Any
 
 import numpy as np
 
+from ..._text_table import text_table
 from ...manipulator import JointLimits, Manipulator
 from ...motion import Recording, encoder_resolution
 
@@ -94,8 +95,6 @@ class RecordingSummary:
         return cls(name, recording.samples, duration, 1.0 / interval, joints)
 
     def __str__(self) -> str:
-        from ..report import text_table  # reports show checks: imported here for the cycle
-
         columns = {
             "joint": lambda joint: joint.name,
             "from": lambda joint: f"{joint.low:.3g}",

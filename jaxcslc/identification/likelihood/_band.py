@@ -1,8 +1,10 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from ..._rank import rank_tolerance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,6 +79,50 @@ class BandedEquations:
         band[0] += damping
         factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
         return Factored(factor, self.mixed, self.border)
+
+
+@dataclasses.dataclass(frozen=True)
+class Spectrum:
+    """Which directions of unknowns an information matrix determines, by the rule of all fits.
+
+    **Attributes**
+
+    - `unit`: (size,) by which the matrix was scaled to a diagonal of ones; 1 for fixed unknowns.
+    - `fixed`: (size,) unknowns without any information.
+    - `values`, `vectors`: eigenvalues of the scaled matrix, ascending, and eigenvectors.
+    - `counted`: (size,) eigenvalues that are more than rounding.
+    """
+
+    unit: Float[np.ndarray, " size"]
+    fixed: Bool[np.ndarray, " size"]
+    values: Float[np.ndarray, " size"]
+    vectors: Float[np.ndarray, "size size"]
+    counted: Bool[np.ndarray, " size"]
+
+    @classmethod
+    def of(cls, information: Float[np.ndarray, "size size"]) -> "Spectrum":
+        """Of a matrix that is symmetric and positive semidefinite."""
+        diagonal = np.diag(information)
+        fixed = diagonal <= 0.0
+        unit = np.sqrt(np.where(fixed, 1.0, diagonal))
+        scaled = information / unit[:, None] / unit[None, :]
+        scaled[fixed, fixed] = 1.0  # null vectors of the others are not to mix with these
+        values, vectors = np.linalg.eigh(scaled)
+        # Its entries are rounded, not their roots: the tolerance is of eigenvalues.
+        tolerance = rank_tolerance(len(diagonal), np.float64(len(diagonal)))
+        return cls(unit, fixed, values, vectors, values > tolerance * values[-1])
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "size size"]:
+        """The pseudo-inverse of the matrix."""
+        half = self.vectors[:, self.counted] / np.sqrt(self.values[self.counted])
+        half = np.where(self.fixed, 0.0, 1.0 / self.unit)[:, None] * half
+        return half @ half.T
+
+    @property
+    def undetermined(self) -> Float[np.ndarray, "null size"]:
+        """Unit vectors of the scaled unknowns that nothing is known of; none of fixed ones."""
+        return self.vectors[:, ~self.counted].T
 
 
 class Factored:

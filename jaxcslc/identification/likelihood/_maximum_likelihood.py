@@ -5,13 +5,14 @@ from typing import get_args
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..._environment import require_float64
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
 from ..solver import RESULTS, Identification
+from ._band import Spectrum
 from ._search import Minimum, search
 from ._start import TorqueSampling, starting_point
 
@@ -179,25 +180,17 @@ class MaximumLikelihood:
         return _result(network, search(problem, point, torque_noise, position_noise, report))
 
 
-# Directions of the information with less than this part of its greatest eigenvalue, columns scaled
-# to unit length, are not determined: rounding of the elimination alone makes as much.
-_LEAST_INFORMATION = 1e-13
 # A coefficient that shares this part of a unit null vector is not determined by itself.
 _SHARE = 1e-6
 
 
 def _result(network: CSLC, minimum: Minimum) -> LikelihoodFit:
     point, p, n = minimum.point, network.size, network.joint_count
-    free = np.diag(minimum.information) > 0.0
-    unit = np.where(free, np.sqrt(np.where(free, np.diag(minimum.information), 1.0)), 1.0)
-    eigenvalues, vectors = np.linalg.eigh(minimum.information / unit[:, None] / unit[None, :])
-    counted = eigenvalues > _LEAST_INFORMATION * eigenvalues[-1]
-    half = vectors[:, counted] / np.sqrt(eigenvalues[counted])
-    scale = minimum.objective.scale / unit
-    covariance = (half @ half.T) * scale[:, None] * scale[None, :]
-    null = vectors[:p, ~counted & _free_directions(vectors, free)].T
+    spectrum, border = Spectrum.of(minimum.information), minimum.objective.scale
+    covariance = spectrum.covariance * border[:, None] * border[None, :]
+    null = spectrum.undetermined[:, :p]
     undetermined = np.zeros((p, p))
-    undetermined[: len(null)] = null * scale[:p]
+    undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
     determined = np.sqrt(np.sum(null**2, axis=0)) < _SHARE
     error = np.sqrt(np.diag(covariance))
     residual, used = minimum.linear.residuals.torque, minimum.counted
@@ -214,7 +207,7 @@ def _result(network: CSLC, minimum: Minimum) -> LikelihoodFit:
         effective_equations=jnp.asarray(counts),
         degrees_of_freedom=jnp.asarray(max(float(counts.sum()) - p, 1.0)),
         rank=jnp.asarray(p - len(null)),
-        condition=jnp.asarray(np.sqrt(eigenvalues[-1] / eigenvalues[counted][0])),
+        condition=jnp.asarray(np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0])),
         undetermined=jnp.asarray(undetermined),
         determined=jnp.asarray(determined),
         result=RESULTS.successful if complete else RESULTS.rank_deficient,
@@ -237,10 +230,3 @@ def _result(network: CSLC, minimum: Minimum) -> LikelihoodFit:
         steps=minimum.steps,
         converged=minimum.converged,
     )
-
-
-def _free_directions(
-    vectors: Float[np.ndarray, "border border"], free: Bool[np.ndarray, " border"]
-) -> Bool[np.ndarray, " border"]:
-    """Which eigenvectors are not those of fixed unknowns."""
-    return np.sum(vectors[free] ** 2, axis=0) > 0.5

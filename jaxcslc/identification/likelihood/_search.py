@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import LinAlgError
 
-from ._band import Factored
+from ._band import Factored, Spectrum
 from ._motion_equations import MotionEquations
 from ._objective import TURN, Linear, Objective, Point, Residuals
 from ._signs import LATEST_TURN, Signs, runs
@@ -292,5 +292,4 @@ def _left(linear: Linear, factored: Factored, drawn: Residuals) -> Residuals:
 
 def _deviation(factored: Factored) -> Float[np.ndarray, " border"]:
     """Standard deviations of the border in units of its scale."""
-    variance = np.diag(np.linalg.pinv(factored.information, rcond=1e-13, hermitian=True))
-    return np.sqrt(np.maximum(variance, 0.0))
+    return np.sqrt(np.diag(Spectrum.of(factored.information).covariance))

@@ -1,3 +1,4 @@
+from ..._text_table import text_table as text_table
 from ._coefficient_table import (
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,
@@ -21,7 +22,6 @@ from ._excitation import Excitation as Excitation, degree_of_excitation as degre
 from ._output import (
     all_or_nothing as all_or_nothing,
     check_output_folder as check_output_folder,
-    text_table as text_table,
     write_csv as write_csv,
     write_json as write_json,
 )

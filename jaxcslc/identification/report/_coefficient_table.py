@@ -3,11 +3,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._text_table import text_table
 from ...network import AbstractLinearNetwork
 from .._systematic import SystematicError, uncertainty_interval
 from ..solver import Identification
 from ._excitation import Excitation
-from ._output import text_table
 from ._verdicts import verdicts
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ..._text_table import text_table
 from ...page import (
     Column,
     Message,
@@ -22,7 +23,6 @@ from ...page import (
 )
 from .._systematic import SystematicError, standard_uncertainty
 from ..solver import Identification
-from ._output import text_table
 
 
 # Standard errors beyond which a difference is listed as one.

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..._environment import require
+from ..._text_table import text_table
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 from ..solver import filled_up
-from ._output import text_table
 
 
 class ErrorTable(eqx.Module):

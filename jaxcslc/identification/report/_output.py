@@ -88,23 +88,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic | Array):
         return _plain(np.asarray(value).tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def text_table(
-    header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()
-) -> str:
-    """Columns of text, the first and those in `left` aligned left, the others right.
-
-    >>> print(text_table(["joint", "error"], [["1", "0.25"], ["2", "10.5"]]))
-    joint  error
-    1       0.25
-    2       10.5
-    """
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i == 0 or header[i] in left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in (header, *rows)
-    )

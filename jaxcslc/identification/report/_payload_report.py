@@ -1,12 +1,13 @@
 import dataclasses
 from pathlib import Path
 
+from ..._text_table import text_table
 from ...motion import Patterns
 from ...network import CSLC
 from .._payload_fit import PayloadFit
 from .._settings import Settings, settings_document
 from ._errors import ErrorTable
-from ._output import all_or_nothing, text_table, write_csv, write_json
+from ._output import all_or_nothing, write_csv, write_json
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..._rank import rank_tolerance
+from ..._rank import pseudo_inverse
 from ._equations import Equations
 from ._least_squares import LeastSquares
 from ._losses import Loss, robust_scale, weight
@@ -81,11 +81,7 @@ def changes_of(
 
     - `stacked`: the columns of the unknowns, of the further ones, and the torque.
     """
-    columns, further = stacked[:, :size], stacked[:, size:-1]
-    length = np.linalg.norm(columns, axis=0)
-    length = np.where(length > 0.0, length, 1.0)
-    tolerance = rank_tolerance(size, np.float64(len(stacked)))
-    return np.linalg.lstsq(columns / length, further, rcond=tolerance)[0] / length[:, None]
+    return pseudo_inverse(stacked[:, :size]) @ stacked[:, size:-1]
 
 
 def _robust_roots(error: Float[np.ndarray, " equations"], loss: Loss) -> Float[np.ndarray, " _"]:

@@ -7,8 +7,8 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 from jaxtyping import Float, Inexact
 
+from ..._text_table import text_table
 from ...derivation import Basis, Coefficient
-from ...identification.report import text_table
 from ..description import DescriptionError, product_of_units
 from ._fractions import FractionField, Monomial
 from ._generators import Generators

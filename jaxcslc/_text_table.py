@@ -1,0 +1,21 @@
+from collections.abc import Sequence
+
+
+def text_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()
+) -> str:
+    """Columns of text, the first and those in `left` aligned left, the others right.
+
+    >>> print(text_table(["joint", "error"], [["1", "0.25"], ["2", "10.5"]]))
+    joint  error
+    1       0.25
+    2       10.5
+    """
+    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i == 0 or header[i] in left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in (header, *rows)
+    )
