@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...motion import Patterns, Recording
-from ..solver import LeastSquares, regressor_of
 from ._evidence import Evidence
 
 
@@ -36,19 +35,25 @@ class Hypothesis:
 
 def objective(evidence: Evidence, patterns: Patterns) -> float:
     """The score of patterns, plus what joints add whose friction drives them."""
-    return evidence.score(patterns) + _DRIVEN * len(driven_joints(evidence, patterns))
+    regressor = evidence.regressor(patterns)
+    count = len(_driven_joints(evidence, patterns, regressor))
+    return evidence.score(patterns, regressor) + _DRIVEN * count
 
 
 def driven_joints(evidence: Evidence, patterns: Patterns) -> list[int]:
     """Joints, from 0, whose friction feeds power into the motion, which no friction does."""
+    return _driven_joints(evidence, patterns, evidence.regressor(patterns))
+
+
+def _driven_joints(
+    evidence: Evidence,
+    patterns: Patterns,
+    regressor: Float[np.ndarray, "samples joints coefficients"],
+) -> list[int]:
     network = evidence.network
     kinds = network.robot.friction_per_joint
-    if patterns is evidence.patterns:
-        fit = evidence.fit
-    else:
-        fit = LeastSquares(errors="independent").fit(network, patterns, throw=False)
-    k, qd, mask = np.asarray(fit.k), np.asarray(patterns.qd), np.asarray(patterns.mask)
-    regressor = np.asarray(regressor_of(network, patterns))
+    k = evidence.coefficients(patterns, regressor)
+    qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
     friction = regressor.copy()
     friction[:, :, network.layout.inertial] = 0.0
     torque = np.asarray(patterns.torque)

@@ -104,7 +104,7 @@ def _by_hypothesis(
         *sign_and_order(network.joint_count, names),
         *angle_units(network.robot.kinds, names, np.ptp(evidence.recording.position, axis=0)),
     ]
-    quick = [evidence.quick_score(h.change.patterns(patterns)) for h in hypotheses]
+    quick = evidence.quick_scores([h.change.patterns(patterns) for h in hypotheses])
     # The held-out error of the few that come into question.
     order = np.argsort(quick, kind="stable")[:4]
     against_friction = set(driven_joints(evidence, patterns))

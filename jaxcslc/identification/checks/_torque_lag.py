@@ -167,25 +167,24 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
     )
     columns = np.concatenate([regressor, np.zeros((*regressor.shape[:2], joints))], axis=2)
     estimate = _Combined(lag, np.inf, 1.0)
+    solver = LeastSquares()
     for number in range(_ROUNDS):
         torque = dataclasses.replace(preparation, torque_lag=lag).aligned(
             recording.time, recording.torque
         )[trim : recording.samples - trim]
-        last = number == _ROUNDS - 1
-        fit = LeastSquares(errors="correlated" if last else "independent").fit_equations(
-            Equations.of(
-                unknowns,
-                columns,
-                torque,
-                np.asarray(patterns.mask) & valid,
-                time=time,
-                cutoff=evidence.cutoff,
-            ),
-            patterns.samples,
-            throw=False,
+        equations = Equations.of(
+            unknowns,
+            columns,
+            torque,
+            np.asarray(patterns.mask) & valid,
+            time=time,
+            cutoff=evidence.cutoff,
         )
-        k = np.asarray(fit.k)
-        if number > 0:
+        if number == 0:
+            k = solver.coefficients(equations)
+        else:
+            fit = solver.fit_equations(equations, patterns.samples, throw=False)
+            k = np.asarray(fit.k)
             estimate = _Combined.of(
                 _STEP * k[network.size :], _STEP * np.asarray(fit.standard_error)[network.size :]
             )

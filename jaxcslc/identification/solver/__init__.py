@@ -2,7 +2,7 @@ from ._compiled import (
     filled_up as filled_up,
     regressor_of as regressor_of,
 )
-from ._equations import Equations as Equations
+from ._equations import Equations as Equations, equations_of as equations_of
 from ._factors import (
     JointFactors as JointFactors,
     Unknowns as Unknowns,

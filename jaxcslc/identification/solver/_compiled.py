@@ -2,6 +2,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ...motion import Patterns
@@ -28,10 +29,13 @@ def filled_up(
 
 def regressor_of(
     network: AbstractLinearNetwork, patterns: Patterns
-) -> Float[Array, "samples joints coefficients"]:
+) -> Float[Array | np.ndarray, "samples joints coefficients"]:
     """The regressor of patterns; compiled once for all recordings of similar lengths."""
     q, qd, qdd = (filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
-    return _regressor(network, q, qd, qdd)[: len(patterns.q)]
+    filled = _regressor(network, q, qd, qdd)
+    # NumPy's slice shares the memory; JAX's is a program to compile for each number of samples.
+    rows = filled if isinstance(filled, Tracer) else np.asarray(filled)
+    return rows[: len(patterns.q)]
 
 
 @eqx.filter_jit

@@ -198,6 +198,13 @@ class LeastSquares:
         rows = KeptRows.from_equations(equations, samples) if self._passes_twice else None
         return checked(self._fit_rows(equations.unknowns, equations.factors(), rows, fixed), throw)
 
+    def coefficients(self, equations: Equations) -> Float[np.ndarray, " coefficients"]:
+        """The coefficients of `fit_equations` alone, for the squared loss: nothing is compiled.
+
+        NaN where equations are not finite.
+        """
+        return self._minimum(equations.unknowns, equations.factors(), None)[0].k
+
     def equations(self, network: AbstractLinearNetwork, patterns: Patterns) -> Equations:
         """The equations that `fit` solves, one for each pair of the mask, or those that the
         parallel filter makes of them; on the host."""
