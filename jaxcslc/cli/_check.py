@@ -8,6 +8,7 @@ from ..manipulator import Manipulator
 from ._common import (
     BaseOption,
     ColumnsOption,
+    FixOption,
     FrictionOption,
     RobotArgument,
     TipOption,
@@ -15,6 +16,7 @@ from ._common import (
     one_line_errors,
     progress,
     robot_named,
+    robot_notes,
 )
 from ._recording_options import (
     BetweenOption,
@@ -33,6 +35,7 @@ def check_command(
     ],
     base: BaseOption = None,
     tip: TipOption = None,
+    fix: FixOption = None,
     friction: FrictionOption = None,
     columns: ColumnsOption = None,
     between: BetweenOption = None,
@@ -46,14 +49,14 @@ def check_command(
     Prints what was read, and what looks wrong, with the likely cause and what to do about it.
     """
     with one_line_errors(), progress("reading") as step:
-        manipulator = robot_named(robot, base, tip)
+        manipulator = robot_named(robot, base, tip, fix)
         options = RecordingOptions(columns, between, every, period, drop_stale, despike)
         read = [options.read(path, manipulator) for path in recordings]
         step("deriving")
         network = network_of(manipulator, _lengths(manipulator), friction)
         names = [str(path) for path in recordings]
         page = check(network, read, names, progress=step)
-        notes = [
+        notes = robot_notes(manipulator) + [
             f"note: {name}: {note}"
             for name, recording in zip(names, read, strict=True)
             for note in recording.notes

@@ -54,9 +54,20 @@ BaseOption = Annotated[
     str | None, typer.Option(help="Body of a URDF or MJCF file that the robot stands on.")
 ]
 TipOption = Annotated[
-    str | None, typer.Option(help="Body of a URDF or MJCF file that the robot ends with.")
+    list[str] | None,
+    typer.Option(
+        help="Body of a URDF or MJCF file that the robot ends with; may be repeated, for several"
+        " arms."
+    ),
 ]
-
+FixOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAMES",
+        help="Joints of a URDF or MJCF file to fix at zero, or bodies, with all joints on them and"
+        " beyond, as in gripper or 'left_*'; may be repeated.",
+    ),
+]
 
 FrictionOption = Annotated[
     str | None,
@@ -111,9 +122,9 @@ def recordings_of(paths: Sequence[Path], read: Callable[[Path], Recording]) -> d
     return dict(zip(names, map(read, paths), strict=True))
 
 
-def with_notes(text: object, **recordings: Recording | None) -> str:
-    """What a command prints, followed by what was decided in reading its recordings."""
-    lines = [
+def with_notes(text: object, robot: Manipulator, **recordings: Recording | None) -> str:
+    """What a command prints, followed by what was decided in reading its files."""
+    lines = robot_notes(robot) + [
         f"warning: {name} recording: {note}"
         for name, recording in recordings.items()
         for note in (() if recording is None else recording.notes)
@@ -193,13 +204,24 @@ def without_none(**options: object) -> dict[str, object]:
     return {name: value for name, value in options.items() if value is not None}
 
 
-def robot_named(name: str, base: str | None = None, tip: str | None = None) -> Manipulator:
-    """A bundled robot, or the part of a robot file from body `base` to body `tip`."""
+def robot_named(
+    name: str,
+    base: str | None = None,
+    tip: list[str] | None = None,
+    fix: list[str] | None = None,
+) -> Manipulator:
+    """A bundled robot, or the part of a robot file from body `base` to the bodies in `tip`."""
+    fixed = [part for names in fix or () for part in names_in(names)]
     if name not in BUNDLED:
-        return load_robot(name, base=base, tip=tip)
-    if base is not None or tip is not None:
-        raise RobotError(f"{name}: base and tip choose a part of a file; {name} is one robot")
+        return load_robot(name, base=base, tip=tip or (), fix=fixed)
+    if base is not None or tip or fixed:
+        raise RobotError(f"{name}: base, tip and fix choose a part of a file; {name} is one robot")
     return BUNDLED[name]()
+
+
+def robot_notes(robot: Manipulator) -> list[str]:
+    """What of the robot's file was not taken as it stands, a line each."""
+    return [f"note: {note}" for note in robot.notes]
 
 
 def network_of(

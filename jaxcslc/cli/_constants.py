@@ -9,6 +9,7 @@ from ._common import (
     BaseOption,
     ColumnsOption,
     CoupledOption,
+    FixOption,
     FrictionOption,
     RobotArgument,
     SettingsOption,
@@ -34,6 +35,7 @@ def constants_command(
     columns: ColumnsOption = None,
     base: BaseOption = None,
     tip: TipOption = None,
+    fix: FixOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     settings: SettingsOption = None,
@@ -43,7 +45,7 @@ def constants_command(
     The recordings hold currents as torques: constant = 1 in [torque] of the file of --columns.
     """
     with one_line_errors(), progress("reading") as step:
-        manipulator = robot_named(robot, base, tip)
+        manipulator = robot_named(robot, base, tip, fix)
         alone = recording_of(unloaded, manipulator, columns)
         carrying = recording_of(loaded, manipulator, columns)
         report = identify_torque_constants(
@@ -54,4 +56,4 @@ def constants_command(
             None if settings is None else load_settings(settings),
             progress=step,
         )
-    typer.echo(with_notes(report, unloaded=alone, loaded=carrying))
+    typer.echo(with_notes(report, manipulator, unloaded=alone, loaded=carrying))

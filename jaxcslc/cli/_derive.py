@@ -8,6 +8,7 @@ from ._common import (
     BaseOption,
     CommandContext,
     CoupledOption,
+    FixOption,
     FrictionOption,
     LengthsOption,
     RobotOrSystemArgument,
@@ -17,6 +18,7 @@ from ._common import (
     network_of,
     one_line_errors,
     robot_named,
+    with_notes,
 )
 
 
@@ -26,6 +28,7 @@ def derive_command(
     lengths: LengthsOption = "auto",
     base: BaseOption = None,
     tip: TipOption = None,
+    fix: FixOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     output: Annotated[
@@ -43,9 +46,9 @@ def derive_command(
             check_no_robot_options(context, robot)
             _derive_system(robot, output)
             return
-        network = network_of(robot_named(robot, base, tip), lengths, friction, coupled)
+        network = network_of(robot_named(robot, base, tip, fix), lengths, friction, coupled)
         report = DerivationReport.of(network)
-        typer.echo(report)
+        typer.echo(with_notes(report, network.robot))
         if output is not None:
             typer.echo("\nwrote " + ", ".join(str(path) for path in report.save(output)))
 

@@ -9,11 +9,13 @@ from ..identification.report import load_report
 from ._common import (
     BUNDLED,
     BaseOption,
+    FixOption,
     RobotArgument,
     TipOption,
     one_line_errors,
     progress,
     robot_named,
+    with_notes,
 )
 
 
@@ -39,6 +41,7 @@ def export_command(
     ] = False,
     base: BaseOption = None,
     tip: TipOption = None,
+    fix: FixOption = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Let the output be the robot's own file.")
     ] = False,
@@ -54,7 +57,7 @@ def export_command(
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
         if not c and not overwrite and path.exists() and file.exists() and path.samefile(file):
             raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
-        saved = load_report(identification, robot_named(str(file), base, tip))
+        saved = load_report(identification, robot_named(str(file), base, tip, fix))
         if c:
             step("writing C")
             code = c_code(saved.network, saved.fit.k)
@@ -65,7 +68,7 @@ def export_command(
             text = str(
                 export_robot(saved.network, saved.fit, path, motion=saved.motion, progress=step)
             )
-    typer.echo(text)
+    typer.echo(with_notes(text, saved.network.robot))
 
 
 def _file_of(robot: str) -> Path:

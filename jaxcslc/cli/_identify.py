@@ -12,6 +12,7 @@ from ._common import (
     ColumnsOption,
     CommandContext,
     CoupledOption,
+    FixOption,
     FrictionOption,
     LengthsOption,
     OutputOption,
@@ -65,6 +66,7 @@ def identify_command(
     lengths: LengthsOption = "auto",
     base: BaseOption = None,
     tip: TipOption = None,
+    fix: FixOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     settings: SettingsOption = None,
@@ -93,7 +95,7 @@ def identify_command(
             check_no_robot_options(context, robot)
             report = _identified_system(robot, train, validate, settings, step)
         else:
-            arm = robot_named(robot, base, tip)
+            arm = robot_named(robot, base, tip, fix)
             saved = _previous_report(context, arm, previous)
             network = saved.network if saved else network_of(arm, lengths, friction, coupled)
             reading = RecordingOptions(columns, between, every, period, drop_stale, despike)

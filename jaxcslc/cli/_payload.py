@@ -8,6 +8,7 @@ from ..identification.report import check_output_folder, load_report, load_setti
 from ._common import (
     BaseOption,
     ColumnsOption,
+    FixOption,
     OutputOption,
     RobotArgument,
     SettingsOption,
@@ -39,13 +40,14 @@ def payload_command(
     output: OutputOption = Path("payload"),
     base: BaseOption = None,
     tip: TipOption = None,
+    fix: FixOption = None,
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
 ) -> None:
     """Identify a payload: its mass, centre of gravity and inertia, in the last link's frame."""
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
-        saved = load_report(previous, robot_named(robot, base, tip))
+        saved = load_report(previous, robot_named(robot, base, tip, fix))
         arm = saved.network.robot
         carrying = recording_of(loaded, arm, columns)
         alone = None if unloaded is None else recording_of(unloaded, arm, columns)
@@ -59,5 +61,5 @@ def payload_command(
         )
         step("writing")
         paths = report.save(output)
-    text = with_notes(report, loaded=carrying, unloaded=alone)
+    text = with_notes(report, arm, loaded=carrying, unloaded=alone)
     typer.echo(f"{text}\n\nwrote " + ", ".join(str(path) for path in paths))

@@ -18,7 +18,8 @@ _REGROUPED_LAST = {"Iyy": 1, "hz": 2, "m": 3}
 _SEED = 1990
 # A Mersenne prime for exact arithmetic and another to test its result under.
 _PRIME, _CHECK = 2**521 - 1, 2**607 - 1
-_POSITIONS, _BITS = 8, 1024  # of ball arithmetic, where fractions are longer than the prime
+_BITS = 1024  # of ball arithmetic, where fractions are longer than the prime
+_IDLE = 3  # positions that add nothing, after which the span is complete
 
 
 Row = list[Any]
@@ -54,13 +55,13 @@ def base_parameters(
     """
     order = sorted(range(len(terms)), key=lambda index: _preference(terms[index], index))
     forms = _Forms(robot, chain, terms, order)
-    rows, pivots = _echelon_form(forms, _PRIME)
+    rows, pivots, built_from = _echelon_form(forms, _PRIME)
     fractions = [
         {column: _fraction(int(x), _PRIME) for column, x in enumerate(row) if x != 0}
         for row in rows
     ]
     if not _span_forms(forms, pivots, fractions):
-        fractions = _in_balls(forms, pivots, fractions)
+        fractions = _in_balls(forms, pivots, fractions, built_from)
     combinations = [
         {order[column]: fmpq(*fraction) for column, fraction in row.items()} for row in fractions
     ]
@@ -85,18 +86,36 @@ class _Forms:
         )
 
 
-def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int]]:
-    """The span's reduced row echelon form modulo a prime: its rows, and their pivot columns."""
+def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int], list[Row]]:
+    """The span's reduced row echelon form modulo a prime.
+
+    **Returns** its rows, their pivot columns, and the forms at the positions that it was built
+    from, one after the other.
+    """
     draw, field = random.Random(_SEED), fmpz_mod_ctx(prime)
+    weights = random.Random(_SEED + 2)
     rows: list[Row] = []
-    rank, idle = 0, 0
-    while idle < 3:
-        rows += forms.at_random_position(draw, field)
-        matrix, new_rank = fmpz_mod_mat(rows, field).rref()
-        rows = matrix.tolist()[:new_rank]  # behind them are rows of zeros
-        idle = idle + 1 if new_rank == rank else 0
-        rank = new_rank
-    return rows, [next(column for column, x in enumerate(row) if x != 0) for row in rows]
+    seen: list[Row] = []
+    built_from = 0
+    idle = 0
+    while idle < _IDLE:
+        new = forms.at_random_position(draw, field)
+        seen += new
+        # A combination of all forms, with random weights, is outside the span if one of them is.
+        combination = fmpz_mod_mat([[field(weights.randrange(prime)) for _ in new]], field)
+        one = (combination * fmpz_mod_mat(new, field)).tolist()
+        if fmpz_mod_mat([*rows, *one], field).rref()[1] == len(rows):
+            idle += 1
+            continue
+        built_from = len(seen)
+        matrix, rank = fmpz_mod_mat([*rows, *new], field).rref()
+        rows = matrix.tolist()[:rank]  # behind them are rows of zeros
+        idle = 0
+    return rows, [_first_not_zero(row) for row in rows], seen[:built_from]
+
+
+def _first_not_zero(row: Row) -> int:
+    return next(column for column, x in enumerate(row) if x != 0)
 
 
 def _span_forms(
@@ -120,18 +139,27 @@ def _span_forms(
 
 
 def _in_balls(
-    forms: _Forms, pivots: Sequence[int], nonzero: Sequence[Collection[int]]
+    forms: _Forms,
+    pivots: Sequence[int],
+    nonzero: Sequence[Collection[int]],
+    built_from: Sequence[Row],
 ) -> list[dict[int, tuple[int, int]]]:
     """The combinations as numbers: for each, the columns where it is not zero are in `nonzero`.
 
-    Every form is the sum of the combinations, weighted by the form's entries at the pivots.
+    Every form is the sum of the combinations, weighted by the form's entries at the pivots. As many
+    independent forms as there are combinations are enough, and a tenth of the work of all
+    of them; they are those that are independent in `built_from`, the same positions' residues.
     """
-    draw = random.Random(_SEED)
+    draw, field = random.Random(_SEED), fmpz_mod_ctx(_PRIME)
+    at_pivots = fmpz_mod_mat([[row[pivot] for row in built_from] for pivot in pivots], field)
+    independent_rows = [_first_not_zero(row) for row in at_pivots.rref()[0].tolist()]
     with ctx.workprec(_BITS):
-        rows = [row for _ in range(_POSITIONS) for row in forms.at_random_position(draw, arb)]
-        at_pivots = arb_mat([[row[pivot] for pivot in pivots] for row in rows])
-        # Normal equations square the condition, which a thousand bits can bear.
-        solution = (at_pivots.transpose() * at_pivots).solve(at_pivots.transpose() * arb_mat(rows))
+        rows: list[Row] = []
+        while len(rows) < len(built_from):
+            rows += forms.at_random_position(draw, arb)
+        independent = [rows[index] for index in independent_rows]
+        weights = arb_mat([[row[pivot] for pivot in pivots] for row in independent])
+        solution = weights.solve(arb_mat(independent))
         return [
             {
                 column: (1, 1)

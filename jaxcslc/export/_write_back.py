@@ -100,7 +100,7 @@ def write_robot(
     if path.suffix.lower() != original.suffix.lower():
         raise RobotError(f"{path}: expected a name ending in {original.suffix}, as {original.name}")
     # The file's friction model may not be that of the network.
-    filed = load_robot(original, base=source.base, tip=source.tip)
+    filed = load_robot(original, base=source.base, tip=source.tips, fix=source.fix)
     stored = _stored(network, filed)
     slopes = _slopes(network, filed) if source.format == "toml" else {}
     text = with_parameters(robot, parameters, original.read_bytes(), stored=stored, slopes=slopes)
@@ -109,16 +109,18 @@ def write_robot(
     with _named(scratch, path):
         try:
             scratch.write_bytes(text)
-            load_robot(scratch, base=source.base, tip=source.tip)
+            written = load_robot(scratch, base=source.base, tip=source.tips, fix=source.fix)
+            if written.links is None:
+                notes = "" if written.source is None else "; ".join(written.source.notes)
+                raise RobotError(f"its links still have no parameters: {notes}")
             scratch.replace(path)  # whole and readable, or not at all
         finally:
             with contextlib.suppress(OSError):
                 scratch.unlink(missing_ok=True)
-    again = load_robot(path, base=source.base, tip=source.tip)
+    again = load_robot(path, base=source.base, tip=source.tips, fix=source.fix)
     q, qd, qdd = random_states(network.joint_count) if states is None else states
     file_network = derive(again, lengths=network.algebra.lengths)
-    if again.links is None:
-        raise RobotError(f"{path}: read again, it has no link parameters")
+    assert again.links is not None
     drives: dict[str, Any] = {
         kind: values
         for kind, values in (("viscous", again.viscous), ("dry", again.dry))

@@ -134,7 +134,8 @@ def identify(
             selection, base_settings = None, settings
         base_settings = base_settings.with_options(**(options or {}))
         by_recording["training"] = base_settings.for_network(network)
-    warnings = [f"training recording: {sentence}" for sentence in training.notes]
+    warnings = [*network.robot.notes]
+    warnings += [f"training recording: {sentence}" for sentence in training.notes]
     warnings += [f"training recording: {sentence}" for sentence in base_settings.check(training)]
     if validation is not None:
         warnings += [f"validation recording: {sentence}" for sentence in validation.notes]

@@ -42,7 +42,8 @@ def identify_several(
         settings = selection.settings
     automatic = selection is not None
     base = settings.for_network(network)
-    warnings = [f"{name}: {note}" for name, some in training.items() for note in some.notes]
+    warnings = [*network.robot.notes]
+    warnings += [f"{name}: {note}" for name, some in training.items() for note in some.notes]
     warnings += [] if validation is None else [f"validation: {note}" for note in validation.notes]
     warnings += [f"{main}: {sentence}" for sentence in settings.check(training[main])]
     by_recording = {main: base}

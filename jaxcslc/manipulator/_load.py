@@ -10,39 +10,50 @@ from ._errors import RobotError
 from ._inertia import LinkInertia
 from ._link_parameters import LinkParameters, fixed_together, seen_from
 from ._manipulator import Manipulator
-from ._mujoco_reader import Body, BodyTree, FileJoint, read_bodies
+from ._mujoco_reader import Body, BodyTree, read_bodies
+from ._part import MIMIC, Moved, part_of
 from ._placement import Axis, modified_dh
 from ._source import JointLimits, Source
 from ._toml import read_toml
-from ._urdf_checks import check_urdf, urdf_limits
+from ._urdf_checks import XACRO, check_urdf, urdf_limits, urdf_mimics
+from ._urdf_simplifications import Edit, simplifications
 from ._xml import read_xml
 
 
 Pose = Float[np.ndarray, "4 4"]
-Moved = tuple[int, FileJoint]  # a body and one of its joints
 
 
-def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = None) -> Manipulator:
+def load_robot(
+    path: str | Path,
+    *,
+    base: str | None = None,
+    tip: str | Sequence[str] | None = None,
+    fix: str | Sequence[str] = (),
+) -> Manipulator:
     """A robot from its description: TOML as in `docs/robots.md`, URDF, or MJCF.
 
     URDF and MJCF are read by MuJoCo; meshes are not read. Chains and trees of revolute and
     prismatic joints with any axes become modified Denavit-Hartenberg rows; bodies that are fixed
-    together become one link. `robot.links` holds what the file says of the links, `viscous` and
-    `dry` damping and friction loss, where it has any, and `robot.source` how the robot's frames
-    lie in the file's bodies. Joints of URDF and MJCF count from the base outwards, in the order of
-    the file. Angles within 1e-5 rad of a multiple of 90° are taken as that: files round.
+    together become one link. `robot.links` holds what the file says of the links, None if that is
+    impossible; `viscous` and `dry` damping and friction loss, where it has any; `robot.source` how
+    the robot's frames lie in the file's bodies; `robot.notes` what was not taken as it stands.
+    Joints of URDF and MJCF count from the base outwards, in the order of the file. Angles within
+    1e-5 rad of a multiple of 90° are taken as that: files round.
 
     **Arguments**
 
     - `path`: a `.toml`, `.urdf`, `.xml` or `.mjcf` file.
     - `base`, `tip`: bodies (links, in URDF) between which the robot is; by default the whole
-      tree. Joints elsewhere are fixed at zero, and what they carry is part of the link.
+      tree. Several tips, as of two arms, make a tree. Joints elsewhere are fixed at zero, and what
+      they carry is part of the link.
+    - `fix`: names of joints to fix at zero, or of bodies, for all joints that move the body and
+      what it carries, as in `"gripper"`; `*` stands for any letters. Joints that mimic a fixed
+      one are fixed too, and so is the base of a robot that floats.
 
     **Raises**
 
     - `RobotError`: one line that names the file, the joint or body, and what was expected: for ball
-      and free joints, closed loops, joints that mimic others and inertias that no body has, where
-      they are part of the robot.
+      and free joints, closed loops and joints that mimic others, where they are part of the robot.
     - `MissingExtraError`: for URDF and MJCF, without MuJoCo (the extra `urdf`).
 
     >>> import tempfile
@@ -60,23 +71,35 @@ def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = N
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    tips = (tip,) if isinstance(tip, str) else tuple(tip or ())
+    fixed = (fix,) if isinstance(fix, str) else tuple(fix)
     if suffix == ".toml":
-        if base is not None or tip is not None:
-            raise RobotError(f"{path}: base and tip are of URDF and MJCF files; TOML has one robot")
+        if base is not None or tips or fixed:
+            raise RobotError(
+                f"{path}: base, tip and fix are of URDF and MJCF files; TOML has one robot"
+            )
         return read_toml(path)
+    if suffix == ".xacro":
+        raise RobotError(f"{path}: {XACRO}")
     if suffix not in (".urdf", ".xml", ".mjcf"):
         raise RobotError(f"{path}: expected a robot file ending in .toml, .urdf or .xml")
     root = read_xml(path)
+    edits: list[Edit] = []
     if root.tag == "robot":
         check_urdf(root, path)
+        edits = simplifications(root)
     elif root.tag != "mujoco":
         raise RobotError(
             f"{path}: expected <robot> (URDF) or <mujoco> (MJCF) at the top, got <{root.tag}>"
         )
     urdf = root.tag == "robot"
-    tree = read_bodies(path, urdf=urdf)
+    tree = read_bodies(path, urdf=urdf, edits=edits)
+    if urdf:  # MuJoCo leaves out the joints that mimic unknown ones
+        mimics = tuple((MIMIC, pair) for pair in urdf_mimics(root, path))
+        tree = tree._replace(constraints=mimics)
     name = root.attributes.get("name") or root.attributes.get("model") or path.stem
-    robot = _robot(tree, path, name, base, tip, urdf=urdf)
+    notes = [f"{path}, line {edit.line}: {edit.note}" for edit in edits if edit.note]
+    robot = _robot(tree, path, name, base, tips, fixed, notes, urdf=urdf)
     if not urdf or robot.source is None:
         return robot
     limits = urdf_limits(root)
@@ -85,10 +108,18 @@ def load_robot(path: str | Path, *, base: str | None = None, tip: str | None = N
 
 
 def _robot(
-    tree: BodyTree, path: Path, name: str, base: str | None, tip: str | None, *, urdf: bool
+    tree: BodyTree,
+    path: Path,
+    name: str,
+    base: str | None,
+    tips: tuple[str, ...],
+    fix: tuple[str, ...],
+    notes: Sequence[str],
+    *,
+    urdf: bool,
 ) -> Manipulator:
-    start, moved = _moving(tree, path, base, tip)
-    _only_what_is_represented(tree, moved, path)
+    part = part_of(tree, path, base, tips, fix)
+    start, moved = part.start, part.moved
     poses = _poses(tree, start)
     numbers: dict[int, int] = {}  # of the last joint on each body
     axes: list[Axis] = []
@@ -109,9 +140,6 @@ def _robot(
         )
     rows, frames = modified_dh(axes)
     attached = _attached(tree, start, numbers)
-    for body in _bodies(tree, numbers, attached):
-        if body.fault:
-            raise RobotError(f"{path}, body {body.name!r}: {body.fault}")
     links, placements, carried = _links(tree, moved, numbers, attached, poses, frames)
     files = [joint for _, joint in moved]
     friction = ("viscous", "dry")
@@ -134,61 +162,11 @@ def _robot(
             placements,
             carried,
             base,
-            tip,
+            tips,
+            fix,
+            notes=(*notes, *part.notes, *_faults(tree, path, numbers, attached)),
         ),
     )
-
-
-def _moving(
-    tree: BodyTree, path: Path, base: str | None, tip: str | None
-) -> tuple[int, list[Moved]]:
-    """The body that is the robot's base, and the robot's joints, in order."""
-    names = [body.name for body in tree.bodies]
-
-    def index(name: str, what: str) -> int:
-        if name not in names:
-            raise RobotError(f"{path}: {what} {name!r} is not among its bodies: {', '.join(names)}")
-        return names.index(name)
-
-    start = 0 if base is None else index(base, "base")
-    ends = range(len(names)) if tip is None else list(tree.path(index(tip, "tip")))
-    if tip is not None and start not in ends:
-        raise RobotError(f"{path}: base {base!r} is not between the world and tip {tip!r}")
-    moved = [
-        (body, joint)
-        for body in sorted(ends)
-        if body != start and start in tree.path(body)
-        for joint in tree.bodies[body].joints
-    ]
-    if not moved:
-        part = f" between base {names[start]!r} and tip {tip!r}" if tip or base else ""
-        raise RobotError(f"{path}: has no joint{part} that moves")
-    return start, moved
-
-
-def _only_what_is_represented(tree: BodyTree, moved: Sequence[Moved], path: Path) -> None:
-    for _, joint in moved:
-        if joint.fault:
-            raise RobotError(f"{path}, joint {joint.name!r}: {joint.fault}")
-        if joint.kind is None:
-            raise RobotError(
-                f"{path}: joint {joint.name!r} is a {joint.type} joint; only revolute and prismatic"
-                " ones are modelled (choose a part of the tree with base and tip)"
-            )
-    joints = {joint.name for _, joint in moved}
-    bodies = {tree.bodies[body].name for body, _ in moved}
-    for kind, (first, second) in tree.constraints:
-        if kind.endswith("'joint'"):
-            if first in joints:
-                raise RobotError(
-                    f"{path}: joint {first!r} mimics {second!r}; joints that follow others are not"
-                    " modelled (choose a part of the tree with base and tip)"
-                )
-        elif {first, second} & (bodies | joints):
-            raise RobotError(
-                f"{path}: {kind} between {first!r} and {second!r} closes a loop; only chains and"
-                " trees are modelled"
-            )
 
 
 def _poses(tree: BodyTree, start: int) -> list[Pose]:
@@ -258,6 +236,19 @@ def _bodies(
 ) -> Iterator[Body]:
     for body in [*numbers, *(i for bodies in attached.values() for i in bodies)]:
         yield tree.bodies[body]
+
+
+def _faults(
+    tree: BodyTree, path: Path, numbers: Mapping[int, int], attached: Mapping[int, Sequence[int]]
+) -> Iterator[str]:
+    """A note on the bodies that cannot exist, if there are any."""
+    faulty = [body for body in _bodies(tree, numbers, attached) if body.fault]
+    if faulty:
+        others = f" (and {len(faulty) - 1} other bodies)" if len(faulty) > 1 else ""
+        yield (
+            f"{path}, body {faulty[0].name!r}{others}: {faulty[0].fault}; no link parameters are"
+            " taken from this file"
+        )
 
 
 def _has_mass(inertia: LinkParameters | None) -> TypeGuard[LinkParameters]:

@@ -131,6 +131,15 @@ class Manipulator:
         return limits or (JointLimits(),) * self.joint_count
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the robot's file was not taken as it stands, a sentence each.
+
+        >>> Manipulator.from_modified_dh([(0, 0, 0, 0)]).notes
+        ()
+        """
+        return () if self.source is None else self.source.notes
+
+    @property
     def has_joint_names(self) -> bool:
         """Whether the robot's file names a joint."""
         return self.joint_names != tuple(f"joint {i}" for i in range(1, self.joint_count + 1))

@@ -1,4 +1,4 @@
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
@@ -12,10 +12,13 @@ from .._environment import require
 from ._errors import RobotError
 from ._joint import JointKind
 from ._link_parameters import LinkParameters
+from ._urdf_simplifications import Edit, simplified
 
 
 _ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively ...
 _SMALLEST = 1e-15  # ... and absolutely [kg m²]: inertias of links of next to no mass are rounding
+
+WORLD = "world"  # what MuJoCo calls the body that carries all others
 
 Pose = Float[np.ndarray, "4 4"]
 
@@ -61,13 +64,14 @@ class BodyTree(NamedTuple):
             body = self.bodies[body].parent
 
 
-def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
+def read_bodies(path: Path, *, urdf: bool, edits: Sequence[Edit] = ()) -> BodyTree:
     """The bodies and joints of a URDF or MJCF file, as MuJoCo's own loader understands them.
 
     Meshes, sensors, actuators and the like are removed before the file is compiled, so that no mesh
     is read. Bodies without an inertial element have no mass in URDF, and that of their geometry
     in MJCF; where that is a mesh, `inertia` is None. Numbers that no body can have are a `fault` of
-    the body: it matters only to a robot that the body is part of.
+    the body: it matters only to a robot that the body is part of. `edits` are made in a URDF before
+    MuJoCo sees it.
 
     **Raises**
 
@@ -75,12 +79,12 @@ def read_bodies(path: Path, *, urdf: bool) -> BodyTree:
     - `MissingExtraError`: without MuJoCo.
     """
     with _without_warnings():
-        return _read(path, urdf)
+        return _read(path, urdf, edits)
 
 
-def _read(path: Path, urdf: bool) -> BodyTree:
+def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
     try:
-        spec = _parsed(path, urdf)
+        spec = _parsed(path, urdf, edits)
     except ValueError as error:
         raise _mujoco_error(path, error) from None
     for i, element in enumerate([*spec.bodies, *spec.joints]):
@@ -120,11 +124,11 @@ def _read(path: Path, urdf: bool) -> BodyTree:
     return BodyTree(tuple(bodies), (x, y, z), constraints)
 
 
-def _parsed(path: Path, urdf: bool) -> Any:
+def _parsed(path: Path, urdf: bool, edits: Sequence[Edit]) -> Any:
     mujoco: Any = require("mujoco", "urdf")
     # MuJoCo chooses its reader by the suffix, and has none for ".URDF" and ".mjcf".
     if urdf:
-        return mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
+        return mujoco.MjSpec.from_string(simplified(path.read_bytes(), edits).decode())
     if path.suffix == ".xml":
         return mujoco.MjSpec.from_file(str(path))
     # Read as an included file, it finds its own includes beside it.
@@ -247,7 +251,7 @@ def _constraints(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
     for equality in spec.equalities:
         if equality.active and equality.name1:
             kind = equality.type.name.removeprefix("mjEQ_").lower()
-            yield f"equality of kind {kind!r}", (equality.name1, equality.name2 or "world")
+            yield f"equality of kind {kind!r}", (equality.name1, equality.name2 or WORLD)
 
 
 def _joints(model: Any, body: int) -> Iterator[FileJoint]:

@@ -39,13 +39,15 @@ class Source:
     **Attributes**
 
     - `path`, `format`: of the file.
-    - `base`, `tip`: the part of the file's tree that was asked for, as bodies' names.
+    - `base`, `tips`: the part of the file's tree that was asked for, as bodies' names.
+    - `fix`: joints and bodies that were to be fixed.
     - `joints`, `links`: for each joint of the robot, the file's joint and the body that it moves.
     - `placements`: (4, 4) for each link, the pose of the file's body frame in the link's frame,
       lengths in m.
     - `carried`: for each link, all else that is fixed to the body, as one body in the link's
       frame; or None.
     - `limits`: of the joints; empty where the file has none.
+    - `notes`: what of the file was not taken as it stands, a sentence each.
     """
 
     path: str
@@ -55,5 +57,7 @@ class Source:
     placements: tuple[Float[np.ndarray, "4 4"], ...]
     carried: tuple[LinkParameters | None, ...]
     base: str | None = None
-    tip: str | None = None
+    tips: tuple[str, ...] = ()
+    fix: tuple[str, ...] = ()
     limits: tuple[JointLimits, ...] = ()
+    notes: tuple[str, ...] = ()

@@ -6,6 +6,9 @@ from ._source import JointLimits
 from ._xml import Element
 
 
+XACRO = "is for xacro; expected a URDF without macros, as `xacro FILE.xacro > FILE.urdf` writes it"
+
+_READ = ("link", "joint", "inertial", "origin", "mass", "inertia", "axis", "mimic", "dynamics")
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 
@@ -14,8 +17,10 @@ def check_urdf(root: Element, path: Path) -> None:
 
     **Raises**
 
-    - `RobotError`: for cycles, loops, several trees, and names that are missing or used twice.
+    - `RobotError`: for cycles, loops, several trees, names that are missing or used twice, and
+      macros of xacro.
     """
+    _check_no_macros(root, path)
     links = _named(root.all("link"), path)
     joints = _named(root.all("joint"), path)
     carried_by: dict[str, str] = {}  # joint that carries each link
@@ -25,12 +30,12 @@ def check_urdf(root: Element, path: Path) -> None:
         kind = joint.attributes.get("type", "")
         if kind not in _KINDS:
             raise RobotError(f"{at}: expected a type out of {', '.join(_KINDS)}, got {kind!r}")
-        if kind in ("planar", "floating"):
-            raise RobotError(f"{at}: is {kind}; only revolute and prismatic joints are modelled")
+        for tag in ("parent", "child", "origin", "axis"):
+            if (count := len(joint.all(tag))) > 1:
+                raise RobotError(f"{at}: has {count} elements <{tag}>; expected one")
         ends: dict[str, str] = {}
         for end in ("parent", "child"):
-            element = joint.first(end)
-            ends[end] = element.attributes.get("link", "") if element else ""
+            ends[end] = _end(joint, end)
             if ends[end] not in links:
                 raise RobotError(f"{at}: its {end} {ends[end]!r} is no link of this file")
         child = ends["child"]
@@ -59,6 +64,54 @@ def check_urdf(root: Element, path: Path) -> None:
             way.add(name)
             name = parents[name]
         reached |= way
+    for name, joint in joints.items():
+        kind = joint.attributes["type"]
+        if kind in ("planar", "floating") and (parent := _end(joint, "parent")) not in roots:
+            raise RobotError(
+                f"{path}, line {joint.line}, joint {name!r}: is {kind}, and is carried by"
+                f" {parent!r}; only revolute and prismatic joints are modelled"
+            )
+
+
+def _end(joint: Element, end: str) -> str:
+    """Name of a joint's parent or child."""
+    element = joint.first(end)
+    return element.attributes.get("link", "") if element else ""
+
+
+def _check_no_macros(root: Element, path: Path) -> None:
+    """Elements of xacro would be ignored, and what they stand for with them."""
+    elements = [root]
+    while elements:
+        element = elements.pop()
+        values = element.attributes.values()
+        if element.tag.startswith("xacro:") or any("${" in x or "$(" in x for x in values):
+            raise RobotError(f"{path}, line {element.line}: <{element.tag}> {XACRO}")
+        elements += [child for child in element.children if child.tag in _READ or ":" in child.tag]
+
+
+def urdf_mimics(root: Element, path: Path) -> list[tuple[str, str]]:
+    """Joints of a URDF that mimic others, each with the other.
+
+    **Raises**
+
+    - `RobotError`: for one that mimics itself, over others or not.
+    """
+    leaders = {
+        joint.attributes["name"]: mimic.attributes.get("joint", "")
+        for joint in root.all("joint")
+        if (mimic := joint.first("mimic")) is not None and joint.attributes["type"] != "fixed"
+    }
+    for name, leader in leaders.items():
+        way = {name}
+        while leader in leaders:
+            if leader in way:
+                raise RobotError(
+                    f"{path}: joint {name!r} mimics {leaders[name]!r}, and so in the end itself"
+                )
+            way.add(leader)
+            leader = leaders[leader]
+    return list(leaders.items())
 
 
 def urdf_limits(root: Element) -> dict[str, JointLimits]:

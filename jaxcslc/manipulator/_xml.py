@@ -9,7 +9,8 @@ from ._errors import RobotError
 
 # Robots nest their bodies a few dozen deep (every joint of a chain is two levels in MJCF), and
 # their files have thousands of elements; MuJoCo's own parser overflows the stack far beyond that.
-_DEEPEST, _MOST_ELEMENTS = 256, 200_000
+# Its time grows with the square of the number of bodies: 3,000 take a few seconds.
+_DEEPEST, _MOST_ELEMENTS, _MOST_BODIES = 256, 200_000, 3000
 # Where bodies and joints are: MuJoCo computes with any number, and poses become NaN without a word.
 _PLACEMENT = {"xyz", "rpy", "pos", "axis", "quat", "euler", "axisangle", "xyaxes", "zaxis"}
 _LARGEST = 1e9
@@ -57,15 +58,19 @@ def parse_xml(text: bytes, where: str) -> Element:
     """As `read_xml`, from bytes; `where` names them in errors."""
     parser = expat.ParserCreate()
     top = Element("", {}, 0, 0)
-    stack, count = [top], 0
+    stack, copies, count, bodies = [top], [1], 0, 0
 
     def start(tag: str, attributes: Mapping[str, str]) -> None:
-        nonlocal count
-        count += 1
+        nonlocal count, bodies
+        copies.append(copies[-1] * _copies(tag, attributes))
+        count += copies[-1]
         if len(stack) > _DEEPEST:
             raise RobotError(f"{line()}: elements nest deeper than {_DEEPEST}; no robot does")
         if count > _MOST_ELEMENTS:
-            raise RobotError(f"{line()}: more than {_MOST_ELEMENTS} elements; no robot has")
+            raise RobotError(f"{line()}: more than {_MOST_ELEMENTS} elements; no robot has so many")
+        bodies += copies[-1] if tag in ("body", "link") else 0
+        if bodies > _MOST_BODIES:
+            raise RobotError(f"{line()}: more than {_MOST_BODIES} bodies; no robot has so many")
         for name, value in attributes.items():
             # MuJoCo would write a log file into the current folder.
             if "nan" in value.lower().split():
@@ -80,6 +85,7 @@ def parse_xml(text: bytes, where: str) -> Element:
 
     def end(_: str) -> None:
         element = stack.pop()
+        copies.pop()
         tag = _TAG.match(text, element.start)
         if tag is not None and tag[0].endswith(b"/>"):  # empty: expat's index is of little use
             element.end = tag.end()
@@ -105,6 +111,12 @@ def parse_xml(text: bytes, where: str) -> Element:
         raise RobotError(f"{where}: not valid XML: {error}") from None
     (root,) = top.children
     return root
+
+
+def _copies(tag: str, attributes: Mapping[str, str]) -> int:
+    """How many of its children an element makes."""
+    count = attributes.get("count", "") if tag == "replicate" else ""
+    return max(1, int(count)) if count.isdecimal() and len(count) < 10 else 1
 
 
 def _is_moderate(text: str) -> bool:
