@@ -1,0 +1,92 @@
+"""Runs a case in this process, and says what is wrong with how the command ended."""
+
+import contextlib
+import shutil
+import time
+import traceback
+import warnings
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+from typer.testing import CliRunner, Result
+
+from jaxcslc.cli._app import app
+
+from .cases import Case, case
+
+
+MOST_SECONDS = 10.0
+
+Row = dict[str, Any]
+
+
+def run_case(number: int, templates: Path, folder: Path) -> Row:
+    """Makes the case of a number in an emptied folder, and runs it.
+
+    **Returns** its number, kind, exit code, seconds and, where something is wrong, `fault`: what,
+    with the command's last words.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    example = case(number, templates, folder)
+    before = {path: path.read_bytes() for path in _files(folder)}
+    start = time.monotonic()
+    with _in(folder), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=RuntimeWarning)  # as the command itself does
+        result = CliRunner().invoke(app, example.arguments)
+    seconds = time.monotonic() - start
+    fault = _fault(example, result, folder, before, seconds)
+    return {
+        "case": number,
+        "kind": example.kind,
+        "code": result.exit_code,
+        "seconds": round(seconds, 3),
+        "fault": fault,
+    }
+
+
+def _fault(
+    example: Case, result: Result, folder: Path, before: dict[Path, bytes], seconds: float
+) -> str | None:
+    """What is wrong with how a command ended; None if nothing is."""
+    error = result.exception
+    if error is not None and not isinstance(error, SystemExit):
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        at = f"{Path(last.filename).name}, line {last.lineno}"
+        return f"traceback: {type(error).__name__}: {' '.join(str(error).split())[:300]} ({at})"
+    if result.exit_code not in (0, 2):
+        return f"exit code {result.exit_code}: {result.output[-300:]}"
+    if seconds > MOST_SECONDS:
+        return f"took {seconds:.1f} s: {' '.join(example.arguments)}"
+    lines = [line for line in result.stderr.splitlines() if line.strip()]
+    usage = any(line.startswith("Usage: ") for line in lines)
+    if result.exit_code == 2 and not usage:
+        if len(lines) != 1 or not lines[0].startswith("jaxcslc: "):
+            return f"expected one line, got {result.stderr[-500:]!r}"
+        if result.stdout.strip():
+            return f"printed before it failed: {result.stdout[-300:]!r}"
+    if result.exit_code == 0 and lines:
+        return f"succeeded, but standard error has {result.stderr[-300:]!r}"
+    changed = [path for path, data in before.items() if _content(path) != data]
+    if changed:
+        return f"changed its input {changed[0].name}"
+    new = [path for path in _files(folder) if path not in before]
+    if result.exit_code and new:
+        return f"failed, and left {', '.join(str(path.relative_to(folder)) for path in new)}"
+    hidden = [path for path in new if path.name.startswith(".")]
+    return f"left {hidden[0].name}" if hidden else None
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _content(path: Path) -> bytes | None:
+    return path.read_bytes() if path.is_file() else None
+
+
+@contextlib.contextmanager
+def _in(folder: Path) -> Generator[None]:
+    with contextlib.chdir(folder):
+        yield
