@@ -356,6 +356,10 @@ NEEDS_AN_EXTRA = {
     "jaxcslc.puma560().to_pandas()": ("pandas", "tables"),
     "jaxcslc.load_robot('tests/data/puma560.xml')": ("mujoco", "urdf"),
     "import sim": ("mujoco", "sim"),
+    "from jaxcslc.motion.files import _bag; next(_bag._opened(_bag.Path('log.bag')).gen)": (
+        "rosbags.highlevel",
+        "bags",
+    ),
     "from jaxcslc.plotting import _look; _look.new_figure(3, 2)": ("matplotlib.figure", "plot"),
     "from jaxcslc.inertia import _semidefinite as s; s._conic_solver()": ("clarabel", "inertia"),
     "del sys.modules['clarabel']; s._conic_solver()": ("cvxpy", "inertia"),
@@ -366,7 +370,7 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it() -> None:
     """With the libraries out of reach, in a process of its own; the package imports without."""
     program = (
         "import sys\n"
-        "missing = ('pandas', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel')\n"
+        "missing = ('pandas', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel', 'rosbags')\n"
         "sys.modules.update(dict.fromkeys(missing))\n"
         "import jaxcslc\n"
         f"for code in {list(NEEDS_AN_EXTRA)!r}:\n"

@@ -80,7 +80,8 @@ class Expressions:
 
 @no_type_check
 class Value:
-    """A value of an `Expressions`; sums, differences and products with others and with numbers."""
+    """A value of an `Expressions`: sums, differences and products with others and with numbers,
+    whole powers, and quotients by numbers."""
 
     __slots__ = ("graph", "index")
 
@@ -186,6 +187,19 @@ class Value:
 
     def __rsub__(self, other: "Number") -> "Value":
         return self.graph.lift(other) - self
+
+    def __pow__(self, exponent: int) -> "Value":
+        if not isinstance(exponent, int) or exponent < 0:
+            raise TypeError(f"C code has whole powers from 0 on only, got {exponent!r}")
+        if exponent < 2:
+            return self if exponent else self.graph.constant(1.0)
+        half = self ** (exponent // 2)
+        return half * half * self if exponent % 2 else half * half
+
+    def __truediv__(self, number: float) -> "Value":
+        if isinstance(number, Value):
+            raise TypeError("C code divides by numbers only, not by what a motion decides")
+        return self * (1.0 / number)
 
     __radd__ = __add__
     __rmul__ = __mul__

@@ -11,6 +11,11 @@ from ._recording import Recording
 _COARSER, _NOISIER = 1.5, 3.0
 # Intervals that differ from their mean by less than this part of it count as regular.
 _REGULAR = 0.01
+_ORDER = 6  # of the differences that noise is seen in
+# Third differences that see more than so many times as much as sixth ones have seen motion.
+_MOTION = 1.5
+MEDIAN_MODULUS = 0.6744897501960817
+"""Of a normal distribution of unit deviation."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,21 +131,27 @@ def encoder_resolution(
     return np.array([_smallest_step(column) for column in position.T])
 
 
-def noise_level(position: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray, " joints"]:
-    r"""Estimates how far recorded positions scatter about a smooth motion, joint by joint.
+def noise_level(values: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray, " joints"]:
+    r"""Estimates how far recorded values scatter about a smooth motion, column by column.
 
     Third differences of a motion that is smooth on the scale of a few samples are all noise,
-    $\sqrt{20}$ times that of the positions. Their median absolute value disregards the few that
-    straddle a jump. Quantisation adds a step's $1/\sqrt{12}$, the least there can be.
+    $\sqrt{20}$ times that of the values. Their median absolute value disregards the few that
+    straddle a jump. Where `sixth_differences` see much less, the third ones have seen motion, and
+    the sixth ones count. Quantisation adds a step's $1/\sqrt{12}$, the least there can be.
+
+    (From noise alone, 3,000 samples, third differences scatter by 2.5 % and sixth ones by 3.3 %; of
+    encoder counts they see 1.15 times a step's $1/\sqrt{12}$, sixth ones 0.84 to 1.01 times. Of a
+    motion with an amplitude of a hundred thousand times the noise and 100 samples a period, third
+    ones see 5.6 times the noise, sixth ones 1.0.)
 
     **Arguments**
 
-    - `position`: joint positions, shape `(samples, joints)` [rad or m], four samples or more,
-        at roughly even intervals.
+    - `values`: as joint positions, shape `(samples, joints)`, four samples or more, at roughly
+        even intervals.
 
     **Returns**
 
-    The standard deviation of the noise, shape `(joints,)` [rad or m].
+    The standard deviation of the noise, shape `(joints,)`, in the unit of the values.
 
     >>> import numpy as np
     >>> from jaxcslc.motion import noise_level
@@ -149,10 +160,48 @@ def noise_level(position: Float[np.ndarray, "samples joints"]) -> Float[np.ndarr
     >>> bool(1e-4 < noise_level(quantised)[0] * 12**0.5 < 1.2e-4)
     True
     """
-    scatter = np.median(np.abs(np.diff(position, n=3, axis=0)), axis=0)
+    third = np.median(np.abs(np.diff(values, n=3, axis=0)), axis=0)
     # 0.6745 is the median absolute value of a normal variable of unit deviation.
-    scatter = scatter / (0.6745 * np.sqrt(20.0))
-    return np.maximum(scatter, encoder_resolution(position) / np.sqrt(12.0))
+    scatter = third / (0.6745 * np.sqrt(20.0))
+    if len(differences := sixth_differences(values)):
+        sixth = np.median(np.abs(differences), axis=0) / MEDIAN_MODULUS
+        scatter = np.where(scatter > _MOTION * sixth, sixth, scatter)
+    return np.maximum(scatter, encoder_resolution(values) / np.sqrt(12.0))
+
+
+def sixth_differences(
+    values: Float[np.ndarray, "samples joints"],
+    time: Float[np.ndarray, " samples"] | None = None,
+) -> Float[np.ndarray, "differences joints"]:
+    """Divided differences of sixth order, scaled so that white noise keeps its variance.
+
+    A polynomial of fifth order, and so next to all motion that is sampled well, is not in them:
+    motion of a period of 20 samples is a thousandth of its amplitude.
+
+    **Arguments**
+
+    - `values`: shape `(samples, joints)`.
+    - `time`: instants of the samples, shape `(samples,)`; None: even intervals.
+
+    **Returns**
+
+    The differences, shape `(samples - 6, joints)`, in the unit of the values.
+
+    >>> import numpy as np
+    >>> from jaxcslc.motion import sixth_differences
+    >>> time = np.sort(np.random.default_rng(0).uniform(0.0, 1.0, 50))
+    >>> bool(np.abs(sixth_differences(time[:, None] ** [1, 5], time)).max() < 1e-12)
+    True
+    """
+    if len(values) <= _ORDER:
+        return np.zeros((0, values.shape[1]))
+    instants = np.arange(float(len(values))) if time is None else time
+    points = np.lib.stride_tricks.sliding_window_view(instants, _ORDER + 1)
+    apart = (points[:, :, None] - points[:, None, :]) / np.median(np.diff(instants))
+    weights = 1.0 / np.prod(np.where(np.eye(_ORDER + 1, dtype=bool), 1.0, apart), axis=2)
+    weights = weights / np.linalg.norm(weights, axis=1, keepdims=True)
+    windows = np.lib.stride_tricks.sliding_window_view(values, _ORDER + 1, axis=0)
+    return np.einsum("sp,sjp->sj", weights, windows)
 
 
 def _smallest_step(values: Float[np.ndarray, " samples"]) -> float:

@@ -3,8 +3,8 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
+from ..motion import MEDIAN_MODULUS, sixth_differences
 from ._recording import SystemRecording
 
 
@@ -12,27 +12,20 @@ if TYPE_CHECKING:
     from ._system import System
 
 
-# Of the divided differences that noise is seen in: motion of a period of 20 samples is a thousandth
-# of its amplitude in them, 15 of them an interval of 7 samples.
-_ORDER = 6
-# Median modulus of a normal distribution of unit deviation.
-_MEDIAN = 0.6744897501960817
-
-
 def measurement_noise(system: "System", recording: SystemRecording) -> dict[str, float]:
     """Standard deviation of the white noise in each column of a recording.
 
-    From divided differences of sixth order, scaled so that white noise keeps its variance: a
-    polynomial of fifth order, and so next to all motion that is sampled well, is not in them. The
-    median of their modulus is taken, which steps of an input and other rare events do not raise; or
-    their root mean square where more than half are zero, as of an encoder at rest.
+    From `jaxcslc.motion.sixth_differences`: the median of their modulus, which steps of an input
+    and other rare events do not raise; or their root mean square where more than half are zero, as
+    of an encoder at rest. (`jaxcslc.motion.noise_level` takes values on a grid for readings of an
+    encoder, which here may be an input of a few levels.)
 
     **Arguments**
 
     - `system`: whose columns are meant.
     - `recording`: of these columns.
 
-    **Returns** by name of the column, in its unit; 0 for recordings of seven samples or fewer.
+    **Returns** by name of the column, in its unit; 0 for recordings of six samples or fewer.
 
     **Raises** `RecordingError` for a column that is missing.
 
@@ -49,8 +42,13 @@ def measurement_noise(system: "System", recording: SystemRecording) -> dict[str,
     >>> {name: round(float(value), 3) for name, value in measurement_noise(tank, recording).items()}
     {'level': 0.01, 'inflow': 0.0}
     """
-    weights = _difference_weights(recording.time)
-    return {name: _deviation(weights, recording.column(name)) for name in system.column_names}
+    columns = np.stack([recording.column(name) for name in system.column_names], axis=1)
+    differences = sixth_differences(columns, recording.time)
+    if not len(differences):
+        return dict.fromkeys(system.column_names, 0.0)
+    typical = np.median(np.abs(differences), axis=0) / MEDIAN_MODULUS
+    levels = np.where(typical > 0.0, typical, np.sqrt(np.mean(differences**2, axis=0)))
+    return dict(zip(system.column_names, levels.tolist(), strict=True))
 
 
 def with_simulated_noise(
@@ -82,26 +80,3 @@ def check_noise(system: "System", noise: Mapping[str, float]) -> None:
             )
         if not 0.0 <= value < math.inf:
             raise ValueError(f"noise: {name} is {value}; expected 0 or more")
-
-
-def _difference_weights(
-    time: Float[np.ndarray, " samples"],
-) -> Float[np.ndarray, "differences points"]:
-    """What the samples of each difference are multiplied by, rows of unit length."""
-    if len(time) <= _ORDER:
-        return np.zeros((0, _ORDER + 1))
-    points = np.lib.stride_tricks.sliding_window_view(time, _ORDER + 1)
-    apart = (points[:, :, None] - points[:, None, :]) / np.median(np.diff(time))
-    weights = 1.0 / np.prod(np.where(np.eye(_ORDER + 1, dtype=bool), 1.0, apart), axis=2)
-    return weights / np.linalg.norm(weights, axis=1, keepdims=True)
-
-
-def _deviation(
-    weights: Float[np.ndarray, "differences points"], values: Float[np.ndarray, " samples"]
-) -> float:
-    if not len(weights):
-        return 0.0
-    points = np.lib.stride_tricks.sliding_window_view(values, _ORDER + 1)
-    differences = np.sum(weights * points, axis=1)
-    typical = float(np.median(np.abs(differences))) / _MEDIAN
-    return typical or float(np.sqrt(np.mean(differences**2)))

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings, strategies as st
 
 from jaxcslc.export._closed_form import nested
@@ -114,3 +115,20 @@ def test_nested_polynomials(rng: np.random.Generator) -> None:
     result = value(graph, nested(graph, polynomial, variables).index, inputs)
     assert math.isclose(result, expected, rel_tol=1e-12)
     assert nested(graph, {}, variables).is_zero
+
+
+@pytest.mark.parametrize("exponent", range(8))
+@pytest.mark.parametrize("x", [-1.5, 2.0])
+def test_whole_powers_and_quotients(exponent: int, x: float) -> None:
+    graph = Expressions()
+    result = graph.input("x") ** exponent / 4.0
+    assert value(graph, result.index, {"x": x}) == pytest.approx(x**exponent / 4.0)
+    assert graph.cost([result]) <= 6  # repeated squaring
+
+
+def test_what_c_code_cannot_compute_is_named() -> None:
+    x = Expressions().input("x")
+    with pytest.raises(TypeError, match=r"whole powers from 0 on only, got 0\.5"):
+        x**0.5  # pyright: ignore
+    with pytest.raises(TypeError, match="divides by numbers only"):
+        x / x  # pyright: ignore

@@ -250,6 +250,15 @@ def test_noise_level_against_known_noise(rng: np.random.Generator, scatter: floa
     assert noise_level(position[:, None])[0] == pytest.approx(scatter, rel=0.1)
 
 
+@pytest.mark.parametrize("per_period", [40, 100])
+def test_noise_level_is_not_that_of_the_motion(rng: np.random.Generator, per_period: int) -> None:
+    """A fast motion that is sampled slowly, of which third differences see much."""
+    noise = 1e-5 * rng.standard_normal((4000, 1))
+    motion = np.sin(2 * np.pi / per_period * np.arange(4000))[:, None]
+    assert np.median(np.abs(np.diff(motion + noise, n=3, axis=0))) > 5 * 3e-5
+    assert noise_level(motion + noise)[0] == pytest.approx(1e-5, rel=0.1)
+
+
 @pytest.mark.parametrize("spacing", [2, 5, 12])
 def test_left_out_error_is_that_of_the_splines_that_do_not_know(spacing: int) -> None:
     recording = swinging(600)

@@ -78,7 +78,7 @@ def starting_point(
         # with a slope that hides it.
         dry = static.dry(point.k)[static.joints]
         of_k = np.zeros(p)
-        of_k[static.indices] = np.where(static.rubs, np.maximum(dry, 1e-9) ** -2.0, 0.0)
+        of_k[static.indices] = np.where(static.with_dry, np.maximum(dry, 1e-9) ** -2.0, 0.0)
         of_slopes = np.zeros(n)
         of_slopes[static.joints] = _SLOPE_DEVIATION**-2
         return (
@@ -148,15 +148,15 @@ class _Static:
         if self.joints:
             self.without = network.without_law("static", [joint + 1 for joint in self.joints])
             self.indices = network.layout.indices("static")
-        self.rubs = np.array(["dry" in laws[joint] for joint in self.joints], bool)
-        self._with_dry = [joint for joint, kinds in enumerate(laws) if "dry" in kinds]
-        self._dry = network.layout.indices("dry") if self._with_dry else self.indices[:0]
+        self.with_dry = np.array(["dry" in laws[joint] for joint in self.joints], bool)
+        self._dry_joints = [joint for joint, kinds in enumerate(laws) if "dry" in kinds]
+        self._dry = network.layout.indices("dry") if self._dry_joints else self.indices[:0]
         self._joint_count = network.joint_count
 
     def dry(self, k: Float[np.ndarray, " coefficients"]) -> Joints:
         """(n,) absolute coefficients of dry friction, 0 for joints without."""
         result = np.zeros(self._joint_count)
-        result[self._with_dry] = np.abs(k[self._dry])
+        result[self._dry_joints] = np.abs(k[self._dry])
         return result
 
 

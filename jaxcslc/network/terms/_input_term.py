@@ -13,8 +13,9 @@ from ._term import AbstractManipulatorTerm, Coefficients, Joints, Matrices
 class AbstractFunctions(abc.ABC):
     """Functions of one number that a term's inputs are written with.
 
-    Sums, differences and products are plain operators. One formula, written with these, computes
-    arrays in JAX (`JAX_FUNCTIONS`) and becomes C code (`jaxcslc.export`).
+    Sums, differences, products, whole powers and quotients by numbers are plain operators. One
+    formula, written with these, computes arrays in JAX (`JAX_FUNCTIONS`) and becomes C code
+    (`jaxcslc.export`).
     """
 
     @abc.abstractmethod

@@ -1,1 +1,1 @@
-"""Payloads learnt while they are carried."""
+"""Payloads identified while they are carried."""

@@ -1,4 +1,4 @@
-"""Pick up, carry and place with a payload that is learnt while it is carried (thesis 2.7, 8.2.4).
+"""Pick up, carry and place with a payload identified while it is carried (thesis 2.7, 8.2.4).
 
 Simulated PUMA 560 specimens, one for each seed, go from rest to a box of 0 (there is none), 0.5, 1
 and 2 kg, pick it up at rest, carry it past two via points, put it down and go home. Each was
