@@ -5,10 +5,14 @@ and the comparison trajectory within its motors' limits of linearity. Coefficien
 first and judged on the second, beside direct measurement (Ar+LS, Ar+Rg), networks trained as in
 7.5, the truth and the thesis. Tables, figures and an index page go into one folder. A quick run has
 short recordings, settings that are not selected, and no trained network.
+
+Recordings and trainings are kept until the run ends; an interrupted one goes on from there.
 """
 
 import argparse
+import shutil
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -51,6 +55,7 @@ from scripts.studies.puma560.tables import (
     training_rows,
 )
 from scripts.studies.puma560.thresholds import threshold_fit_rows, threshold_rows
+from scripts.studies.rows import made_of
 from scripts.studies.tables import rows_table
 from scripts.studies.truth import true_coefficients
 
@@ -62,12 +67,22 @@ Recordings = dict[str, list[sim.SimulatedRecording]]
 _QUICK_SAMPLES = 1500
 
 
+def store_of(options: argparse.Namespace) -> Path:
+    """Where recordings and trainings are kept until the run ends."""
+    numbers = {name: getattr(options, name) for name in ("seed", "samples", "quick")}
+    digest = made_of(numbers, sorted(Path(__file__).parent.glob("*.py")))
+    return options.output / f"unfinished-{digest[:12]}"
+
+
 def recorded(
     options: argparse.Namespace,
     simulated: Mapping[str, sim.Machine],
     others: Mapping[str, sim.Machine],
 ) -> Recordings:
-    """Training and comparison recording of every machine, and training recordings of others."""
+    """Training and comparison recording of every machine, and training recordings of others.
+
+    Those that `store_of(options)` holds are not simulated again.
+    """
     samples = options.samples
 
     # See `sim.training` for why each compensates its own gravity. Machines that share a trajectory
@@ -87,7 +102,8 @@ def recorded(
 
     jobs = {name: jobs_of(machine) for name, machine in simulated.items()}
     jobs |= {name: jobs_of(machine)[:1] for name, machine in others.items()}
-    recordings = iter(sim.record([job for part in jobs.values() for job in part], progress=True))
+    in_order = [job for part in jobs.values() for job in part]
+    recordings = iter(sim.record(in_order, store=store_of(options), progress=True))
     return {name: [next(recordings) for _ in part] for name, part in jobs.items()}
 
 
@@ -160,7 +176,14 @@ def experiment(options: argparse.Namespace) -> int:
     others = variants(*simulated.values())
     recordings = recorded(options, simulated, others)
     both = [
-        identified(network, name, machine, recordings[name], quick=options.quick)
+        identified(
+            network,
+            name,
+            machine,
+            recordings[name],
+            quick=options.quick,
+            store=store_of(options),
+        )
         for name, machine in tqdm(simulated.items(), desc="fitting", unit="machine", disable=None)
     ]
     first = both[0]
@@ -206,6 +229,7 @@ def experiment(options: argparse.Namespace) -> int:
             save_picture(figure, folder / f"figure_{number}.png")
         page = index_page(tables, CAPTIONS, notes)
         (folder / "index.html").write_text(page, encoding="utf-8")
+    shutil.rmtree(store_of(options))
     for name, (caption, rows) in tables.items():
         if name.split("_")[0] not in ("coefficients", "backlash", "one"):
             print(f"\n{caption}\n{rows_table(rows)}")
@@ -221,7 +245,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = command.parse(parser, argv, samples=_QUICK_SAMPLES)
     command.require_least(parser, options, seed=0, samples=600)
     seconds = 60.0 if options.quick else 240.0
-    return command.run(parser, lambda: experiment(options), seconds=seconds)
+    return command.run(parser, lambda: experiment(options), store_of(options), seconds=seconds)
 
 
 if __name__ == "__main__":

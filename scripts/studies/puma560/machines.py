@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from jaxtyping import Array, Float
 
@@ -111,15 +112,26 @@ def identified(
     recordings: Sequence[sim.SimulatedRecording],
     *,
     quick: bool,
+    store: Path | None = None,
 ) -> IdentifiedMachine:
-    """Fits a machine's coefficients to its first recording and prepares the second for judging."""
+    """Fits a machine's coefficients to its first recording and prepares the second for judging.
+
+    - `store`: a folder for trainings in progress.
+    """
     training, comparison = recordings
     settings, patterns, fit = fitted(network, training.recording, quick=quick)
     published = published_coefficients(network)
     # Compiling a training takes longer than all else of a quick run.
     preparations = {} if quick else _ROUTES
     routes = {
-        masks: thesis_route(network, training.recording, preparation, published, every=3)
+        masks: thesis_route(
+            network,
+            training.recording,
+            preparation,
+            published,
+            every=3,
+            checkpoints=None if store is None else store / f"{name}, {masks}",
+        )
         for masks, preparation in preparations.items()
     }
     vectors = {

@@ -3,7 +3,8 @@
 For each system: the number of coefficients that exact separation finds; the numeric rank of their
 regressor at random states; and how many coefficients the equations need, as a rank that knows
 nothing of separation: what the equations say at random states, for many random sets of constants.
-All three are to be the same. An interrupted run begins again: it takes half a minute.
+All three are to be the same. Finished rows stay in the output folder, and an interrupted run goes
+on from there.
 
     .venv/bin/python -m scripts.studies.systems.minimal_sets
 """
@@ -12,6 +13,7 @@ import argparse
 import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from sympy.physics.mechanics import dynamicsymbols
 from jaxcslc._rank import numerical_rank
 from jaxcslc.systems import Constant, System, Variable
 from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
 from scripts.studies.systems.example import Example
 from scripts.studies.systems.examples import (
     CART_POLE,
@@ -66,6 +69,11 @@ class Ranks:
             f"{self.coefficients} coefficients; rank of their regressor {self.regressor}; needed"
             f" {self.needed}"
         )
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> "Ranks":
+        """From a finished row."""
+        return cls(**{field.name: row[field.name] for field in dataclasses.fields(cls)})
 
     @property
     def agree(self) -> bool:
@@ -164,21 +172,27 @@ def example_system(example: Example) -> System:
 
 def study(options: argparse.Namespace) -> int:
     """Prints a line for each system whose numbers differ, and how many agree."""
-    rng = np.random.default_rng(options.seed)
+    code = [Path(__file__), *sorted((Path(__file__).parent / "examples").glob("*.*"))]
+    rows = Rows(options.output / "rows.jsonl", ("system",), made_of({"seed": options.seed}, code))
+    numbers = range(1, options.systems + 1)
+    everything = {example.name: example for example in EXAMPLES} | {
+        f"random {number}": number for number in numbers
+    }
+    for name, source in command.progress(everything.items(), desc="systems", unit="system"):
+        if (name,) not in rows:
+            ranks = ranks_of(*_drawn(source, options.seed))
+            rows.add({"system": name, **dataclasses.asdict(ranks)})
     differing = 0
     for example in EXAMPLES:
-        ranks = ranks_of(example_system(example), rng, example.truth)
+        ranks = Ranks.of_row(rows[example.name,])
         differing += not ranks.agree
-        print(f"{example.name}: {ranks}", flush=True)
-    agreeing, coefficients = 0, []
-    numbers = range(1, options.systems + 1)
-    for number in command.progress(numbers, desc="random systems", unit="system"):
-        system = random_system(rng)
-        ranks = ranks_of(system, rng)
-        agreeing += ranks.agree
-        coefficients.append(ranks.coefficients)
+        print(f"{example.name}: {ranks}")
+    drawn = {number: Ranks.of_row(rows[f"random {number}",]) for number in numbers}
+    for number, ranks in drawn.items():
         if not ranks.agree:
-            print(f"system {number}: {ranks}\n{system}")
+            print(f"system {number}: {ranks}\n{_drawn(number, options.seed)[0]}")
+    agreeing = sum(ranks.agree for ranks in drawn.values())
+    coefficients = [ranks.coefficients for ranks in drawn.values()]
     print(
         f"{agreeing} of {options.systems} systems: as many coefficients as the equations need;"
         f" {min(coefficients)} to {max(coefficients)} of them"
@@ -186,15 +200,31 @@ def study(options: argparse.Namespace) -> int:
     return 0 if agreeing == options.systems and not differing else 1
 
 
+def _drawn(
+    source: Example | int, seed: int
+) -> tuple[System, np.random.Generator, Mapping[str, float] | None]:
+    """A worked example, or the random system of a number, and what its ranks are taken with.
+
+    Each has random numbers of its own, so that a run that goes on draws what one run would.
+    """
+    if isinstance(source, int):
+        rng = np.random.default_rng([seed, source])
+        return random_system(rng), rng, None
+    return example_system(source), np.random.default_rng(seed), source.truth
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command.new_parser(__doc__, "minimal_sets")
     parser.add_argument("--systems", type=int, default=100, help="how many are drawn")
     parser.add_argument("--seed", type=int, default=0)
     options = command.parse(parser, arguments, systems=20)
     command.require_least(parser, options, systems=1, seed=0)
-    return command.run(parser, lambda: study(options), seconds=12 + 0.2 * options.systems)
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=12 + 0.2 * options.systems,
+    )
 
 
 if __name__ == "__main__":

@@ -253,7 +253,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--motions", type=int, default=20, help="different ones of each system")
     parser.add_argument("--simulations", type=int, default=20, help="validation recordings of each")
     parser.add_argument("--examples", nargs="+", default=list(EXAMPLES), metavar="NAME")
-    options = command.parse(parser, argv, recordings=4, motions=2, simulations=1)
+    quick = {"examples": ["cart-pole", "vehicle", "tanks", "lorenz"], "recordings": 2}
+    options = command.parse(parser, argv, motions=2, simulations=1, **quick)
     command.require_least(parser, options, recordings=1, motions=1, simulations=0)
     command.require_some_of(parser, "example", options.examples, tuple(EXAMPLES))
     return command.run(

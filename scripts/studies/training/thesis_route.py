@@ -1,6 +1,7 @@
 """The training of Section 7.5: backpropagation, then bouts with PERAL, then better thresholds."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -100,6 +101,7 @@ def thesis_route(
     least_reduction: float = 1e-3,
     epochs: int = 5000,
     progress: bool = False,
+    checkpoints: Path | None = None,
 ) -> ThesisRoute:
     """Identifies coefficients as the thesis does: by training, from zero weights.
 
@@ -118,13 +120,14 @@ def thesis_route(
     - `every`: so many patterns become one: the first of them.
     - `least_reduction`: an epoch's, at which training ends [N m]; 0.001 in the thesis.
     - `epochs`: of a training at most.
+    - `checkpoints`: a folder to save both trainings in, from which an interrupted run goes on.
     """
     arm = inverse_dynamics(network)
     first_preparation = dataclasses.replace(
         preparation, threshold_fraction=_FIRST_FRACTION, thresholds=None
     )
 
-    def stage(patterns: jc.Patterns, thresholds: np.ndarray, start: Array) -> Stage:
+    def stage(name: str, patterns: jc.Patterns, thresholds: np.ndarray, start: Array) -> Stage:
         part = jax.tree.map(lambda values: np.asarray(values)[::every], patterns)
         training_set = examples(arm, part, part.torque, part.mask)
         (hand_over,) = np.asarray(jc.compare(network, part, {"": measured}).epsilon).tolist()
@@ -135,6 +138,7 @@ def thesis_route(
             plan_of(hand_over, least_reduction),
             epochs=epochs,
             keep_weights=False,
+            checkpoint=None if checkpoints is None else checkpoints / f"{name}.npz",
             progress=progress,
             throw=False,
         )
@@ -142,7 +146,7 @@ def thesis_route(
 
     patterns = first_preparation.patterns(recording)
     thresholds = friction_thresholds(np.asarray(patterns.qd), _FIRST_FRACTION)
-    first = stage(patterns, thresholds, jnp.zeros(network.size))
+    first = stage("first", patterns, thresholds, jnp.zeros(network.size))
     predicted = np.asarray(predicted_torque(network, patterns, first.training.weights))
     static_friction = thresholds_from_residuals(
         np.asarray(patterns.qd),
@@ -153,5 +157,7 @@ def thesis_route(
     later = dataclasses.replace(
         preparation, threshold_fraction=None, thresholds=tuple(static_friction.thresholds.tolist())
     )
-    second = stage(later.patterns(recording), static_friction.thresholds, first.training.weights)
+    second = stage(
+        "second", later.patterns(recording), static_friction.thresholds, first.training.weights
+    )
     return ThesisRoute(first, second, static_friction)
