@@ -104,6 +104,7 @@ def resample(
         None if fresh.acceleration is None else between(fresh.acceleration),
         joint_names=fresh.joint_names,
         notes=fresh.notes,
+        torque_measured=fresh.torque_measured,
     )
 
 

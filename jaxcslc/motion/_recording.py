@@ -136,6 +136,9 @@ class Recording(eqx.Module):
         recorded [rad/s, rad/s² or m/s, m/s²].
     - `joint_names`: of the joints, where the recording has such.
     - `notes`: sentences about what was decided in reading it; `identify` repeats them.
+    - `torque_measured`: whether torques are measurements of the samples' instants, and not demands
+        that a drive holds to the next one. `choose_settings` relies on it where the recording
+        itself does not show which torque belongs to a sample.
 
     Those of motion are float64 arrays.
 
@@ -154,6 +157,7 @@ class Recording(eqx.Module):
     acceleration: Float[np.ndarray, "samples joints"] | None
     joint_names: tuple[str, ...] | None = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
+    torque_measured: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -165,6 +169,7 @@ class Recording(eqx.Module):
         *,
         joint_names: Sequence[str] | None = None,
         notes: Sequence[str] = (),
+        torque_measured: bool = False,
     ):
         """**Arguments**
 
@@ -185,6 +190,7 @@ class Recording(eqx.Module):
         )
         self.joint_names = None if joint_names is None else tuple(joint_names)
         self.notes = tuple(notes)
+        self.torque_measured = torque_measured
         # Checked here and not in `__check_init__`, so that the message is this one whether or
         # not a run-time checker of the shape annotations is at work.
         quantities = {
@@ -248,6 +254,7 @@ class Recording(eqx.Module):
             None if self.acceleration is None else self.acceleration[selected],
             joint_names=self.joint_names,
             notes=self.notes,
+            torque_measured=self.torque_measured,
         )
 
     def between(self, start: float, end: float) -> "Recording":

@@ -22,13 +22,14 @@ def test_python(
         monkeypatch.chdir(folder)
         exec(compile(example, "docs/recordings.md", "exec"), {})
         printed.append(capsys.readouterr().out)
-    named, table, mapped, arrays, universal, franka, bag = printed
+    named, table, mapped, arrays, universal, franka, bag, measured = printed
     assert named == "('shoulder', 'elbow') [1.571 0.   ]\n"
     assert table == "0 64\n64 36\n"
     assert mapped == "[0. 1. 2. 3. 4. 5.]\n"
     assert arrays == "('shoulder', 'elbow')\n"
     assert "which the controller computes from its own model" in universal
     assert franka == "[0.    0.001 0.002 0.003 0.004 0.005]\n"
+    assert measured == ""
     assert "[2. 1.] ('not of the robot, and not read: gripper',)" in bag
 
 

@@ -33,7 +33,8 @@ class Candidates:
 
     Every combination is a candidate. Except for the torque alignments, each tuple is in order:
     the search climbs along it from neighbour to neighbour. Steps of about √2 in a spacing and of
-    2 in a cut-off are as fine as a recording can distinguish.
+    2 in a cut-off are as fine as a recording can distinguish. The first of the torque alignments
+    is the convention that is kept where the recording does not show another one.
 
     **Attributes**
 
@@ -59,7 +60,7 @@ class Candidates:
         *(SavitzkyGolay(window) for window in _WINDOWS),
     )
     velocities: tuple[VelocitySource, ...] = ("position",)
-    torque_alignments: tuple[TorqueAlignment, ...] = ("sample", "mean", "previous")
+    torque_alignments: tuple[TorqueAlignment, ...] = ("mean", "sample", "previous")
     torque_lags: tuple[float, ...] = (0.0,)
     threshold_fractions: tuple[float | tuple[float, ...], ...] = _THRESHOLD_FRACTIONS
     cutoffs: tuple[float | None, ...] = (None, *_CUTOFFS)
@@ -76,7 +77,9 @@ class Candidates:
 
         Filters need uniform time and a sampling rate well above their cut-off; splines need some
         twenty knots, windows twenty times their length. Joints with a term of static friction
-        keep their slow pairs (see `Preparation.with_static_friction`).
+        keep their slow pairs (see `Preparation.with_static_friction`). By convention, torques that
+        were measured (`Recording.torque_measured`) belong to their samples; of demands, which a
+        drive holds, the mean of the two that meet at a sample does.
 
         **Arguments**
 
@@ -102,6 +105,9 @@ class Candidates:
                 *map(SavitzkyGolay, windows),
             ),
             velocities=("position",) if recording.velocity is None else ("position", "recorded"),
+            torque_alignments=("sample", "mean", "previous")
+            if recording.torque_measured
+            else ("mean", "sample", "previous"),
             threshold_fractions=tuple(
                 static_fractions(fraction, static) for fraction in _THRESHOLD_FRACTIONS
             ),

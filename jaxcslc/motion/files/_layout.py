@@ -52,6 +52,7 @@ class Layout:
     - `relative`: whether time counts from the first sample, as where the file counts from 1970.
     - `notes`: sentences about what was decided in reading the file.
     - `hint`: why a quantity is missing, for messages.
+    - `torque_measured`: as of `Recording`.
     """
 
     time_column: Column
@@ -60,6 +61,7 @@ class Layout:
     relative: bool = True
     notes: tuple[str, ...] = ()
     hint: str = ""
+    torque_measured: bool = True
 
     @property
     def joints(self) -> int:

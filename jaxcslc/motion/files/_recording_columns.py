@@ -68,6 +68,7 @@ def checked_columns(file: str, names: Sequence[str]) -> Layout:
             if present
         },
         relative=False,
+        torque_measured=False,
     )
 
 

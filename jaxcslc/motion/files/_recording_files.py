@@ -104,6 +104,7 @@ def load_recording(
         **layout.split(table),  # pyright: ignore[reportArgumentType]
         joint_names=layout.joint_names,
         notes=layout.notes,
+        torque_measured=layout.torque_measured,
     )
 
 

@@ -39,8 +39,8 @@ _EPSILON = """\
 One ε, judged in two ways. *mean ε* is judged as in the thesis, alike for both machines: positions
 smoothed by splines of 17 samples, the mean of the demands before and after a sample, joints that
 move faster than 0.01 rad/s. *As jaxcslc identify judges*: the recording is prepared by the settings
-that were chosen for the fit, which differ in which demand belongs to a sample and from which
-speed on a joint counts. The command gives the same number:
+that were chosen for the fit, which differ in the speed from which on a joint counts. The command
+gives the same number:
 
 ```sh
 .venv/bin/jaxcslc identify puma560 build/demo/puma_a_training.csv \\
@@ -57,12 +57,13 @@ it, or all of them, as `jaxcslc identify` prints them:
 """
 
 _INTERVALS_RESULT = """\
-Of 43 intervals, 95 % are 41. Those of the standard error alone fall short, above all because of
-timing: cross-validation prefers the demand at the sample for PUMA A and the one before for PUMA B,
-each half a sample from the mean of both. That mean would leave 1 % or less of error in the viscous
-friction of joints 5 and 6; as chosen, it is wrong by 6.6 and 12 % on PUMA A, 18 and 17 standard
-errors, and by 3.4 and 6.8 % on PUMA B. The three intervals that stay without the truth are PUMA A's
-kM17, kG3 and kG5.
+Of 43 intervals, 95 % are 41. Those of the standard error alone fall short. The viscous friction of
+the wrist is within 1 % of the truth on both machines, since a sample has the mean of the demands
+before and after it. Held-out errors do not show that here: by them alone, it would be the demand at
+the sample for PUMA A and the one before for PUMA B, and joint 6's viscous friction would be wrong
+by 12 and 6.8 %
+([which torque belongs to a sample](recordings.md#which-torque-belongs-to-a-sample)). The interval
+that stays without the truth is PUMA A's kM17.
 """
 
 _LINEARITY = """\
@@ -126,7 +127,7 @@ What would better thresholds gain? The fit of the table above, under others:
 _THRESHOLDS_END = """\
 Automatic thresholds change little, since most joints do not show theirs. Nor are the right ones,
 those of Fig. B.6, better than what cross-validation chooses (`jc.choose_settings`): in this run
-they take a quarter off PUMA A's error and nothing off PUMA B's; with `--seed 3` and `--seed 5`,
+they take a fifth off PUMA A's error and nothing off PUMA B's; with `--seed 3` and `--seed 5`,
 where cross-validation chose a tenth of top speed, they add more than a tenth to PUMA A's.
 """
 

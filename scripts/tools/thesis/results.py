@@ -2,10 +2,14 @@
 
 import csv
 import functools
+import shutil
 from pathlib import Path
 
 
 FOLDER = Path(__file__).parent / "results"
+IMAGES = Path(__file__).parents[3] / "docs" / "images"
+# Pictures that pages show, by the folder of their study.
+PICTURES = {"demo": ("figure_7.4-1.png",)}
 # Folder, the command that writes it, and the tables that the pages read.
 STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
     "demo": (
@@ -35,27 +39,30 @@ STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
-def collect(build: Path, folder: Path = FOLDER) -> list[Path]:
-    """Copies the tables of every study that lies in `build`.
+def collect(build: Path, folder: Path = FOLDER, images: Path = IMAGES) -> list[Path]:
+    """Copies the tables and pictures of every study that lies in `build`.
 
     **Returns** the copies.
 
     **Raises**
 
-    - `ValueError`: a study's folder lacks one of its tables, or `build` has no study.
+    - `ValueError`: a study's folder lacks one of its files, or `build` has no study.
     """
     copies: list[Path] = []
     for study, (command, names) in STUDIES.items():
         if not (build / study).is_dir():
             continue
-        for name in names:
+        for name in (*names, *PICTURES.get(study, ())):
             if not (build / study / name).is_file():
                 raise ValueError(
                     f"{build / study / name}: no such file; expected that of {command}"
                 )
-            (folder / study).mkdir(parents=True, exist_ok=True)
-            copy = folder / study / name
-            copy.write_text((build / study / name).read_text(encoding="utf-8"), encoding="utf-8")
+            copy = folder / study / name if name in names else images / name
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            if name in names:  # with the line ends of text files here
+                copy.write_text((build / study / name).read_text("utf-8"), encoding="utf-8")
+            else:
+                shutil.copyfile(build / study / name, copy)
             copies.append(copy)
     if not copies:
         raise ValueError(f"{build}: holds none of {', '.join(STUDIES)}")

@@ -135,16 +135,17 @@ def test_mistakes_in_entries_are_named(tmp_path: Path) -> None:
 
 
 def test_results_are_copied_from_a_study_s_folder(tmp_path: Path) -> None:
-    copies = tmp_path / "copies"
+    copies, images = tmp_path / "copies", tmp_path / "images"
     with pytest.raises(ValueError, match="holds none of demo"):
-        results.collect(tmp_path, copies)
+        results.collect(tmp_path, copies, images)
     demo = tmp_path / "demo"
     demo.mkdir()
-    names = results.STUDIES["demo"][1]
+    names = (*results.STUDIES["demo"][1], *results.PICTURES["demo"])
     for name in names[1:]:
         (demo / name).write_text(name, encoding="utf-8")
     with pytest.raises(ValueError, match=rf"{names[0]}: no such file; expected that of make demo"):
-        results.collect(tmp_path, copies)
+        results.collect(tmp_path, copies, images)
     (demo / names[0]).write_text(names[0], encoding="utf-8")
-    copied = results.collect(tmp_path, copies)
+    copied = results.collect(tmp_path, copies, images)
     assert [path.read_text(encoding="utf-8") for path in copied] == list(names)
+    assert {path.name for path in images.iterdir()} == set(results.PICTURES["demo"])

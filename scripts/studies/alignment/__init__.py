@@ -1,0 +1,1 @@
+"""How often the torque that belongs to a sample is recognised."""
