@@ -1,0 +1,1 @@
+"""How often recordings are said to disagree."""
