@@ -274,7 +274,11 @@ def _searched(
     rcond: float | None,
     max_steps: int,
 ) -> _Search:
-    """Levenberg and Marquardt's method on the logarithms of the slopes, within their bounds."""
+    """Levenberg and Marquardt's method on the logarithms of the slopes, within their bounds.
+
+    (Optimistix's has no bounds, and would factorise all equations again in each step, where the
+    solver's triangles make one of a few dozen rows.)
+    """
     p = equations.unknowns.size - len(slopes)
     solution, squares = _evaluated(equations, slopes, weights, rcond)
     damping = _DAMPING

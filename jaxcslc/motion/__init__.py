@@ -50,7 +50,6 @@ from ._residual_thresholds import (
     thresholds_from_residuals as thresholds_from_residuals,
 )
 from ._sampling import (
-    MEDIAN_MODULUS as MEDIAN_MODULUS,
     Sampling as Sampling,
     encoder_resolution as encoder_resolution,
     noise_level as noise_level,

@@ -14,8 +14,6 @@ _REGULAR = 0.01
 _ORDER = 6  # of the differences that noise is seen in
 # Third differences that see more than so many times as much as sixth ones have seen motion.
 _MOTION = 1.5
-MEDIAN_MODULUS = 0.6744897501960817
-"""Of a normal distribution of unit deviation."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,7 +162,7 @@ def noise_level(values: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray
     # 0.6745 is the median absolute value of a normal variable of unit deviation.
     scatter = third / (0.6745 * np.sqrt(20.0))
     if len(differences := sixth_differences(values)):
-        sixth = np.median(np.abs(differences), axis=0) / MEDIAN_MODULUS
+        sixth = np.median(np.abs(differences), axis=0) / 0.6745
         scatter = np.where(scatter > _MOTION * sixth, sixth, scatter)
     return np.maximum(scatter, encoder_resolution(values) / np.sqrt(12.0))
 

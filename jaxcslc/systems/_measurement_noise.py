@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..motion import MEDIAN_MODULUS, sixth_differences
+from ..motion import sixth_differences
 from ._recording import SystemRecording
 
 
@@ -46,7 +46,8 @@ def measurement_noise(system: "System", recording: SystemRecording) -> dict[str,
     differences = sixth_differences(columns, recording.time)
     if not len(differences):
         return dict.fromkeys(system.column_names, 0.0)
-    typical = np.median(np.abs(differences), axis=0) / MEDIAN_MODULUS
+    # 0.6745 is the median modulus of a normal variable of unit deviation.
+    typical = np.median(np.abs(differences), axis=0) / 0.6745
     levels = np.where(typical > 0.0, typical, np.sqrt(np.mean(differences**2, axis=0)))
     return dict(zip(system.column_names, levels.tolist(), strict=True))
 

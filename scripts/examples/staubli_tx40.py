@@ -191,7 +191,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--friction-models", type=int, nargs="+", default=numbers,
                         metavar="NUMBER", help="friction models to try, from 0")  # fmt: skip
     parser.add_argument("--cutoffs", type=float, nargs="+", default=CUTOFFS, help="to try [Hz]")
-    parser.add_argument("--rest", type=float, nargs="+", default=REST,
+    parser.add_argument("--rest", type=float, nargs="+", default=REST, dest="rest_speeds",
                         help="speeds of rest to try [rad/s]")  # fmt: skip
     options = parser.parse_args(argv)
     if not 1 <= options.step <= 100:
@@ -201,7 +201,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"--friction-models are {options.friction_models}; expected numbers from 0 to"
             f" {numbers[-1]}"
         )
-    if min(options.cutoffs) <= 0 or min(options.rest) < 0:
+    if min(options.cutoffs) <= 0 or min(options.rest_speeds) < 0:
         parser.error("--cutoffs must be above 0 and --rest 0 or more")
     try:
         recording = read_recording(options.folder)
@@ -209,7 +209,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     models = [FRICTION_MODELS[number] for number in dict.fromkeys(options.friction_models)]
-    settings = product(models, options.cutoffs, options.rest)
+    settings = product(models, options.cutoffs, options.rest_speeds)
     candidates = [Candidate(*values) for values in settings]
     scores, best, network, fit = study(recording, candidates, options.step)
     print(f"{recording.samples} rows; {network}")
