@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .._scratch import unfinished
 from .._text_table import text_table
 from ..identification import PhysicalParameters, physical_parameters
 from ..identification.solver import Identification
@@ -144,8 +145,9 @@ def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
     # The source includes its header by name.
     text = code.source.replace(f'#include "{code.name}.h"', f'#include "{header.name}"')
     source.parent.mkdir(parents=True, exist_ok=True)
-    header.write_text(code.header, encoding="ascii")
-    source.write_text(text, encoding="ascii")
+    with unfinished(header) as header_file, unfinished(source) as source_file:
+        header_file.write_text(code.header, encoding="ascii")
+        source_file.write_text(text, encoding="ascii")
     return source, header
 
 

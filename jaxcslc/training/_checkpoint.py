@@ -1,6 +1,4 @@
 import hashlib
-import os
-import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._scratch import unfinished
 from ._epoch import Record, State
 
 
@@ -63,15 +62,8 @@ class Checkpoint:
             if (value := getattr(whole, name)) is not None:
                 content[f"record_{name}"] = value
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            dir=self.path.parent, prefix=f".{self.path.name}-", delete=False
-        ) as file:
-            try:
-                np.savez(file, **content)
-            except BaseException:
-                os.unlink(file.name)
-                raise
-        os.replace(file.name, self.path)
+        with unfinished(self.path) as path, path.open("wb") as file:
+            np.savez(file, **content)
 
 
 def _plain(leaf: Any) -> np.ndarray:

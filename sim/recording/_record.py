@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 from tqdm import tqdm
 
 from jaxcslc._environment import require
+from jaxcslc._scratch import remove_left_behind
 
 from ..engine import SimulatedRecording, SimulationError, perform, structure, thread_count
 from ..machine import Machine, MachineError
@@ -122,6 +123,8 @@ def record_each(
         raise ValueError(f"side_by_side is {size}; expected 1 or more")
     run = _runner(backend, threads)
     folder = None if store is None else Path(store)
+    if folder is not None:
+        remove_left_behind(folder)
     names = [""] * len(jobs) if folder is None else [_name(job, backend) for job in jobs]
     with tqdm(
         total=sum(job.trajectory.samples for job in jobs),

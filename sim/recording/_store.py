@@ -1,11 +1,10 @@
 import dataclasses
-import os
-import tempfile
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from jaxcslc._scratch import unfinished
 from jaxcslc.motion import Recording
 
 from ..engine import SimulatedRecording, Truth
@@ -26,20 +25,14 @@ def save(folder: Path, name: str, result: SimulatedRecording) -> None:
         for field in dataclasses.fields(result.truth)
         if field.name != "time"
     }
-    handle, path = tempfile.mkstemp(dir=folder, prefix=f".{name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(
-                file,
-                time=result.recording.time,
-                reading=result.recording.position,
-                demand=result.recording.torque,
-                **truth,
-            )
-        os.replace(path, folder / f"{name}.npz")
-    except BaseException:
-        Path(path).unlink(missing_ok=True)
-        raise
+    with unfinished(folder / f"{name}.npz", clean=False) as path:
+        np.savez(
+            path,
+            time=result.recording.time,
+            reading=result.recording.position,
+            demand=result.recording.torque,
+            **truth,
+        )
 
 
 def load(folder: Path, name: str) -> SimulatedRecording | None:

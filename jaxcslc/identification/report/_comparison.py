@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ..._scratch import unfinished
 from ..._text_table import text_table
 from ...page import (
     Column,
@@ -150,7 +151,8 @@ class ReportComparison:
 
         - `OSError`: the file cannot be written.
         """
-        Path(path).write_text(render(self.page(), interactive=False), encoding="utf-8")
+        with unfinished(Path(path)) as file:
+            file.write_text(render(self.page(), interactive=False), encoding="utf-8")
 
     def __str__(self) -> str:
         _, headline, messages = self.verdict

@@ -1,18 +1,16 @@
 import contextlib
 import csv
-import glob
 import json
 import math
 import os
-import platform
-import shutil
-import tempfile
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array
+
+from ..._scratch import scratch_folder
 
 
 def check_output_folder(folder: Path) -> None:
@@ -37,31 +35,11 @@ def all_or_nothing(folder: Path) -> Generator[Path]:
     """
     check_output_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    prefix = f".{folder.name}-{platform.node()}-"
-    for left in folder.parent.glob(f"{glob.escape(prefix)}*-*"):
-        process = left.name.removeprefix(prefix).partition("-")[0]
-        if process.isdecimal() and not _is_running(int(process)):
-            shutil.rmtree(left, ignore_errors=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f"{prefix}{os.getpid()}-", dir=folder.parent))
-    try:
+    with scratch_folder(folder.parent, folder.name) as scratch:
         yield scratch
         folder.mkdir(exist_ok=True)
         for path in sorted(scratch.iterdir()):
             os.replace(path, folder / path.name)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-
-
-def _is_running(process: int) -> bool:
-    if os.name != "posix":  # where the call below would interrupt the process
-        return True
-    try:
-        os.kill(process, 0)  # sends nothing
-    except ProcessLookupError:
-        return False
-    except OSError:  # another user's, or a number that no process has
-        pass
-    return True
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

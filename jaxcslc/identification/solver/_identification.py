@@ -12,6 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._environment import require
+from ..._scratch import unfinished
 from ._undetermined import describe
 
 
@@ -205,7 +206,8 @@ class Identification(eqx.Module):
         - `OSError`: the file cannot be written.
         """
         text = json.dumps(self.document(), indent=1, allow_nan=False) + "\n"
-        Path(path).write_text(text, encoding="utf-8")
+        with unfinished(Path(path)) as file:
+            file.write_text(text, encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path | str) -> "Identification":

@@ -1,7 +1,6 @@
 import dataclasses
 import os
 import re
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from ..._scratch import unfinished
 from .. import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
 from ._column_mapping import ColumnMapping
 from ._layout import Header, Layout, is_numbered
@@ -260,10 +260,8 @@ def save_recording(
         )
     parts = [recording] if isinstance(recording, Recording) else recording
     try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            unfinished = Path(folder) / path.name
-            write_tables(map(_columns_of, parts), unfinished, path)
-            unfinished.replace(path)
+        with unfinished(path) as file:
+            write_tables(map(_columns_of, parts), file, path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
 

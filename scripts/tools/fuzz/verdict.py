@@ -1,7 +1,9 @@
 """Runs a case in this process, and says what is wrong with how the command ended."""
 
 import contextlib
+import os
 import shutil
+import tempfile
 import time
 import traceback
 import warnings
@@ -32,11 +34,13 @@ def run_case(number: int, templates: Path, folder: Path) -> Row:
     example = case(number, templates, folder)
     before = {path: path.read_bytes() for path in _files(folder)}
     start = time.monotonic()
-    with _in(folder), warnings.catch_warnings():
+    with _in(folder), warnings.catch_warnings(), _library_output() as printed:
         warnings.filterwarnings("ignore", category=RuntimeWarning)  # as the command itself does
         result = CliRunner().invoke(app, example.arguments)
     seconds = time.monotonic() - start
     fault = _fault(example, result, folder, before, seconds)
+    if fault is None and printed:
+        fault = f"a library printed {printed[0][-300:]!r}"
     return {
         "case": number,
         "kind": example.kind,
@@ -60,7 +64,7 @@ def _fault(
     if seconds > MOST_SECONDS:
         return f"took {seconds:.1f} s: {' '.join(example.arguments)}"
     lines = [line for line in result.stderr.splitlines() if line.strip()]
-    usage = any(line.startswith("Usage: ") for line in lines)
+    usage = any(line.startswith(("Usage: ", "╭─ Error")) for line in lines)
     if result.exit_code == 2 and not usage:
         if len(lines) != 1 or not lines[0].startswith("jaxcslc: "):
             return f"expected one line, got {result.stderr[-500:]!r}"
@@ -84,6 +88,23 @@ def _files(folder: Path) -> list[Path]:
 
 def _content(path: Path) -> bytes | None:
     return path.read_bytes() if path.is_file() else None
+
+
+@contextlib.contextmanager
+def _library_output() -> Generator[list[str]]:
+    """What libraries in C print, past Python's streams, on standard error; empty if nothing."""
+    printed: list[str] = []
+    before = os.dup(2)
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            yield printed
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            file.seek(0)
+            if text := file.read().decode(errors="replace").strip():
+                printed.append(text)
 
 
 @contextlib.contextmanager

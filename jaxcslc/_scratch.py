@@ -1,0 +1,75 @@
+import contextlib
+import glob
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Generator
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def scratch_folder(parent: Path, name: str) -> Generator[Path]:
+    """A hidden folder in `parent` for what is to become `name`; removed at the end.
+
+    So is what processes that were killed left behind of it.
+    """
+    remove_left_behind(parent, name)
+    with _new_scratch_folder(parent, name) as scratch:
+        yield scratch
+
+
+@contextlib.contextmanager
+def unfinished(path: Path, *, clean: bool = True) -> Generator[Path]:
+    """A file of that name to write, which takes the place of `path` once it is whole.
+
+    If writing fails, or the process is killed, `path` stays as it was.
+
+    **Arguments**
+
+    - `path`: its folder exists.
+    - `clean`: whether to look for what killed processes left of it. With many files in a folder,
+      `remove_left_behind` does it once for all of them.
+    """
+    if clean:
+        remove_left_behind(path.parent, path.name)
+    with _new_scratch_folder(path.parent, path.name) as scratch:
+        yield scratch / path.name
+        os.replace(scratch / path.name, path)
+
+
+def remove_left_behind(parent: Path, name: str | None = None) -> None:
+    """Removes scratch folders of processes of this machine that are no more.
+
+    **Arguments**
+
+    - `name`: what they were to become; of any name if omitted.
+    """
+    node = platform.node()
+    stem = "*" if name is None else glob.escape(name)
+    for left in parent.glob(f".{stem}-{glob.escape(node)}-*-*"):
+        process = left.name.rpartition(f"-{node}-")[2].partition("-")[0]
+        if process.isdecimal() and not _is_running(int(process)):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _new_scratch_folder(parent: Path, name: str) -> Generator[Path]:
+    prefix = f".{name}-{platform.node()}-{os.getpid()}-"
+    scratch = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _is_running(process: int) -> bool:
+    if os.name != "posix":  # where the call below would interrupt the process
+        return True
+    try:
+        os.kill(process, 0)  # sends nothing
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's, or a number that no process has
+        pass
+    return True
