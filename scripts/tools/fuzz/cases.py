@@ -31,10 +31,15 @@ def case(number: int, templates: Path, folder: Path) -> Case:
 
     The same number makes the same case, whatever was run before.
     """
-    draw = random.Random(f"case {number}")
-    kind = draw.choices(list(KINDS), [share for share, _ in KINDS.values()])[0]
-    arguments = KINDS[kind][1](draw, templates, folder)
+    kind = kind_of(number)
+    arguments = KINDS[kind][1](random.Random(f"case {number}"), templates, folder)
     return Case(number, kind, [str(argument) for argument in arguments])
+
+
+def kind_of(number: int) -> str:
+    """What the case of a number mutates."""
+    shares = [share for share, _ in KINDS.values()]
+    return random.Random(f"kind {number}").choices(list(KINDS), shares)[0]
 
 
 Arguments = list[object]

@@ -156,6 +156,19 @@ def write_templates(folder: Path) -> None:
 
     - `RuntimeError`: if the identification fails.
     """
+    write_inputs(folder)
+    recording = simulated(folder / "arm.toml")
+    _write_tables(folder, recording)
+    _write_bags(folder, recording)
+    names = ("identify", folder / "arm.toml", folder / "log.csv", "-o", folder / "result")
+    settings = ("--settings", folder / "settings.json", "--no-check", "--no-systematic")
+    done = CliRunner().invoke(app, list(map(str, (*names, *settings))))
+    if done.exit_code:
+        raise RuntimeError(f"the templates' identification failed: {done.output}")
+
+
+def write_inputs(folder: Path) -> None:
+    """Writes robots, mapping and settings: what needs no computation."""
     texts = {
         "every_key.toml": TOML,
         "arm.urdf": URDF,
@@ -167,14 +180,6 @@ def write_templates(folder: Path) -> None:
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    recording = simulated(folder / "arm.toml")
-    _write_tables(folder, recording)
-    _write_bags(folder, recording)
-    names = ("identify", folder / "arm.toml", folder / "log.csv", "-o", folder / "result")
-    settings = ("--settings", folder / "settings.json", "--no-check", "--no-systematic")
-    done = CliRunner().invoke(app, list(map(str, (*names, *settings))))
-    if done.exit_code:
-        raise RuntimeError(f"the templates' identification failed: {done.output}")
 
 
 def simulated(robot: Path) -> jc.Recording:

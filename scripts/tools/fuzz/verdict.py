@@ -1,6 +1,7 @@
 """Runs a case in this process, and says what is wrong with how the command ended."""
 
 import contextlib
+import ctypes
 import os
 import shutil
 import tempfile
@@ -92,16 +93,21 @@ def _content(path: Path) -> bytes | None:
 
 @contextlib.contextmanager
 def _library_output() -> Generator[list[str]]:
-    """What libraries in C print, past Python's streams, on standard error; empty if nothing."""
+    """What libraries in C and Fortran print, past Python's streams; empty if nothing."""
     printed: list[str] = []
-    before = os.dup(2)
+    library = ctypes.CDLL(None)
+    library.fflush(None)
+    before = [os.dup(stream) for stream in (1, 2)]
     with tempfile.TemporaryFile() as file:
-        os.dup2(file.fileno(), 2)
+        for stream in (1, 2):
+            os.dup2(file.fileno(), stream)
         try:
             yield printed
         finally:
-            os.dup2(before, 2)
-            os.close(before)
+            library.fflush(None)
+            for stream, copy in zip((1, 2), before, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)
             file.seek(0)
             if text := file.read().decode(errors="replace").strip():
                 printed.append(text)
