@@ -4,7 +4,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -171,6 +171,16 @@ def command_text(context: CommandContext) -> str:
         for text in value if isinstance(value, list | tuple) else [value]:
             words += [parameter.opts[0], str(text)] if option else [str(text)]
     return shlex.join(words)
+
+
+def choice_of(option: str, value: str, choices: tuple[Any, ...]) -> Any:
+    """The value, one of the choices.
+
+    **Raises** `ValueError` for another.
+    """
+    if value not in choices:
+        raise ValueError(f"{option}: expected {', '.join(choices)}, got {value!r}")
+    return value
 
 
 def is_system(name: str) -> bool:

@@ -39,6 +39,13 @@ def export_command(
     c: Annotated[
         bool, typer.Option("--c", help="Write C code for a controller instead of a robot file.")
     ] = False,
+    motors: Annotated[
+        bool,
+        typer.Option(
+            help="Keep motor inertias apart from bodies: as motor_inertia in TOML, armature in"
+            " MJCF, in NAME.motors.toml beside a URDF; or put what they do into the bodies."
+        ),
+    ] = True,
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
@@ -66,7 +73,15 @@ def export_command(
             text = f"operations: {counts}\nwrote {source} and {header}"
         else:
             text = str(
-                export_robot(saved.network, saved.fit, path, motion=saved.motion, progress=step)
+                export_robot(
+                    saved.network,
+                    saved.fit,
+                    path,
+                    motion=saved.motion,
+                    motors=motors,
+                    systematic=saved.systematic,
+                    progress=step,
+                )
             )
     typer.echo(with_notes(text, saved.network.robot))
 

@@ -1,10 +1,11 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import typer
 
-from ..identification import Settings, identify
+from ..identification import Settings, identify, load_prior
+from ..identification.possible import Choice
 from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
 from ..manipulator import Manipulator
 from ._common import (
@@ -20,6 +21,7 @@ from ._common import (
     SettingsOption,
     TipOption,
     check_no_robot_options,
+    choice_of,
     command_text,
     is_system,
     names_in,
@@ -36,7 +38,9 @@ from ._identify_options import (
     FoldsOption,
     LossOption,
     OffsetsOption,
+    PossibleOption,
     PreviousOption,
+    PriorOption,
     ReidentifyOption,
     SystematicOption,
     TorqueLagOption,
@@ -84,6 +88,8 @@ def identify_command(
     reidentify: ReidentifyOption = None,
     previous: PreviousOption = None,
     systematic: SystematicOption = True,
+    possible: PossibleOption = "auto",
+    prior: PriorOption = None,
 ) -> None:
     """Identify a robot's coefficients from recordings of positions and torques.
 
@@ -111,6 +117,8 @@ def identify_command(
                 folds=folds,
                 checks=check,
                 systematic=systematic,
+                possible=choice_of("--possible", possible, get_args(Choice)),
+                prior=None if prior is None else load_prior(prior),
                 progress=step,
             )
         step("writing")

@@ -49,3 +49,19 @@ SystematicOption = Annotated[
     bool,
     typer.Option(help="Widen a robot's intervals by errors of smoothing and of missing terms."),
 ]
+PossibleOption = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|always|never",
+        help="Fit physically possible bodies along, and use their coefficients where they predict"
+        " motion that was left out better than the free fit; or always; or do not.",
+    ),
+]
+PriorOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PRIORS.TOML",
+        help="What is known of coefficients and links: fixed, bounded, or with an error"
+        " (docs/uncertainty.md).",
+    ),
+]

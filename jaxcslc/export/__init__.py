@@ -4,4 +4,9 @@ from ._export_robot import (
     export_robot as export_robot,
     write_c as write_c,
 )
+from ._motor_file import (
+    motor_file as motor_file,
+    read_motor_inertias as read_motor_inertias,
+    write_motor_inertias as write_motor_inertias,
+)
 from ._write_back import WrittenRobot as WrittenRobot, write_robot as write_robot

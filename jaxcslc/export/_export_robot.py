@@ -6,7 +6,8 @@ import numpy as np
 
 from .._scratch import unfinished
 from .._text_table import text_table
-from ..identification import PhysicalParameters, physical_parameters
+from ..identification import PhysicalParameters, SystematicError, physical_parameters
+from ..identification.possible import fixed_bodies, moved_bodies
 from ..identification.solver import Identification
 from ..motion import Patterns
 from ..network import CSLC
@@ -26,12 +27,14 @@ class RobotExport:
     - `parameters`: the possible link parameters nearest to the identified coefficients.
     - `written`: the file, and the torques that it predicts when it is read again.
     - `measured`: whether torques were compared over recorded motion, not over random states.
+    - `warnings`: about bodies that are far from the fit, a sentence each.
     """
 
     network: CSLC
     parameters: PhysicalParameters
     written: WrittenRobot
     measured: bool
+    warnings: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         written, parameters = self.written, self.parameters
@@ -50,9 +53,12 @@ class RobotExport:
             f"\nRMS difference of torque over {states}",
             text_table(header, rows),
         ]
-        source = self.network.robot.source
-        if source is not None and source.format == "urdf":
-            lines.append("URDF has no element for motor inertia: it was fixed at zero")
+        lines += [f"warning: {warning}" for warning in self.warnings]
+        if written.motors is not None:
+            lines.append(
+                f"URDF has no element for motor inertia: it is in {written.motors}, and the bodies"
+                " are those beside it (--no-motors puts it into the bodies)"
+            )
         if written.left_out:
             lines.append(f"the file has no entry for {', '.join(written.left_out)}: left out")
         lines.append(
@@ -68,12 +74,14 @@ def export_robot(
     path: str | Path,
     *,
     motion: Patterns | None = None,
+    motors: bool = True,
+    systematic: SystematicError | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> RobotExport:
     """Writes the possible parameters nearest to an identification into a copy of the robot's file.
 
-    Bodies that the robot's file fixes to a link keep their numbers; motor inertia is zero
-    where the format has none.
+    Bodies that the robot's file fixes to a link keep their numbers. Motor inertias go to TOML's
+    `motor_inertia`, MJCF's `armature` or, for URDF, a file beside it (`motor_file`).
 
     **Arguments**
 
@@ -81,6 +89,9 @@ def export_robot(
     - `fit`: of this network.
     - `path`: of the file to write, of the same kind as the robot's.
     - `motion`: states at which torques are compared; random ones if omitted.
+    - `motors`: whether joints have motor inertia where the network has it. False fixes it at zero:
+      for a simulator that has none, at the cost of bodies that make up for it.
+    - `systematic`: of the fit: added to the standard errors that movements are counted in.
     - `progress`: is called with a short text at the start of every step.
 
     **Returns**
@@ -109,16 +120,14 @@ def export_robot(
     True
     """
     report = progress or (lambda _: None)
-    source = network.robot.source
-    carried = source.carried if source is not None else None
-    fixed = carried if carried is not None and any(body is not None for body in carried) else None
-    motors = source is None or source.format != "urdf"
+    fixed = fixed_bodies(network.robot)
     states = _state_patterns(network.joint_count) if motion is None else motion
     report("fitting possible bodies")
     parameters = physical_parameters(network, fit, fixed=fixed, patterns=states, motors=motors)
     report("writing and reading again")
     written = write_robot(network, parameters, path, states=(states.q, states.qd, states.qdd))
-    return RobotExport(network, parameters, written, motion is not None)
+    warnings = moved_bodies(network, fit, parameters, systematic, motors=motors)
+    return RobotExport(network, parameters, written, motion is not None, warnings)
 
 
 def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:

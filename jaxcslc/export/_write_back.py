@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..identification import PhysicalParameters
-from ..manipulator import LinkParameters, Manipulator, RobotError, load_robot
+from ..manipulator import Manipulator, RobotError, Source, load_robot
 from ..network import CSLC, derive
+from ._motor_file import motor_file, read_motor_inertias, write_motor_inertias
 from ._parameter_files import STORED, with_parameters
 
 
@@ -30,6 +31,7 @@ class WrittenRobot:
     - `left_out`: names of coefficients that the file cannot store.
     - `rms`, `largest`: (n,) difference between the torque that the file predicts and that of the
       parameters, those left out aside, over the states [N m or N]: rounding.
+    - `motors`: the file of motor inertias beside a URDF; None if there is none.
 
     >>> import jaxcslc as jc
     >>> robot = jc.puma560()
@@ -43,6 +45,7 @@ class WrittenRobot:
     left_out: tuple[str, ...]
     rms: Float[np.ndarray, " joints"]
     largest: Float[np.ndarray, " joints"]
+    motors: Path | None = None
 
 
 def write_robot(
@@ -53,8 +56,9 @@ def write_robot(
     Nothing but numbers of links and joints changes: comments, layout and all that is not dynamics
     stay byte by byte as they are. TOML, URDF and MJCF. TOML takes viscous and dry friction for all
     joints or for none: where some joint has no such term, its keys stay as they are. Slopes of
-    static friction go to the TOML joints that have it. A payload is no part of the robot: it is
-    left out, and the file is that of the arm without it.
+    static friction go to the TOML joints that have it. Motor inertias of a URDF's joints, for which
+    it has no element, go into a file beside it (`motor_file`). A payload is no part of the robot:
+    it is left out, and the file is that of the arm without it.
 
     **Arguments**
 
@@ -118,6 +122,7 @@ def write_robot(
             with contextlib.suppress(OSError):
                 scratch.unlink(missing_ok=True)
     again = load_robot(path, base=source.base, tip=source.tips, fix=source.fix)
+    motors = _motors(path, source, parameters)
     q, qd, qdd = random_states(network.joint_count) if states is None else states
     file_network = derive(again, lengths=network.algebra.lengths)
     assert again.links is not None
@@ -126,9 +131,15 @@ def write_robot(
         for kind, values in (("viscous", again.viscous), ("dry", again.dry))
         if values is not None and kind in stored and kind in parameters.friction
     }
-    from_file = file_network.coefficients_from(again.links, **drives)
-    has_motors = "motor_inertia" in stored
-    links = [link if has_motors else _without_motor(link) for link in parameters.links]
+    links_of_file = again.links
+    if motors is not None:
+        inertias = read_motor_inertias(motors)
+        links_of_file = tuple(
+            dataclasses.replace(link, motor_inertia=inertias[joint])
+            for link, joint in zip(links_of_file, source.joints, strict=True)
+        )
+    from_file = file_network.coefficients_from(links_of_file, **drives)
+    links = parameters.links
     friction: dict[str, Any] = {
         kind: parameters.friction[kind]
         for kind in ("viscous", "dry")
@@ -141,9 +152,10 @@ def write_robot(
     return WrittenRobot(
         path,
         again,
-        tuple(_left_out(network, parameters, stored)),
+        tuple(_left_out(network, stored)),
         np.sqrt(np.mean(change**2, axis=0)),
         np.max(np.abs(change), axis=0),
+        motors,
     )
 
 
@@ -183,15 +195,19 @@ def _slopes(network: CSLC, filed: Manipulator) -> dict[int, float]:
     }
 
 
-def _without_motor(link: LinkParameters) -> LinkParameters:
-    return dataclasses.replace(link, motor_inertia=0.0)
+def _motors(path: Path, source: Source, parameters: PhysicalParameters) -> Path | None:
+    """The file of a URDF's motor inertias, written if there are any; an older one is removed."""
+    if source.format != "urdf":
+        return None
+    inertias = [float(link.motor_inertia) for link in parameters.links]
+    if any(inertias):
+        return write_motor_inertias(path, dict(zip(source.joints, inertias, strict=True)))
+    motor_file(path).unlink(missing_ok=True)
+    return None
 
 
-def _left_out(network: CSLC, parameters: PhysicalParameters, stored: tuple[str, ...]) -> list[str]:
+def _left_out(network: CSLC, stored: tuple[str, ...]) -> list[str]:
     names: list[str] = []
-    if "motor_inertia" not in stored:
-        links = enumerate(parameters.links, start=1)
-        names += [f"Im{i}" for i, link in links if float(link.motor_inertia)]
     for term in network.input_terms:
         if term.kind not in stored:
             names += term.names

@@ -13,11 +13,6 @@ from ._output_error import (
     motion_windows as motion_windows,
 )
 from ._payload_fit import PHYSICAL as PHYSICAL, PayloadFit as PayloadFit
-from ._physical_parameters import (
-    POSSIBILITY as POSSIBILITY,
-    PhysicalParameters as PhysicalParameters,
-    physical_parameters as physical_parameters,
-)
 from ._refinement import Refinement as Refinement, refine_thresholds as refine_thresholds
 from ._reidentification import reidentify as reidentify
 from ._settings import (
@@ -50,6 +45,13 @@ from .likelihood import (
     MaximumLikelihood as MaximumLikelihood,
     TorqueSampling as TorqueSampling,
 )
+from .possible import (
+    POSSIBILITY as POSSIBILITY,
+    PhysicalParameters as PhysicalParameters,
+    PossibleFit as PossibleFit,
+    physical_parameters as physical_parameters,
+)
+from .prior import Known as Known, Prior as Prior, load_prior as load_prior
 from .report import (
     DerivationReport as DerivationReport,
     ErrorTable as ErrorTable,

@@ -144,7 +144,7 @@ def held_out_error(
         predicted = np.asarray(regressor_of(network, patterns) @ fit.k)
         errors.append(np.asarray(patterns.torque) - predicted)
     masks = np.asarray(training.mask), np.asarray(validation.mask)
-    held_out = _judged(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
+    held_out = judged_errors(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
     return dataclasses.replace(held_out, units=network.output_units, names=network.output_names)
 
 
@@ -198,7 +198,7 @@ def cross_validated_error(
     if fit is None:
         fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
     training = torque - regressor @ np.asarray(fit.k)
-    judged = _judged(training, mask, held_out, mask, int(fit.rank))
+    judged = judged_errors(training, mask, held_out, mask, int(fit.rank))
     return dataclasses.replace(
         judged,
         source="cross-validation",
@@ -211,7 +211,7 @@ def left_out_error(
     network: AbstractLinearNetwork,
     patterns: Mapping[str, Patterns],
     fit: Identification,
-    without: Mapping[str, Float[np.ndarray, " coefficients"]],
+    without: Mapping[str, Identification],
 ) -> HeldOut:
     """How each of several recordings is predicted by the coefficients of the others.
 
@@ -220,7 +220,7 @@ def left_out_error(
     - `network`: n joints, p coefficients.
     - `patterns`: by recording.
     - `fit`: to all of them.
-    - `without`: by recording, the coefficients that were fitted without it.
+    - `without`: by recording, the fit without it.
 
     **Returns** a `HeldOut`; its training error is that of the fit to everything.
     """
@@ -229,10 +229,10 @@ def left_out_error(
     for name, values in patterns.items():
         regressor, torque = np.asarray(regressor_of(network, values)), np.asarray(values.torque)
         training.append(torque - regressor @ np.asarray(fit.k))
-        held_out.append(torque - regressor @ without[name])
+        held_out.append(torque - regressor @ np.asarray(without[name].k))
     mask = np.concatenate([np.asarray(values.mask) for values in patterns.values()])
     errors = np.concatenate(training), np.concatenate(held_out)
-    judged = _judged(errors[0], mask, errors[1], mask, int(fit.rank))
+    judged = judged_errors(errors[0], mask, errors[1], mask, int(fit.rank))
     return dataclasses.replace(
         judged,
         source="left-out recording",
@@ -241,13 +241,17 @@ def left_out_error(
     )
 
 
-def _judged(
+def judged_errors(
     training: np.ndarray,
     training_mask: np.ndarray,
     held_out: np.ndarray,
     held_out_mask: np.ndarray,
     rank: int,
 ) -> HeldOut:
+    """The RMS of errors (samples, n) of both kinds over the pairs of their masks, and its limit.
+
+    - `rank`: of the fit.
+    """
     training_error, training_worth = _root_mean_square(training, training_mask)
     held_out_rms, held_out_worth = _root_mean_square(held_out, held_out_mask)
     share = min(rank / max(float(training_worth.sum()), 1.0), 0.9)

@@ -2,7 +2,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,8 @@ from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import systematic_error
 from .checks import check
+from .possible import Choice, Part, judged_bodies
+from .prior import Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import Candidates, Selection, choose_settings
 from .solver import Identification, LeastSquares, Previous
@@ -37,6 +39,8 @@ def identify(
     folds: int | None = None,
     checks: bool = True,
     systematic: bool = True,
+    possible: Choice = "auto",
+    prior: Prior | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Identifies a robot's coefficients from a recording, and judges the result.
@@ -67,6 +71,13 @@ def identify(
     - `checks`: look for wrong units, signs, times and samples first; see `check`.
     - `systematic`: widen intervals by errors that residuals do not show, and let verdicts know
       them; see `systematic_error`. It costs about one more fit.
+    - `possible`: `"auto"` also fits possible bodies (`physical_parameters`) and uses their
+      coefficients where they predict motion that was not fitted better than the free fit does, by
+      more than noise; `"always"` uses them in any case, `"never"` does not compute them. See
+      `PossibleFit`. Not with `previous`.
+    - `prior`: what is known of coefficients and links: fixed, bounded, or a value with its error,
+      by name. What is known of links makes the coefficients of possible bodies be used, which alone
+      can follow it. Not with `previous`.
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** a `Report`.
@@ -76,7 +87,9 @@ def identify(
     - `ValueError`: only one of `previous` and `groups`; groups or a previous identification that
       are not the network's; a recording that cannot be used, named as training or validation
       recording.
-    - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
+    - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`; with `possible="always"` also as
+      of `physical_parameters`.
+    - `ImportError`: with `possible="always"`, where the conic solver is needed and not installed.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -90,6 +103,17 @@ def identify(
     """
     if (previous is None) != (groups is None):
         raise ValueError("identify: got one of previous and groups; expected both or neither")
+    if possible not in get_args(Choice):
+        raise ValueError(f"possible: expected {', '.join(get_args(Choice))}, got {possible!r}")
+    if possible == "always" and previous is not None:
+        raise ValueError("possible: bodies are of a fit of all coefficients, not with previous")
+    if prior is not None:
+        if previous is not None:
+            raise ValueError("prior: is of a fit of all coefficients, not with previous")
+        if prior.links and possible == "never":
+            raise ValueError("prior, links: possible bodies alone can follow it; got 'never'")
+        prior.coefficient_values(network)
+        prior.link_values(network.robot)
     step = progress or without_progress
     by_name = (
         {"training recording": training} if isinstance(training, Recording) else _by_name(training)
@@ -113,6 +137,8 @@ def identify(
             settings,
             offsets=offsets,
             systematic=systematic,
+            possible=possible,
+            prior=prior,
             adapted=_for_validation,
             data_check=data_check,
             step=step,
@@ -168,21 +194,38 @@ def identify(
     else:
         fit = settings.reidentify(network, patterns["training"], previous, groups)
         vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
+    known = {} if prior is None else prior.coefficient_values(network)
+    fit = with_knowledge(fit, known)
+    shifts = None
+    if systematic:
+        step("computing systematic errors")
+        shifts = systematic_error(network, training, settings, fit, groups=groups)
+        shifts = shifts.without([i for i, entry in known.items() if entry.fixed])
+    bodies, held_out = None, None
+    if previous is None:
+        bodies, held_out, sentences = judged_bodies(
+            network,
+            fit,
+            patterns["training"],
+            lambda: Part.stretches(network, patterns["training"], settings.solver, _FOLDS),
+            choice=possible,
+            prior=prior,
+            systematic=shifts,
+            step=step,
+        )
+        warnings += sentences
+    if bodies is not None:
+        fit, vectors = bodies.fit, bodies.other_coefficients
     step("computing errors")
     errors = {
         name: compare(network, values, {"fit": fit.k, **vectors})
         for name, values in patterns.items()
     }
     excitation = degree_of_excitation(network, patterns["training"]) if previous is None else None
-    held_out = None
     if validation is not None:
         held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
-    elif previous is None:
+    elif previous is None and held_out is None:
         held_out = cross_validated_error(network, patterns["training"], settings, fit=fit)
-    shifts = None
-    if systematic:
-        step("computing systematic errors")
-        shifts = systematic_error(network, training, settings, fit, groups=groups)
     warnings += () if slopes is None else slopes.warnings
     warnings += () if held_out is None else held_out.warnings
     warnings += fit_warnings(network, training, fit, errors["training"])
@@ -199,6 +242,9 @@ def identify(
         None if groups is None else tuple(groups),
         tuple(warnings),
         selection,
+        bodies=None if bodies is None else bodies.parameters,
+        possible=bodies,
+        prior=prior,
         data_check=data_check,
     )
 

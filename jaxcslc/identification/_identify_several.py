@@ -9,6 +9,8 @@ from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import SystematicError, systematic_error
 from .checks import AGREEMENT_KINDS, DataCheck
+from .possible import Choice, Part, judged_bodies
+from .prior import Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import choose_settings
 from .several import RecordingAgreement, fit_recordings
@@ -22,6 +24,8 @@ def identify_several(
     *,
     offsets: bool,
     systematic: bool,
+    possible: Choice,
+    prior: Prior | None,
     adapted: Callable[..., tuple[Settings, list[str]]],
     data_check: DataCheck | None,
     step: Callable[[str], None],
@@ -75,29 +79,48 @@ def identify_several(
     if data_check is not None:
         data_check, agreement = _joined(data_check, several.agreement, list(training))
         several = dataclasses.replace(several, agreement=agreement)
+    known = {} if prior is None else prior.coefficient_values(network)
+    fit = with_knowledge(several.fit, known)
+    together = joined_patterns(list(several.patterns.values()))
+    if shifts is not None:
+        shifts = shifts.without([i for i, entry in known.items() if entry.fixed])
+    vectors = {}
+    bodies, held_out, sentences = judged_bodies(
+        network,
+        fit,
+        together,
+        lambda: Part.recordings(network, several.patterns, several.without),
+        choice=possible,
+        prior=prior,
+        source="left-out recording",
+        systematic=shifts,
+        step=step,
+    )
+    warnings += sentences
+    if bodies is not None:
+        fit, vectors = bodies.fit, bodies.other_coefficients
     step("computing errors")
-    judged: dict[str, Patterns] = {"training": joined_patterns(list(several.patterns.values()))}
-    if validation is None:
-        held_out = left_out_error(network, several.patterns, several.fit, several.without)
-    else:
+    judged: dict[str, Patterns] = {"training": together}
+    if validation is None and held_out is None:
+        held_out = left_out_error(network, several.patterns, fit, several.without)
+    elif validation is not None:
         suited, sentences = adapted(
             network, base, training[main], validation, "validation recording", choose=automatic
         )
         warnings += sentences
         judged["validation"] = suited.patterns(validation)
-        held_out = held_out_error(network, several.fit, judged["training"], judged["validation"])
+        held_out = held_out_error(network, fit, judged["training"], judged["validation"])
     errors = {
-        name: compare(network, values, {"fit": several.fit.k}) for name, values in judged.items()
+        name: compare(network, values, {"fit": fit.k, **vectors}) for name, values in judged.items()
     }
     warnings += several.agreement.warnings
-    warnings += held_out.warnings
-    together = judged["training"]
+    warnings += () if held_out is None else held_out.warnings
     recording = Recording(together.time, together.q, together.torque)
-    warnings += fit_warnings(network, recording, several.fit, errors["training"])
+    warnings += fit_warnings(network, recording, fit, errors["training"])
     return Report(
         network,
         base,
-        several.fit,
+        fit,
         MappingProxyType(judged),
         MappingProxyType(errors),
         degree_of_excitation(network, judged["training"]),
@@ -107,6 +130,9 @@ def identify_several(
         None,
         tuple(warnings),
         selection,
+        bodies=None if bodies is None else bodies.parameters,
+        possible=bodies,
+        prior=prior,
         several=several,
         data_check=data_check,
     )

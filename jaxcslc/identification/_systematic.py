@@ -53,6 +53,12 @@ class SystematicError:
         """The root of the sum of the squares of all parts, (p,)."""
         return np.sqrt(np.sum([part**2 for part in self.parts.values()], axis=0))
 
+    def without(self, indices: Sequence[int]) -> "SystematicError":
+        """The same without the errors of some coefficients, such as fixed ones."""
+        free = np.ones(len(self.total), bool)
+        free[list(indices)] = False
+        return SystematicError({cause: part * free for cause, part in self.parts.items()})
+
     def main_cause(self, index: int) -> str:
         """The cause of the largest part of a coefficient's error."""
         return max(self.parts, key=lambda cause: float(self.parts[cause][index]))

@@ -6,6 +6,11 @@ from ._bodies import (
     link_of as link_of,
     pseudo_inertia as pseudo_inertia,
 )
-from ._coefficient_metric import Fitted as Fitted
+from ._coefficient_metric import Fitted as Fitted, whitening as whitening
+from ._link_knowledge import (
+    KNOWN_PARAMETERS as KNOWN_PARAMETERS,
+    Known as Known,
+    LinkKnowledge as LinkKnowledge,
+)
 from ._nearest_bodies import NearestBodies as NearestBodies, Optimum as Optimum
 from ._nearest_body import nearest_body as nearest_body

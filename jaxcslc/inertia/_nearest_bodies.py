@@ -9,6 +9,7 @@ from ..derivation import Algebra, Coefficient
 from ..manipulator import LinkParameters, Manipulator
 from ._bodies import bodies_of, body_map, constraints_of
 from ._coefficient_metric import Fitted, whitening
+from ._link_knowledge import LinearKnowledge, LinkKnowledge, body_form, linear_knowledge
 from ._nearest_body import in_units_of
 from ._principal_programme import BodyChart, nearest_in_charts
 from ._prior_bodies import Prior, balls, prior_of
@@ -49,6 +50,7 @@ class NearestBodies:
     - `bounded`: 1 for others that cannot be negative.
     - `scales`: units of the others.
     - `weight`: standard errors that a change by the whole prior counts.
+    - `knowledge`: what is known of single parameters.
     """
 
     robot: Manipulator
@@ -62,6 +64,7 @@ class NearestBodies:
     bounded: Float[np.ndarray, " others"]
     scales: Float[np.ndarray, " others"]
     weight: float
+    knowledge: tuple[LinkKnowledge, ...] = ()
 
     @classmethod
     def from_fit(
@@ -75,6 +78,7 @@ class NearestBodies:
         fixed: Sequence[LinkParameters | None] | None,
         weight: float,
         motors: bool,
+        knowledge: Sequence[LinkKnowledge] = (),
     ) -> "NearestBodies":
         """The programme of a fit.
 
@@ -82,7 +86,7 @@ class NearestBodies:
 
         - `algebra`, `coefficients`: of the network.
         - `inertial`: where the inertial ones are, `network.layout.inertial`.
-        - `fit`, `prior`, `fixed`, `weight`, `motors`: as of `physical_parameters`.
+        - `fit`, `prior`, `fixed`, `weight`, `motors`, `knowledge`: as of `physical_parameters`.
 
         **Raises**
 
@@ -140,6 +144,7 @@ class NearestBodies:
             bounded=np.concatenate([np.ones(motor_count), 1.0 * positive]),
             scales=scales,
             weight=weight,
+            knowledge=tuple(knowledge),
         )
 
     def solve(self, least: float) -> Optimum | None:
@@ -166,6 +171,11 @@ class NearestBodies:
         others = np.where(self.bounded > 0, np.maximum(others, 0.0), others) * self.scales
         return Optimum(bodies, others, converged)
 
+    def coefficients(self, optimum: Optimum) -> Float[np.ndarray, " coefficients"]:
+        """The coefficients that an optimum implies."""
+        k = np.einsum("ple,le->p", self.of_bodies, optimum.bodies + self.fixed)
+        return k + self.of_others @ (optimum.others / self.scales)
+
     def _convex(self, least: float) -> Optimum | None:
         count = len(self.prior.bodies)
         units = [in_units_of(body) for body in self.prior.bodies]
@@ -182,23 +192,55 @@ class NearestBodies:
                 size = np.linalg.norm(row)
                 rows.append(row / size)
                 values.append(float(-form @ self.fixed[i] / size))
+        known = self._linear_knowledge(units)
         solution, converged = semidefinite_least_squares(
-            np.concatenate([matrix, self.weight * np.eye(matrix.shape[1])]),
-            np.concatenate([self.whitening @ (self.k - of_fixed), self.weight * wanted]),
-            np.array(rows).reshape(-1, matrix.shape[1]),
-            np.array(values),
+            np.concatenate([matrix, self.weight * np.eye(matrix.shape[1]), known.soft]),
+            np.concatenate(
+                [self.whitening @ (self.k - of_fixed), self.weight * wanted, known.target]
+            ),
+            np.concatenate([np.array(rows).reshape(-1, matrix.shape[1]), known.rows]),
+            np.concatenate([np.array(values), known.values]),
             bodies=count,
             bounded=self.bounded,
             least=least,
+            above=known.above,
+            limits=known.least,
         )
         if solution is None:
             return None
         bodies = [unit @ solution[16 * i : 16 * (i + 1)] for i, unit in enumerate(units)]
         return Optimum(np.stack(bodies), solution[16 * count :], converged)
 
+    def _linear_knowledge(self, units: Sequence[Float[np.ndarray, "10 16"]]) -> LinearKnowledge:
+        """What is known of parameters, in the programme's unknowns."""
+        count, source = len(units), self.robot.source
+        placements = (np.eye(4),) * count if source is None else source.placements
+        motors = [i for i, inertia in enumerate(self.robot.inertia) if inertia.motor]
+
+        def row_of(entry: LinkKnowledge, value: float) -> Float[np.ndarray, " unknowns"]:
+            row = np.zeros(16 * count + len(self.others) + 1)
+            if entry.parameter == "motor_inertia":
+                index = motors.index(entry.link)
+                row[16 * count + index], row[-1] = self.scales[index], -value
+                return row
+            form = np.eye(10)[9]
+            if entry.parameter == "mass":
+                row[-1] = -value
+            else:
+                form = body_form(entry.parameter, value, placements[entry.link])
+            row[16 * entry.link : 16 * (entry.link + 1)] = form @ units[entry.link]
+            return row
+
+        masses = self.prior.bodies[:, 9]
+        return linear_knowledge(self.knowledge, row_of, masses, 16 * count + len(self.others))
+
     def _in_charts(self, least: float) -> Optimum:
         if np.any(self.fixed):
             raise ValueError("fixed: bodies can be fixed to links with full inertia tensors only")
+        if self.knowledge:
+            raise ValueError(
+                "prior, links: parameters can be known of links with full inertia tensors only"
+            )
         charts = [
             BodyChart.from_prior(inertia, body, least)
             for inertia, body in zip(self.robot.inertia, self.prior.bodies, strict=True)

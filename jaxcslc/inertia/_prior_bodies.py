@@ -85,7 +85,9 @@ def prior_of(
         ]
     )
     motors = np.array([float(link.motor_inertia) for link in links])
-    link_scales = np.where([kind == "R" for kind in robot.kinds], possible[:, 2], possible[:, 9])
+    # A light link's motor may be heavy: it is of the machine's size, as the lenders are.
+    largest = np.maximum(possible, lenders)
+    link_scales = np.where([kind == "R" for kind in robot.kinds], largest[:, 2], largest[:, 9])
     return Prior(possible, motors, np.where(motors > 0, motors, link_scales))
 
 

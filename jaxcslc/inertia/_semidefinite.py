@@ -20,9 +20,11 @@ def semidefinite_least_squares(
     bodies: int,
     bounded: Float[np.ndarray, " others"],
     least: float,
+    above: Float[np.ndarray, "bounds unknowns"] | None = None,
+    limits: Float[np.ndarray, " bounds"] | None = None,
 ) -> tuple[Float[np.ndarray, " unknowns"] | None, bool]:
     """min |matrix x - target|² with x = (X₁, …, Xₘ, y), rows @ x = values, every Xᵢ (4, 4)
-    symmetric with eigenvalues ≥ least, y ≥ 0 where `bounded` is not zero.
+    symmetric with eigenvalues ≥ least, y ≥ 0 where `bounded` is not zero, above @ x ≥ limits.
 
     Where no inequality is active, the optimum is that of a least-squares problem: that is tried
     first, for it is exact where a conic solver is good to some eight digits.
@@ -46,7 +48,8 @@ def semidefinite_least_squares(
     inverse = solve_triangular(triangle[:size, :size], np.eye(size))
     free = origin + span @ (inverse @ triangle[:size, size])
     lowest = np.min(np.linalg.eigvalsh(free[: 16 * bodies].reshape(-1, 4, 4)))
-    if lowest >= least and np.all(free[16 * bodies :][bounded > 0] >= 0):
+    within = above is None or limits is None or bool(np.all(above @ free >= limits))
+    if lowest >= least and np.all(free[16 * bodies :][bounded > 0] >= 0) and within:
         return free, True
 
     cp = _conic_solver()
@@ -61,6 +64,8 @@ def semidefinite_least_squares(
     ]
     if np.any(bounded):
         constraints.append(full[16 * bodies + np.flatnonzero(bounded)] >= 0)
+    if above is not None and limits is not None and len(above):
+        constraints.append(above @ full >= limits)
     problem = cp.Problem(cp.Minimize(cp.sum_squares(step)), constraints)
     with warnings.catch_warnings():  # what they say is in the status
         warnings.simplefilter("ignore")

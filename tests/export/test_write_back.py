@@ -1,5 +1,6 @@
 """Parameters into files and back: round trips, and that nothing else changes."""
 
+import dataclasses
 import difflib
 import re
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
+from jaxcslc.export import read_motor_inertias
 from jaxcslc.export._xml_edits import XmlEdits
 from jaxcslc.manipulator import parse_xml
 
@@ -235,8 +237,52 @@ def test_what_urdf_has_no_words_for(tmp_path: Path, rng: np.random.Generator) ->
     assert robot.source is not None
     parameters = jc.physical_parameters(network, fit, fixed=robot.source.carried)
     written = jc.write_robot(network, parameters, tmp_path / "written.urdf")
-    assert {"ko1", "ko2"} <= set(written.left_out) <= {"ko1", "ko2", "Im1", "Im2"}
+    assert written.left_out == ("ko1", "ko2")
     assert np.all(written.largest < _ROUNDING)
+
+
+def test_motor_inertias_of_a_urdf_are_beside_it(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Pinocchio, with the URDF's bodies and the file's armature, has the network's torque."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF.replace("elbow", "el&quot;bow"))
+    network = jc.derive(jc.load_robot(path), lengths="numeric")
+    robot = network.robot
+    assert robot.links is not None and robot.source is not None
+    links = [dataclasses.replace(link, motor_inertia=0.3 + i) for i, link in enumerate(robot.links)]
+    k = np.asarray(network.coefficients_from(links, viscous=[1.0, 1.0], dry=[1.0, 1.0]))
+    fit = Fit(k, 1e-8 * np.eye(len(k)), np.zeros((0, len(k))))
+    parameters = jc.physical_parameters(network, fit, fixed=robot.source.carried)
+    written = jc.write_robot(network, parameters, tmp_path / "written.urdf")
+    assert written.motors is not None and written.motors.name == "written.motors.toml"
+    assert np.all(written.largest < _ROUNDING)
+    model = pinocchio.buildModelFromUrdf(str(written.path))
+    for name, inertia in read_motor_inertias(written.motors).items():
+        model.armature[model.joints[model.getJointId(name)].idx_v] = inertia
+    q, qd, qdd = rng.uniform(-1, 1, (3, 2))
+    state = np.array([np.cos(q[0]), np.sin(q[0]), q[1]]), qd, qdd
+    theirs = pinocchio.rnea(model, model.createData(), *state)
+    friction = np.asarray(network.friction_term(parameters.k, qd))
+    mine = np.asarray(network.torque(parameters.k, q, qd, qdd)) - friction
+    np.testing.assert_allclose(mine, theirs, atol=1e-9)
+    np.testing.assert_allclose(parameters.k, k, atol=1e-3)
+    # Without motors the bodies make up for them, and no file is left.
+    bare = jc.physical_parameters(network, fit, fixed=robot.source.carried, motors=False)
+    assert jc.write_robot(network, bare, tmp_path / "written.urdf").motors is None
+    assert not (tmp_path / "written.motors.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[motor_inertia]\nelbow = -1", "motor_inertia, elbow: expected 0 or more, got -1"),
+        ("robot = 3", r"expected a table \[motor_inertia\]"),
+        ("=", "not valid TOML"),
+    ],
+)
+def test_wrong_files_of_motor_inertias(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.motors.toml").write_text(text)
+    with pytest.raises(ValueError, match=f"arm.motors.toml.*{message}"):
+        read_motor_inertias(tmp_path / "arm.motors.toml")
 
 
 def test_what_is_fixed_cannot_be_forgotten(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -9,11 +9,12 @@ from ..._environment import require
 from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import HeldOut
-from .._physical_parameters import PhysicalParameters
 from .._settings import Settings
 from .._slopes import SlopeFit
 from .._systematic import SystematicError
 from ..checks import DataCheck
+from ..possible import PhysicalParameters, PossibleFit
+from ..prior import Prior
 from ..selection import Selection
 from ..several import SeveralFit
 from ..solver import Identification
@@ -35,7 +36,8 @@ class Report:
 
     - `network`: with the slopes of static friction that were fitted, if it has static friction.
     - `settings`: of preparation and fit.
-    - `fit`: the `Identification`, with standard errors and covariance.
+    - `fit`: the `Identification`, with standard errors and covariance; its coefficients are those
+      of possible bodies if `possible.used`.
     - `patterns`: by recording, `"training"` and, if there was one, `"validation"`.
     - `errors`: torque errors, by recording. The first vector of each `ErrorTable` is `"fit"`; after
       a re-identification the second is `"before"`.
@@ -49,6 +51,9 @@ class Report:
     - `warnings`: one sentence each.
     - `selection`: of the settings, with every trial; None if they were set.
     - `bodies`: possible bodies nearest to the fit, for the page; see `physical_parameters`.
+    - `possible`: those bodies beside the free fit, and whether their coefficients are the report's;
+      None if they were not computed.
+    - `prior`: what was known before; None if nothing was said.
     - `several`: of several training recordings: noise and offsets of each, and whether they agree.
       `patterns["training"]` then holds all of them, one after the other.
     - `data_check`: what was read, and what looks wrong with it; None if it was not checked.
@@ -80,6 +85,8 @@ class Report:
     warnings: tuple[str, ...] = ()
     selection: Selection | None = None
     bodies: PhysicalParameters | None = None
+    possible: PossibleFit | None = None
+    prior: Prior | None = None
     several: SeveralFit | None = None
     data_check: DataCheck | None = None
 
@@ -147,6 +154,7 @@ class Report:
             self,
             selection=self.selection,
             bodies=self.bodies,
+            possible=self.possible,
             several=self.several,
             findings=[*findings, *self._findings],
             command=command,
@@ -171,6 +179,8 @@ class Report:
                 f"re-identified: {', '.join(self.groups)}; all other coefficients are fixed at"
                 " those of the previous identification"
             ]
+        if self.prior is not None:
+            yield [f"known before: {self.prior}"]
         if self.several is not None:
             yield [str(self.several)]
         yield [coefficient_text(self.rows())]
@@ -180,6 +190,8 @@ class Report:
         for name, table in self.errors.items():
             yield [f"torque error, {name} recording", str(table)]
         yield held_out_lines(self.held_out)
+        if self.possible is not None:
+            yield [str(self.possible)]
         if self._findings:
             yield [f"warning: {finding}" for finding in self._findings]
         yield [f"warning: {warning}" for warning in self.warnings]

@@ -123,6 +123,10 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         document["systematic_error"] = dict(report.systematic.parts)
     if report.several is not None:
         document["recordings"] = report.several.document()
+    if report.prior is not None:
+        document["prior"] = report.prior.document()
+    if report.possible is not None:
+        document["possible"] = report.possible.document()
     if report.held_out is not None:
         document["held_out"] = _held_out(report.held_out)
     return document | {

@@ -9,6 +9,7 @@ from ...manipulator import Manipulator, RobotError
 from ...motion import Patterns
 from ...network import CSLC, derive
 from .._settings import Settings, settings_from
+from .._systematic import SystematicError
 from ..solver import Identification
 
 
@@ -27,6 +28,7 @@ class SavedReport:
     - `settings`: of the fit; None if the file has none.
     - `motion`: some of the training recording's states, as patterns without torques; None if the
       file has none.
+    - `systematic`: error of the fit that no residual shows; None if the file has none.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -43,6 +45,7 @@ class SavedReport:
     fit: Identification
     settings: Settings | None
     motion: Patterns | None
+    systematic: SystematicError | None = None
 
 
 def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
@@ -82,7 +85,13 @@ def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
     fit = _fit(path)
     if difference := _difference(network, document, fit.names):
         raise ValueError(f"{path}: {difference}; expected an identification of this robot")
-    return SavedReport(network, fit, _settings(document, path), _motion(document, network, path))
+    return SavedReport(
+        network,
+        fit,
+        _settings(document, path),
+        _motion(document, network, path),
+        _systematic(document, network, path),
+    )
 
 
 def load_settings(path: str | Path) -> Settings:
@@ -232,6 +241,23 @@ def _motion(document: dict[str, Any], network: CSLC, path: Path) -> Patterns | N
         raise ValueError(f"{path}: motion: expected finite q, qd and qdd of {joints} joints each")
     mask = np.ones(q.shape, bool)
     return Patterns(np.arange(len(q), dtype=float), q, qd, qdd, 0 * q, mask, mask)
+
+
+def _systematic(document: dict[str, Any], network: CSLC, path: Path) -> SystematicError | None:
+    parts = document.get("systematic_error")
+    if parts is None:
+        return None
+    try:
+        arrays = {str(name): np.array(values, float) for name, values in parts.items()}
+    except (AttributeError, TypeError, ValueError):
+        raise ValueError(f"{path}: systematic_error: expected numbers by cause") from None
+    for name, values in arrays.items():
+        values[np.isnan(values)] = np.inf  # JSON has no number for it
+        if values.shape != (network.size,) or np.any(values < 0):
+            raise ValueError(
+                f"{path}: systematic_error, {name}: expected {network.size} numbers from 0 up"
+            )
+    return SystematicError(arrays)
 
 
 def _summary(names: tuple[str, ...]) -> str:

@@ -31,7 +31,7 @@ class SeveralFit:
     - `offsets`: by recording, (n,) constant torques that were fitted along; zero if not asked for.
     - `noise`: by recording, (n,) RMS residual, by which its equations are weighted.
     - `alone`: by recording, the fit of it by itself.
-    - `without`: by recording, the (p,) coefficients of the others.
+    - `without`: by recording, the fit of the others.
     - `agreement`: of the recordings.
     """
 
@@ -40,7 +40,7 @@ class SeveralFit:
     offsets: Mapping[str, Float[np.ndarray, " joints"]]
     noise: Mapping[str, Float[np.ndarray, " joints"]]
     alone: Mapping[str, Identification]
-    without: Mapping[str, Float[np.ndarray, " coefficients"]]
+    without: Mapping[str, Identification]
     agreement: RecordingAgreement
 
     def allowing_for(
@@ -185,6 +185,6 @@ def fit_recordings(
         MappingProxyType(offset_torques),
         MappingProxyType(noise),
         MappingProxyType(alone),
-        MappingProxyType({name: np.asarray(fit.k) for name, fit in others.items()}),
+        MappingProxyType(others),
         agreement_of(network, all_equations, alone, others),
     )

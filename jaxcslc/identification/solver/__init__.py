@@ -21,6 +21,7 @@ from ._least_squares import (
 )
 from ._losses import LOSSES as LOSSES, Loss as Loss, robust_scale as robust_scale, weight as weight
 from ._minimum import (
+    FoldFit as FoldFit,
     Solution as Solution,
     fold_coefficients as fold_coefficients,
     minimum as minimum,

@@ -18,7 +18,14 @@ from ._factors import JointFactors, Unknowns, factorise
 from ._fixed import Fixed
 from ._identification import RESULTS, Identification
 from ._losses import LOSSES, Loss
-from ._minimum import Solution, fold_coefficients, minimum, weighted_minimum
+from ._minimum import (
+    FoldFit,
+    Solution,
+    fold_coefficients,
+    fold_fits,
+    minimum,
+    weighted_minimum,
+)
 from ._robust import robust_residuals
 from ._rows import AbstractRows, KeptRows, PatternRows
 from ._standard_errors import (
@@ -219,6 +226,31 @@ class LeastSquares:
         - `fold`: the fold of each sample, from 0.
         """
         return self._fit_folds(network, patterns, _host_regressor(network, patterns), fold)
+
+    def fits_without_folds(
+        self,
+        network: AbstractLinearNetwork,
+        patterns: Patterns,
+        fold: Int[np.ndarray, " samples"],
+        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+    ) -> tuple[FoldFit, ...]:
+        """What `fit_folds` fits, with covariances for independent errors; on the host.
+
+        - `fold`, `regressor`: as of `held_out_errors`.
+        """
+        equations = equations_of(network, patterns, self.cutoff, regressor)
+        folds = int(np.max(fold)) + 1
+        if self.loss == "squared":
+            factors = equations.factors_of_folds(fold, folds)
+            return fold_fits(equations.unknowns, factors, self.joint_weights, self.rcond)
+        solver = dataclasses.replace(self, errors="independent")
+        fits = (
+            solver.fit_equations(equations.selected(fold != number), len(fold), throw=False)
+            for number in range(folds)
+        )
+        return tuple(
+            FoldFit(*map(np.asarray, (fit.k, fit.covariance, fit.undetermined))) for fit in fits
+        )
 
     def held_out_errors(
         self,

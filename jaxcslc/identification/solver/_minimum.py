@@ -149,13 +149,7 @@ def fold_coefficients(
 
     - `factors`: of the folds, NumPy's arrays with a leading axis of folds.
     """
-    folds = factors.counts.shape[0]
-    kept = ~np.eye(folds, dtype=bool)
-    triangles = tuple(
-        triangle.reshape(-1, *triangle.shape[-1:])[_rows_of(kept, triangle.shape[-2])]
-        for triangle in map(np.asarray, factors.triangles)
-    )
-    others = JointFactors.of_rows(triangles, kept @ np.asarray(factors.counts))
+    others = _without_each_fold(factors)
 
     def solve(weights: Float[np.ndarray, "folds joints"]) -> Coefficients:
         reduced = _reduced(np, unknowns, others, weights, None)
@@ -175,6 +169,48 @@ def fold_coefficients(
         return Coefficients(scaled / reduced.scale)
 
     return weighted_minimum(unknowns, others, joint_weights, solve)[0].k
+
+
+class FoldFit(NamedTuple):
+    """A fit to all folds but one, as far as bodies are fitted to it.
+
+    - `k`: (p,) coefficients.
+    - `covariance`: (p, p), for independent errors.
+    - `undetermined`: (p, p), as of `Identification`.
+    """
+
+    k: Float[np.ndarray, " coefficients"]
+    covariance: Float[np.ndarray, "coefficients coefficients"]
+    undetermined: Float[np.ndarray, "coefficients coefficients"]
+
+
+def fold_fits(
+    unknowns: Unknowns, factors: JointFactors, joint_weights: Any, rcond: float | None
+) -> tuple[FoldFit, ...]:
+    """The fits to all folds but one, for each one left out: `fold_coefficients` with covariances.
+
+    - `factors`: of the folds, NumPy's arrays with a leading axis of folds.
+    """
+    others = _without_each_fold(factors)
+    solution, _ = weighted_minimum(
+        unknowns,
+        others,
+        joint_weights,
+        lambda weights: minimum(unknowns, others, weights, rcond),
+    )
+    covariance = solution.variance[:, None, None] * solution.inverse_gram
+    return tuple(map(FoldFit, solution.k, covariance, solution.undetermined))
+
+
+def _without_each_fold(factors: JointFactors) -> JointFactors:
+    """For each fold the factors of all others."""
+    folds = factors.counts.shape[0]
+    kept = ~np.eye(folds, dtype=bool)
+    triangles = tuple(
+        triangle.reshape(-1, *triangle.shape[-1:])[_rows_of(kept, triangle.shape[-2])]
+        for triangle in map(np.asarray, factors.triangles)
+    )
+    return JointFactors.of_rows(triangles, kept @ np.asarray(factors.counts))
 
 
 def _rows_of(kept: Bool[np.ndarray, "folds others"], size: int) -> Int[np.ndarray, "folds rows"]:

@@ -9,8 +9,8 @@ from ....manipulator import RobotError
 from ....motion import Patterns
 from ....network import CSLC, AbstractLinearNetwork
 from ..._held_out import HeldOut
-from ..._physical_parameters import PhysicalParameters
 from ..._settings import Settings, settings_document
+from ...possible import PhysicalParameters, PossibleFit
 from ...selection import Selection
 from ...several import SeveralFit
 from ...solver import Identification
@@ -63,6 +63,7 @@ def report_data(
     *,
     selection: Selection | None = None,
     bodies: PhysicalParameters | None = None,
+    possible: PossibleFit | None = None,
     several: SeveralFit | None = None,
     findings: Sequence[str] = (),
     command: str | None = None,
@@ -74,6 +75,7 @@ def report_data(
     - `report`: of a robot or of another system.
     - `selection`: of its settings, with every trial.
     - `bodies`: possible ones nearest to the fit.
+    - `possible`: how they predict torque, beside the fit.
     - `several`: of several training recordings.
     - `findings`: about the recordings, a sentence each, beside the report's own warnings.
     - `command`: that repeats it.
@@ -134,6 +136,7 @@ def report_data(
         data["friction"] = friction_points(network, k, training)
         if bodies is not None:
             data["bodies"] = _bodies(network, bodies, joints, np.asarray(training.q)[0])
+            data["bodies"]["judged"] = None if possible is None else _judged(possible)
     return data
 
 
@@ -220,9 +223,10 @@ def _trials(selection: Selection) -> list[dict[str, Any]]:
 def _bodies(
     network: CSLC, bodies: PhysicalParameters, joints: Sequence[str], q: np.ndarray
 ) -> dict[str, Any]:
-    source = network.robot.source
-    bodies_of_file = (None,) * len(joints) if source is None else source.links
-    names = [body or f"link of {joint}" for body, joint in zip(bodies_of_file, joints, strict=True)]
+    names = [
+        f"link of {joint}" if body.isdigit() else body
+        for body, joint in zip(bodies.body_names, joints, strict=True)
+    ]
     links = [
         {
             "mass": float(link.mass),
@@ -230,7 +234,7 @@ def _bodies(
             "inertia": np.asarray(link.inertia, float).tolist(),
             "motor_inertia": float(link.motor_inertia),
         }
-        for link in bodies.links
+        for link in bodies.bodies
     ]
     document: dict[str, Any] = {
         "names": names,
@@ -244,3 +248,14 @@ def _bodies(
     except RobotError as error:
         document["no_arm"] = str(error)
     return document
+
+
+def _judged(possible: PossibleFit) -> dict[str, Any]:
+    return {
+        "used": possible.used,
+        "source": possible.held_out.source,
+        "held_out_rms": possible.held_out.held_out.tolist(),
+        "free_held_out_rms": possible.free_held_out.held_out.tolist(),
+        "change": possible.change,
+        "change_error": possible.change_error,
+    }

@@ -6,15 +6,21 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .._environment import require
-from ..inertia import Fitted, NearestBodies, bodies_of, constrained, link_of
-from ..manipulator import LinkParameters
-from ..motion import Patterns
-from ..network import CSLC
+from ..._environment import require
+from ...inertia import Fitted, LinkKnowledge, NearestBodies, bodies_of, constrained, link_of
+from ...manipulator import LinkParameters, Manipulator, seen_from
+from ...motion import Patterns
+from ...network import CSLC
+from ..solver import regressor_of
 
 
 if TYPE_CHECKING:
     import pandas
+
+
+# Standard errors that a change of a body by its whole prior counts; and the part of its prior that
+# every body holds at least.
+PRIOR_WEIGHT, LEAST = 0.01, 1e-3
 
 
 class POSSIBILITY(eqx.Enumeration):
@@ -38,6 +44,9 @@ class PhysicalParameters:
     - `links`: one a joint, `fixed` bodies included: positive mass, positive definite
       pseudo-inertia, motor inertia of zero or more.
     - `links_without_fixed`: the same without the `fixed` bodies.
+    - `bodies`: the latter in the frames of the robot's file: of its bodies in URDF and MJCF, of
+      its links in TOML.
+    - `body_names`: of the file's bodies, or the links' numbers.
     - `friction`: friction coefficients by kind, as `CSLC.coefficients_from` takes them.
     - `k`: (p,) the coefficients that all of these imply.
     - `distance`: root mean square change of the determined coefficients against the fit, in
@@ -62,6 +71,8 @@ class PhysicalParameters:
     names: tuple[str, ...]
     links: tuple[LinkParameters, ...]
     links_without_fixed: tuple[LinkParameters, ...]
+    bodies: tuple[LinkParameters, ...]
+    body_names: tuple[str, ...]
     friction: Mapping[str, Float[np.ndarray, "..."]]
     k: Float[np.ndarray, " coefficients"]
     distance: float
@@ -79,11 +90,16 @@ class PhysicalParameters:
         return self.friction.get("dry")
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """One row a link: mass, centre of gravity, tensor there and motor inertia, in SI units."""
+        """One row a body in the frames of the robot's file: mass, centre of gravity, tensor there
+        and motor inertia, in SI units."""
         pandas = require("pandas", "tables")
 
-        index = pandas.RangeIndex(1, len(self.links) + 1, name="link")
-        return pandas.DataFrame([_row(link) for link in self.links], index=index)
+        numbers = not any(name for name in self.body_names if not name.isdigit())
+        index = [int(name) for name in self.body_names] if numbers else list(self.body_names)
+        return pandas.DataFrame(
+            [_row(body) for body in self.bodies],
+            index=pandas.Index(index, name="link" if numbers else "body"),
+        )
 
     def __repr__(self) -> str:
         masses = ", ".join(f"{float(link.mass):.3g}" for link in self.links)
@@ -104,8 +120,9 @@ def physical_parameters(
     fixed: Sequence[LinkParameters | None] | None = None,
     patterns: Patterns | None = None,
     motors: bool = True,
-    prior_weight: float = 0.1,
-    least: float = 1e-3,
+    prior_weight: float = PRIOR_WEIGHT,
+    least: float = LEAST,
+    knowledge: Sequence[LinkKnowledge] = (),
     throw: bool = True,
 ) -> PhysicalParameters:
     """The physically possible masses, centres of gravity and inertia tensors nearest to a fit.
@@ -142,6 +159,7 @@ def physical_parameters(
       as for a file format without it.
     - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts.
     - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
+    - `knowledge`: what is known of single parameters of links, from `Prior.link_values`.
     - `throw`: raise an error if the solver fails, instead of returning the result code.
 
     **Returns**
@@ -153,7 +171,7 @@ def physical_parameters(
     - `ValueError`: for a number of links or coefficients that is not the network's, for a weight
       or part out of range, for a fit that is not finite, and for bodies fixed to links with
       principal axes.
-    - `RuntimeError`: with `throw`, if the solver fails.
+    - `RuntimeError`: with `throw`, if the solver fails, as where no body has what is known of it.
     - `ImportError`: without the conic solver (the extra `inertia`), where it is needed.
 
     >>> import numpy as np, jaxcslc as jc
@@ -187,6 +205,7 @@ def physical_parameters(
         fixed=fixed,
         weight=prior_weight,
         motors=motors,
+        knowledge=knowledge,
     )
     optimum = problem.solve(least)
     if optimum is None:
@@ -207,23 +226,78 @@ def physical_parameters(
         constrained(kind, link_of(body, float(motor)))
         for kind, body, motor in zip(inertia, bodies + problem.fixed, motor_inertias, strict=True)
     )
-    without_fixed = bodies_of(links) - problem.fixed
+    without_fixed = tuple(
+        link_of(body, float(motor))
+        for body, motor in zip(bodies_of(links) - problem.fixed, motor_inertias, strict=True)
+    )
     k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
     k += problem.of_others @ (others / problem.scales)
     change = problem.whitening @ (k - problem.k)
     return PhysicalParameters(
         network.names,
         links,
-        tuple(
-            link_of(body, float(motor))
-            for body, motor in zip(without_fixed, motor_inertias, strict=True)
-        ),
+        without_fixed,
+        in_file_frames(network.robot, without_fixed),
+        body_names(network.robot),
         _friction(network, k),
         k,
         float(np.sqrt(np.mean(change**2))) if change.size else 0.0,
         _torque_distance(network, k - problem.k, patterns),
         code,
     )
+
+
+def possible_coefficients(
+    network: CSLC,
+    fit: Fitted,
+    fixed: Sequence[LinkParameters | None] | None,
+    knowledge: Sequence[LinkKnowledge] = (),
+) -> Float[np.ndarray, " coefficients"]:
+    """The coefficients of `physical_parameters`, without the parameters.
+
+    **Raises** as `physical_parameters`.
+    """
+    problem = NearestBodies.from_fit(
+        network.algebra,
+        network.coefficients,
+        fit,
+        inertial=network.layout.inertial,
+        prior=None,
+        fixed=fixed,
+        weight=PRIOR_WEIGHT,
+        motors=True,
+        knowledge=knowledge,
+    )
+    optimum = problem.solve(LEAST)
+    if optimum is None:
+        raise RuntimeError(f"possible bodies: {POSSIBILITY[POSSIBILITY.failed]}")
+    return problem.coefficients(optimum)
+
+
+def fixed_bodies(robot: Manipulator) -> tuple[LinkParameters | None, ...] | None:
+    """What the robot's file has fixed to its links, for `physical_parameters`; None if nothing."""
+    carried = robot.source.carried if robot.source is not None else ()
+    return carried if any(body is not None for body in carried) else None
+
+
+def in_file_frames(
+    robot: Manipulator, links: Sequence[LinkParameters]
+) -> tuple[LinkParameters, ...]:
+    """Links in the frames that the robot's file has for them."""
+    if robot.source is None or not robot.source.placements:
+        return tuple(links)
+    placements = robot.source.placements
+    return tuple(
+        seen_from(link, np.linalg.inv(pose)) for link, pose in zip(links, placements, strict=True)
+    )
+
+
+def body_names(robot: Manipulator) -> tuple[str, ...]:
+    """Of the bodies in the robot's file; numbers of links, from 1, where it has no names."""
+    names = robot.source.links if robot.source is not None else ()
+    if len(names) == robot.joint_count and all(names):
+        return names
+    return tuple(str(i) for i in range(1, robot.joint_count + 1))
 
 
 def _friction(
@@ -243,7 +317,7 @@ def _torque_distance(
     """Root mean square torque of a change of coefficients over the patterns of the mask."""
     if patterns is None:
         return np.full(network.joint_count, np.nan)
-    torque = np.asarray(network.torque(change, patterns.q, patterns.qd, patterns.qdd))
+    torque = np.asarray(regressor_of(network, patterns)) @ change
     counts = np.asarray(patterns.mask)
     total = np.sum(np.where(counts, torque, 0.0) ** 2, axis=0)
     return np.sqrt(total / np.maximum(np.sum(counts, axis=0), 1))

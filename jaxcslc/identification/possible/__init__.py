@@ -1,0 +1,15 @@
+from ._movement import moved_bodies as moved_bodies, movement_of as movement_of
+from ._physical_parameters import (
+    POSSIBILITY as POSSIBILITY,
+    PhysicalParameters as PhysicalParameters,
+    fixed_bodies as fixed_bodies,
+    in_file_frames as in_file_frames,
+    physical_parameters as physical_parameters,
+)
+from ._possible_fit import (
+    Choice as Choice,
+    Part as Part,
+    PossibleFit as PossibleFit,
+    judged_bodies as judged_bodies,
+    possible_fit as possible_fit,
+)

@@ -1,0 +1,333 @@
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy
+from jaxtyping import Array, Bool, Float
+
+from ..._environment import MissingExtraError
+from ...inertia import LinkKnowledge
+from ...motion import Patterns
+from ...network import CSLC
+from .._held_out import HeldOut, judged_errors
+from .._systematic import SystematicError
+from ..prior import Prior, with_knowledge
+from ..solver import FoldFit, Identification, LeastSquares, regressor_of
+from ._movement import moved_bodies, movement_of
+from ._physical_parameters import (
+    PhysicalParameters,
+    fixed_bodies,
+    physical_parameters,
+    possible_coefficients,
+)
+
+
+Choice = Literal["auto", "always", "never"]
+# Possible bodies are used if at most one in twenty such gains is chance, and errors fall by
+# 1 % on average: below that, the fit without them is as good and simpler.
+_CHANCE, _LEAST_GAIN = 0.05, 0.01
+
+
+class Part(NamedTuple):
+    """A stretch of motion, or a recording, and the fit of all others.
+
+    - `regressor`, `torque`, `mask`: of the part.
+    - `fit`: of the others, whose coefficients need not be those of possible bodies.
+    """
+
+    regressor: Float[np.ndarray, "samples joints coefficients"]
+    torque: Float[np.ndarray, "samples joints"]
+    mask: Bool[np.ndarray, "samples joints"]
+    fit: Identification | FoldFit
+
+    @classmethod
+    def stretches(
+        cls, network: CSLC, patterns: Patterns, solver: LeastSquares, folds: int
+    ) -> tuple["Part", ...]:
+        """Stretches of equal length of one recording: those of `cross_validated_error`."""
+        fold = np.arange(patterns.samples) * folds // patterns.samples
+        regressor = np.asarray(regressor_of(network, patterns))
+        torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
+        fits = solver.fits_without_folds(network, patterns, fold, regressor)
+        return tuple(
+            cls(regressor[rows], torque[rows], mask[rows], fit)
+            for rows, fit in ((fold == number, fit) for number, fit in enumerate(fits))
+        )
+
+    @classmethod
+    def recordings(
+        cls, network: CSLC, patterns: Mapping[str, Patterns], without: Mapping[str, Identification]
+    ) -> tuple["Part", ...]:
+        """Several recordings, and the fit without each."""
+        return tuple(
+            cls(
+                np.asarray(regressor_of(network, values)),
+                np.asarray(values.torque),
+                np.asarray(values.mask),
+                without[name],
+            )
+            for name, values in patterns.items()
+        )
+
+    def errors(
+        self, k: Float[Array | np.ndarray, " coefficients"]
+    ) -> Float[np.ndarray, "samples joints"]:
+        """What coefficients leave of the part's torque."""
+        return self.torque - self.regressor @ np.asarray(k)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PossibleFit:
+    """Possible bodies beside the fit that they are nearest to, judged on motion unseen by both.
+
+    **Attributes**
+
+    - `parameters`: of the bodies.
+    - `free`: the fit, whose coefficients need not be those of possible bodies.
+    - `held_out`: errors of the bodies' coefficients on parts of the motion that were left out in
+      turn.
+    - `free_held_out`: the same of the fit's.
+    - `change`: mean over parts and joints of the logarithm of the ratio of the two errors, the
+      bodies' over the fit's; -0.1 is an error that is a tenth smaller.
+    - `change_error`: the standard error of `change`, from its spread over the parts.
+    - `used`: whether the bodies' coefficients are those of the report.
+    - `movement`: (p,) change of each coefficient in standard errors, systematic errors included;
+      zero where the motion does not determine it.
+    - `warnings`: about bodies that are far from the fit, a sentence each.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> report = jc.identify(network, recording, settings=jc.Settings())
+    >>> report.possible.used, report.possible.parameters.bodies[0].mass > 0
+    (False, True)
+    """
+
+    parameters: PhysicalParameters
+    free: Identification
+    held_out: HeldOut
+    free_held_out: HeldOut
+    change: float
+    change_error: float
+    used: bool
+    movement: Float[np.ndarray, " coefficients"]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def fit(self) -> Identification:
+        """The fit to use: with the bodies' coefficients, if they are used.
+
+        Standard errors are those of the free fit, as an upper bound: true coefficients are those
+        of possible bodies, a convex set, and what is nearest in it to a fit is no further from the
+        truth than the fit, measured by the fit's covariance.
+        """
+        if not self.used:
+            return self.free
+        return eqx.tree_at(lambda fit: fit.k, self.free, jnp.asarray(self.parameters.k))
+
+    @property
+    def other_coefficients(self) -> dict[str, Float[Array | np.ndarray, " coefficients"]]:
+        """The coefficients that are not used, by name: `"free"` or `"possible"`."""
+        return {"free": self.free.k} if self.used else {"possible": self.parameters.k}
+
+    def document(self) -> dict[str, Any]:
+        """What a report's file says of it, as plain data."""
+        links = zip(self.parameters.body_names, self.parameters.bodies, strict=True)
+        return {
+            "used": self.used,
+            "k": self.parameters.k,
+            "free_k": np.asarray(self.free.k),
+            "distance": self.parameters.distance,
+            "held_out": self.held_out.source,
+            "held_out_rms": self.held_out.held_out,
+            "free_held_out_rms": self.free_held_out.held_out,
+            "change": self.change,
+            "change_error": self.change_error,
+            "movement": self.movement,
+            "bodies": [
+                {
+                    "name": name,
+                    "mass": body.mass,
+                    "centre_of_gravity": body.centre_of_gravity,
+                    "inertia": body.inertia,
+                    "motor_inertia": body.motor_inertia,
+                }
+                for name, body in links
+            ],
+        }
+
+    def __str__(self) -> str:
+        ratio = self.held_out.held_out / self.free_held_out.held_out
+        change, error = 100 * np.expm1(self.change), 100 * self.change_error
+        lines = [
+            f"possible bodies: {self.held_out.source} RMS over that of the free fit, joint by"
+            f" joint: {', '.join(f'{value:.3g}' for value in ratio)}; on average"
+            f" {change:+.2g} % ± {error:.2g} %, so"
+            f" {'their' if self.used else 'the free'} coefficients are used",
+            f"    {self.parameters.distance:.3g} standard errors (root mean square) from the free"
+            " fit, systematic errors aside",
+        ]
+        return "\n".join(lines)
+
+
+def possible_fit(
+    network: CSLC,
+    fit: Identification,
+    training: Patterns,
+    parts: Sequence[Part],
+    *,
+    source: Literal["cross-validation", "left-out recording"] = "cross-validation",
+    systematic: SystematicError | None = None,
+    always: bool = False,
+    knowledge: Sequence[LinkKnowledge] = (),
+    step: Callable[[str], None] = lambda _: None,
+) -> PossibleFit:
+    """The possible bodies nearest to a fit, and whether they predict torque better than it does.
+
+    Both are judged on the same parts of the motion, each predicted by fits to the others, one with
+    and one without possible bodies. The bodies are used where the mean logarithm of the ratio of
+    their errors is below zero by more than the spread over parts explains (Student's t, one-sided,
+    5 %), and by 1 % at least.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `fit`: of `training`.
+    - `parts`: two or more, of which `training` consists.
+    - `source`: what the parts are.
+    - `systematic`: of the fit: added to the standard errors that movements are counted in.
+    - `always`: use the bodies, whatever their errors.
+    - `knowledge`: what is known of single parameters of links.
+    - `step`: is called with a few words at the start of each step.
+
+    **Returns** a `PossibleFit`.
+
+    **Raises**
+
+    - `ValueError`, `RuntimeError`, `ImportError`: as `physical_parameters`.
+    """
+    step("fitting possible bodies")
+    fixed = fixed_bodies(network.robot)
+    parameters = physical_parameters(
+        network, fit, fixed=fixed, patterns=training, knowledge=knowledge
+    )
+    step("judging possible bodies")
+    free_errors = [part.errors(part.fit.k) for part in parts]
+    errors = [
+        part.errors(possible_coefficients(network, part.fit, fixed, knowledge)) for part in parts
+    ]
+    masks = [part.mask for part in parts]
+    change, change_error = _change(errors, free_errors, masks)
+    gain = change + scipy.special.stdtrit(len(parts) - 1, 1.0 - _CHANCE) * change_error
+    used = always or bool(gain < 0.0 and change < np.log1p(-_LEAST_GAIN))
+    held_out = _held_out(network, fit, parameters.k, parts, errors, source)
+    free_held_out = _held_out(network, fit, fit.k, parts, free_errors, source)
+    return PossibleFit(
+        parameters,
+        fit,
+        held_out,
+        free_held_out,
+        change,
+        change_error,
+        used,
+        movement_of(fit, parameters, systematic),
+        moved_bodies(network, fit, parameters, systematic),
+    )
+
+
+def judged_bodies(
+    network: CSLC,
+    fit: Identification,
+    training: Patterns,
+    parts: Callable[[], Sequence[Part]],
+    *,
+    choice: Choice,
+    prior: Prior | None,
+    source: Literal["cross-validation", "left-out recording"] = "cross-validation",
+    systematic: SystematicError | None = None,
+    step: Callable[[str], None] = lambda _: None,
+) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:
+    """Possible bodies as `identify` has them.
+
+    - `fit`: with what is known of coefficients.
+    - `parts`: as of `possible_fit`, whose fits do not know it yet.
+    - the others: as of `identify` and `possible_fit`.
+
+    **Returns**
+
+    - Them, None if they were not asked for or, with `"auto"`, could not be computed.
+    - The held-out errors of the coefficients to use; None if nothing made parts necessary.
+    - Warnings.
+
+    **Raises** as `possible_fit`, but for `"auto"`.
+    """
+    prior = prior or Prior()
+    known = prior.coefficient_values(network)
+    if choice == "never" and not known:
+        return None, None, ()
+    informed = [part._replace(fit=with_knowledge(part.fit, known)) for part in parts()]
+    always = choice == "always" or bool(prior.links)
+    warnings: tuple[str, ...] = ()
+    if choice != "never":
+        try:
+            bodies = possible_fit(
+                network,
+                fit,
+                training,
+                informed,
+                source=source,
+                systematic=systematic,
+                always=always,
+                knowledge=prior.link_values(network.robot),
+                step=step,
+            )
+        except (ValueError, RuntimeError, MissingExtraError) as error:
+            if always:
+                raise
+            warnings = (f"possible bodies were not computed: {error}",)
+        else:
+            held_out = bodies.held_out if bodies.used else bodies.free_held_out
+            return bodies, held_out, bodies.warnings
+    errors = [part.errors(part.fit.k) for part in informed]
+    return None, _held_out(network, fit, fit.k, informed, errors, source), warnings
+
+
+def _held_out(
+    network: CSLC,
+    fit: Identification,
+    k: Float[Array | np.ndarray, " coefficients"],
+    parts: Sequence[Part],
+    errors: Sequence[np.ndarray],
+    source: Literal["cross-validation", "left-out recording"],
+) -> HeldOut:
+    """Of coefficients `k` for everything, and of errors of those that were fitted without."""
+    mask = np.concatenate([part.mask for part in parts])
+    training = np.concatenate([part.errors(k) for part in parts])
+    judged = judged_errors(training, mask, np.concatenate(errors), mask, int(fit.rank))
+    return dataclasses.replace(
+        judged, source=source, units=network.output_units, names=network.output_names
+    )
+
+
+def _change(
+    errors: Sequence[np.ndarray], free_errors: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+) -> tuple[float, float]:
+    """The mean logarithm of the ratio of RMS errors, and its standard error over the parts."""
+    logarithms: list[float] = []
+    for error, free, mask in zip(errors, free_errors, masks, strict=True):
+        squares = (np.sum(np.where(mask, values, 0.0) ** 2, axis=0) for values in (error, free))
+        ours, theirs = squares
+        both = (ours > 0.0) & (theirs > 0.0)  # a joint that was nowhere judged has neither
+        if both.any():
+            logarithms.append(float(np.mean(0.5 * np.log(ours[both] / theirs[both]))))
+    if len(logarithms) < 2:
+        return 0.0, np.inf
+    return float(np.mean(logarithms)), float(np.std(logarithms, ddof=1) / np.sqrt(len(logarithms)))

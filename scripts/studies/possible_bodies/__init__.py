@@ -1,0 +1,1 @@
+"""What it costs in torque that bodies be possible and a URDF hold them."""
