@@ -173,7 +173,7 @@ class PossibleFit:
             f" {change:+.2g} % ± {error:.2g} %, so"
             f" {'their' if self.used else 'the free'} coefficients are used",
             f"    {self.parameters.distance:.3g} standard errors (root mean square) from the free"
-            " fit, systematic errors aside",
+            " fit, by independent residuals",
         ]
         return "\n".join(lines)
 

@@ -84,6 +84,7 @@ def judged(network: jc.CSLC, conditions: Conditions, seed: int) -> dict[str, Any
         record("geared", conditions, 2 * seed + 1),
         settings=jc.Settings(),
         checks=False,
+        systematic=False,
         possible="always",
     )
     possible = report.possible
