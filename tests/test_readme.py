@@ -89,6 +89,17 @@ def test_the_examples_of_control_run_one_after_the_other(
     assert faults == "('joint 3: lost samples, detected at 0.010 s',)\n"
 
 
+def test_the_readme_lists_every_study_and_the_index_every_page() -> None:
+    text = (ROOT / "README.md").read_text("utf-8")
+    studies = (ROOT / "scripts" / "studies").glob("*/study.py")
+    assert [
+        path.parent.name for path in studies if f"{path.parent.name}/study.py" not in text
+    ] == []
+    index = (ROOT / "docs" / "index.md").read_text("utf-8")
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    assert {page for page in pages if f"({page})" not in index} == set()
+
+
 def test_the_commands_of_the_readme_have_their_options() -> None:
     """Every `jaxcslc` line of the README's shell blocks names a command and options that exist."""
     commands = cast("click.Group", typer.main.get_command(app)).commands

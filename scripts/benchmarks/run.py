@@ -4,6 +4,7 @@ Every figure is a named metric with a unit and a direction. Compile and run time
 times wait for the result, and rates are beside those of Pinocchio in the same run.
 
     make bench                           all but the long ones, compared with the baseline
+    make bench ARGS="--groups forward"   some of them
     make bench ARGS=--full               with 20 million patterns streamed from a Parquet file
     make bench ARGS=--update-baseline    make these figures the baseline
 """
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -209,8 +210,23 @@ def true_coefficients(network: jc.CSLC) -> jax.Array:
     return network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
 
 
+GROUPS: dict[str, Callable[[jc.CSLC, jax.Array], Iterator[Metric]]] = {
+    "derivation": lambda network, k: derivation(),
+    "forward": forward,
+    "direct solve": direct_solve,
+    "training": lambda network, k: training(),
+    "commands": lambda network, k: command_times(),
+    "robots": lambda network, k: robot_metrics(),
+    "control": lambda network, k: control_metrics(),
+}
+"""What is measured, by name: of the PUMA 560's network and coefficients."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument(
+        "--groups", nargs="+", choices=GROUPS, default=list(GROUPS), help="what to measure; all"
+    )
     parser.add_argument("--full", action="store_true", help="with the long runs")
     parser.add_argument("--gate", action="store_true", help="exit 1 if a metric became worse")
     parser.add_argument("--update-baseline", action="store_true")
@@ -223,15 +239,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     network = jc.derive(jc.puma560())
     k = true_coefficients(network)
-    parts = [
-        derivation(),
-        forward(network, k),
-        direct_solve(network, k),
-        training(),
-        command_times(),
-        robot_metrics(),
-        control_metrics(),
-    ]
+    parts = [GROUPS[name](network, k) for name in options.groups]
     if options.full:
         Path("build").mkdir(exist_ok=True)
         parts.append(memory(options.rows))
