@@ -20,6 +20,9 @@ LEAST_LAG = 2e-3
 """Less is no matter [s]."""
 _ROUNDS = 4
 _PIECE = 4096
+# Standard deviation of what looks like a lag at all joints alike (friction at low speed that no
+# term describes), in sample intervals: the order of errors on simulated arms with little noise.
+_COMMON = 0.025
 # How much wider than the equations' filter the smoothing of the positions is.
 _WIDER = 3.0
 # And how much narrower that of the torque's slope.
@@ -207,7 +210,8 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
         )
         for joint in range(joints):
             columns[:, joint, network.size + joint] = -_STEP * slope[:, joint]
-    half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.975)) * estimate.error
+    error = np.hypot(estimate.error, _COMMON * interval)
+    half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.975) * error)
     return TorqueLag(lag, lag - half, lag + half, gain)
 
 
@@ -217,7 +221,8 @@ class _Combined:
 
     What friction and gears do that no term describes looks like a lag, another one at each joint:
     the variance between joints counts as well (DerSimonian and Laird, Controlled Clinical Trials
-    7, 1986, doi:10.1016/0197-2456(86)90046-2).
+    7, 1986, doi:10.1016/0197-2456(86)90046-2), and the interval is Student's (Hartung and Knapp,
+    Statistics in Medicine 20, 2001, doi:10.1002/sim.1009).
     """
 
     mean: float
@@ -240,11 +245,10 @@ class _Combined:
         between = max(0.0, excess / float(weights.sum() - (weights @ weights) / weights.sum()))
         weights = 1.0 / (errors**2 + between)
         mean = float(np.average(values, weights=weights))
-        # As many as the joints that have a say.
+        # As many as the joints that have a say, also where none differs from the others beyond its
+        # error: that few joints agree does not show that nothing but noise is in them.
         degrees_of_freedom = max(float(weights.sum() ** 2 / (weights @ weights)) - 1.0, 1.0)
-        return cls(
-            mean, float(weights.sum() ** -0.5), 30.0 if between == 0.0 else degrees_of_freedom
-        )
+        return cls(mean, float(weights.sum() ** -0.5), degrees_of_freedom)
 
 
 def _regressor(network: CSLC, patterns: Patterns) -> Float[np.ndarray, "samples joints columns"]:

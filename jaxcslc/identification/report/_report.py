@@ -129,16 +129,16 @@ class Report:
 
         `index.html`, a page to read and to show, in one file; `coefficients.csv`;
         `identification.json`, which `load_report` reads; and for each recording
-        `errors_NAME.csv`, `torque_NAME.csv` and `torque_NAME.png`. Files of these names that an
+        `errors_NAME.csv` and `torque_NAME.csv`. Files of these names that an
         earlier report left and this one does not have are removed.
 
         The page's pictures can be zoomed with the extra `report`; without it they are static, and
-        without the extra `plot` too there are none, on the page and beside it.
+        without the extra `plot` too there are none.
 
         **Arguments**
 
         - `folder`: is made if it is missing.
-        - `pictures`: whether to draw, on the page and as `torque_NAME.png`.
+        - `pictures`: whether the page has pictures.
         - `findings`: about the recordings, a sentence each, for the page.
         - `command`: that repeats the identification, for the page.
 

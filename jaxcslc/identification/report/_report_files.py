@@ -1,4 +1,3 @@
-import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,6 @@ import numpy as np
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 from ...page import render
-from ...plotting import save_picture, torque_picture
 from .._held_out import HeldOut
 from .._settings import settings_document
 from ._errors import ErrorTable, predicted_torque
@@ -39,8 +37,8 @@ def write_report(
     - `data`: what the page shows, from `report_data`.
 
     **Returns** the files: `index.html`, `coefficients.csv`, `identification.json`, and for every
-    recording `errors_NAME.csv`, `torque_NAME.csv` and, with `pictures`, `torque_NAME.png`; of
-    another system than a robot, its known sides in place of torques.
+    recording `errors_NAME.csv` and `torque_NAME.csv`; of another system than a robot, its known
+    sides in place of torques. Pictures are on the page.
     """
     network = report.network
     page = folder / "index.html"
@@ -50,14 +48,11 @@ def write_report(
     write_json(identification, document)
     written = [page, coefficients, identification]
     for name, patterns in report.patterns.items():
-        errors, torque, picture = recording_files(folder, name, network.output_quantity)
+        errors, torque = recording_files(folder, name, network.output_quantity)
         predicted = np.asarray(predicted_torque(network, patterns, report.fit.k))
         write_csv(errors, _error_rows(patterns, report.errors[name]))
         _write_torque(torque, network, patterns, predicted)
         written += [errors, torque]
-        if pictures and importlib.util.find_spec("matplotlib") is not None:
-            _draw_torque(picture, name, network, patterns, predicted)
-            written.append(picture)
     return written
 
 
@@ -85,12 +80,10 @@ def save_report(
     return tuple(folder / name for name in names)
 
 
-def recording_files(folder: Path, name: str, quantity: str) -> tuple[Path, Path, Path]:
-    """The files about one recording: its errors, its torques or known sides, and their picture."""
+def recording_files(folder: Path, name: str, quantity: str) -> tuple[Path, Path]:
+    """The files about one recording: its errors, and its torques or known sides."""
     stem = quantity.replace(" ", "_")
-    stems = (f"errors_{name}.csv", f"{stem}_{name}.csv", f"{stem}_{name}.png")
-    errors, torque, picture = (folder / stem for stem in stems)
-    return errors, torque, picture
+    return folder / f"errors_{name}.csv", folder / f"{stem}_{name}.csv"
 
 
 def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]:
@@ -193,22 +186,3 @@ def _write_torque(
     table = np.concatenate([np.asarray(patterns.time)[:, None], *columns.values()], axis=1)
     text = ",".join(["time", *header])
     np.savetxt(path, table, delimiter=",", header=text, comments="", fmt="%.10g")
-
-
-def _draw_torque(
-    path: Path,
-    name: str,
-    network: AbstractLinearNetwork,
-    patterns: Patterns,
-    predicted: np.ndarray,
-) -> None:
-    figure = torque_picture(
-        np.asarray(patterns.time),
-        np.asarray(patterns.torque),
-        {"predicted": predicted},
-        title=f"{network.name}: {network.output_quantity} of the {name} recording",
-        units=network.output_units,
-        names=network.output_names,
-        mask=np.asarray(patterns.mask),
-    )
-    save_picture(figure, path)
