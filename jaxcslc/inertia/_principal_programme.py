@@ -1,5 +1,6 @@
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -78,34 +79,41 @@ class BodyChart:
                 columns.append(self._from_unit(change + change.T))
             return np.stack(columns, axis=1)
         mass, centre, _ = self._principal(z)
-        full, radius = np.append(centre, 1.0), self._radius()
+        full, radius = np.append(centre, 1.0), self._radius
         columns.append(self.prior[9] * body_of_pseudo_inertia(np.outer(full, full)))
         for axis in self.centre:
             change = np.zeros((4, 4))
             change[axis] = mass * radius * full
             columns.append(body_of_pseudo_inertia(change + change.T))
-        sizes = self._prior_spread()
+        return np.stack([*columns, *self._by_spread], axis=1)
+
+    @cached_property
+    def _by_spread(self) -> list[Float[np.ndarray, "10"]]:
+        """Derivatives of the ten numbers by the spreads, which they are linear in."""
+        columns: list[np.ndarray] = []
         for axes in self.spreads:
             change = np.zeros((4, 4))
-            change[list(axes), list(axes)] = np.mean(sizes[list(axes)])
+            change[list(axes), list(axes)] = np.mean(self._prior_spread[list(axes)])
             columns.append(body_of_pseudo_inertia(change))
-        return np.stack(columns, axis=1)
+        return columns
 
     def _principal(
         self, z: Float[np.ndarray, " coordinates"]
     ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        centre, spread = self.prior[6:9] / self.prior[9], self._prior_spread()
-        centre[list(self.centre)] += self._radius() * z[1 : 1 + len(self.centre)]
+        centre, spread = self.prior[6:9] / self.prior[9], self._prior_spread.copy()
+        centre[list(self.centre)] += self._radius * z[1 : 1 + len(self.centre)]
         for value, axes in zip(z[1 + len(self.centre) :], self.spreads, strict=True):
             spread[list(axes)] = value * np.mean(spread[list(axes)])
         return float(z[0] * self.prior[9]), centre, spread
 
+    @cached_property
     def _prior_spread(self) -> Float[np.ndarray, "3"]:
         moments = np.diag(central_tensor(self.prior))
         return np.sum(moments) / 2 - moments
 
+    @cached_property
     def _radius(self) -> float:
-        return float(np.sqrt(np.sum(self._prior_spread()) / self.prior[9]))
+        return float(np.sqrt(np.sum(self._prior_spread) / self.prior[9]))
 
     def _lower(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "4 4"]:
         lower = np.zeros((4, 4))
