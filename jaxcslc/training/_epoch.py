@@ -1,3 +1,5 @@
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -99,7 +101,12 @@ def epoch(
 
     preference = _preference(network, plan, training_set, state)
     assessed = _assessed(plan, state, preference, cost, measure, stop_cost, stop_set is not None)
-    weights, rates = _learnt(network, plan, training_set, assessed, assessed.cost)
+    # A look has computed the change of the rule that it prefers, of weights as they were.
+    known = None
+    if preference.change is not None:
+        same = jnp.all(assessed.weights == state.weights)
+        known = preference.change, preference.looked & same
+    weights, rates = _learnt(network, plan, training_set, assessed, assessed.cost, known)
     moved = eqx.tree_at(
         lambda s: (s.weights, s.rates, s.epoch),
         assessed,
@@ -120,17 +127,36 @@ def epoch(
     return next_state, record
 
 
+# The change of weights by the rule that learns, and whether it is that of the present weights.
+_Known = tuple[Array, Array]
+
+
+class _Preference(NamedTuple):
+    """The rule to go on with, and what a look has found of it.
+
+    - `rates`: of all rules.
+    - `change`: of the weights by the rule, at a rate of one; of any value without a look, and None
+      without a switch.
+    - `looked`: whether there was a look.
+    """
+
+    rule: Int[Array, ""]
+    rates: Float[Array, "rules groups"]
+    change: Float[Array, "groups weights"] | None
+    looked: Bool[Array, ""] | bool
+
+
 def _preference(
     network: AdaptiveNetwork, plan: Plan, training_set: Examples | NormalEquations, state: State
-) -> tuple[Int[Array, ""], Float[Array, "rules groups"]]:
+) -> _Preference:
     """The rule that the schedule's switch prefers, and rates for it; without one, the present."""
     switch = plan.schedule.switch
     if switch is None:
-        return state.turn.rule, state.rates
+        return _Preference(state.turn.rule, state.rates, None, False)
     assert isinstance(training_set, Examples), "checked by `train`"
     learning = plan.learning(network)
 
-    def look() -> tuple[Array, Array]:
+    def look() -> tuple[Array, Array, Array]:
         promised = promise(
             network, plan.schedule.rules, training_set, state.weights, state.rates, learning
         )
@@ -143,22 +169,28 @@ def _preference(
                 zip(plan.rates, state.rates, promised.rates, strict=True)
             )
         ]
-        return rule, jnp.stack(rows)
+        return rule, jnp.stack(rows), promised.changes[rule]
 
-    return jax.lax.cond(state.turn.wait == 0, look, lambda: (state.turn.rule, state.rates))
+    def no_look() -> tuple[Array, Array, Array]:
+        change = jnp.zeros((len(learning), network.size), state.weights.dtype)
+        return state.turn.rule, state.rates, change
+
+    looked = state.turn.wait == 0
+    rule, rates, change = jax.lax.cond(looked, look, no_look)
+    return _Preference(rule, rates, change, looked)
 
 
 def _assessed(
     plan: Plan,
     state: State,
-    preference: tuple[Int[Array, ""], Float[Array, "rules groups"]],
+    preference: _Preference,
     cost: Array,
     measure: Array,
     stop_cost: Array,
     stop_set: bool,
 ) -> State:
     """The state with the cost of its weights known, whose turn it is, and whether it ended."""
-    rule, rates = preference
+    rule, rates = preference.rule, preference.rates
     first = state.epoch == 0
     first_cost = jnp.where(first, cost, state.first_cost)
     new_lowest = cost < state.lowest
@@ -209,11 +241,21 @@ def _learnt(
     training_set: Examples | NormalEquations,
     state: State,
     cost: Array,
+    known: _Known | None,
 ) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
     """The weights after the epoch, and the rates that led to them."""
     branches = [
         lambda weights, rates, number=number: _learn_by(
-            network, plan, training_set, number, weights, rates, state.key, state.epoch, cost
+            network,
+            plan,
+            training_set,
+            number,
+            weights,
+            rates,
+            state.key,
+            state.epoch,
+            cost,
+            known,
         )
         for number in range(len(plan.schedule.rules))
     ]
@@ -233,12 +275,17 @@ def _learn_by(
     key: Array,
     epoch: Array,
     cost: Array,
+    known: _Known | None,
 ) -> tuple[Array, Array]:
     """An epoch of one rule at the rates that serve best."""
     rule, adapting = plan.schedule.rules[number], plan.rates[number]
     learning = plan.learning(network)
     if plan.order == "batch":
-        change = training_set.change(network, rule, weights, learning)
+
+        def computed() -> Array:
+            return training_set.change(network, rule, weights, learning)
+
+        change = computed() if known is None else jax.lax.cond(known[1], lambda: known[0], computed)
 
         def after(trial: Array) -> Array:
             return weights + trial @ change

@@ -25,8 +25,8 @@ class SwitchWhen(eqx.Module):
 
     **Attributes**
 
-    - `every`: epochs to the next look after the first, and after a change of turn. A look costs one
-      or two epochs, and each that changes nothing doubles the time to the next.
+    - `every`: epochs to the next look after the first, and after a change of turn. A look costs
+      about an epoch of each other rule, and each that changes nothing doubles the time to the next.
     - `margin`: how many times the gain of the present rule another one must promise, both divided
       by the duration of an epoch; above one, so that turns do not change for nothing.
     - `durations`: of an epoch of each rule, in proportion; equal if omitted.
@@ -74,10 +74,12 @@ class Promise(NamedTuple):
 
     - `gains`: the part of the sum of squared errors that it would remove, 0 to 1.
     - `rates`: at which it would.
+    - `changes`: of the weights, at a rate of one.
     """
 
     gains: Float[Array, " rules"]
     rates: Float[Array, "rules groups"]
+    changes: Float[Array, "rules groups weights"]
 
 
 def promise(
@@ -96,13 +98,14 @@ def promise(
 
     gains: list[Array] = []
     best: list[Array] = []
+    changes: list[Array] = []
     for rule, own_rates in zip(rules, rates, strict=True):
-        step = own_rates @ training_set.change(network, rule, weights, learning)
-        _, moved = jax.jvp(outputs, (weights,), (step,))
+        changes.append(training_set.change(network, rule, weights, learning))
+        _, moved = jax.jvp(outputs, (weights,), (own_rates @ changes[-1],))
         gain, multiple = line_gain(errors, moved)
         gains.append(gain)
         best.append(jnp.where(gain > 0.0, multiple, 1.0) * own_rates)
-    return Promise(jnp.stack(gains), jnp.stack(best))
+    return Promise(jnp.stack(gains), jnp.stack(best), jnp.stack(changes))
 
 
 def line_gain(
