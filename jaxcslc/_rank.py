@@ -40,7 +40,7 @@ def numerical_rank(matrix: Float[np.ndarray, "rows columns"], rcond: float | Non
 
 
 def pseudo_inverse(
-    matrix: Float[np.ndarray, "rows columns"],
+    matrix: Float[np.ndarray, "rows columns"], rcond: float | None = None
 ) -> Float[np.ndarray, "columns rows"]:
     """The least-squares inverse of a matrix, its rank by the rule of all fits.
 
@@ -49,8 +49,21 @@ def pseudo_inverse(
     >>> (pseudo_inverse(matrix) @ matrix[:, 0]).round(9).tolist()
     [0.5, 0.0]
     """
-    left, singular, right, lengths = _decomposed(matrix, None)
-    return (right.T / singular) @ left.T / lengths[:, None]
+    left, singular, right, lengths = _decomposed(matrix, rcond)
+    return (right.T[:, : len(singular)] / singular) @ left.T / lengths[:, None]
+
+
+def null_vectors(
+    matrix: Float[np.ndarray, "rows columns"], rcond: float | None = None
+) -> Float[np.ndarray, "null columns"]:
+    """Rows that the matrix maps to zero, by the same rule: all that it leaves open.
+
+    >>> import numpy as np
+    >>> null_vectors(np.array([[1.0, 2e9], [3.0, 6e9]])).shape
+    (1, 2)
+    """
+    _, singular, right, lengths = _decomposed(matrix, rcond)
+    return right[len(singular) :] / lengths
 
 
 def _decomposed(
@@ -58,13 +71,14 @@ def _decomposed(
 ) -> tuple[
     Float[np.ndarray, "rows rank"],
     Float[np.ndarray, " rank"],
-    Float[np.ndarray, "rank columns"],
+    Float[np.ndarray, "columns columns"],
     Float[np.ndarray, " columns"],
 ]:
     """Singular value decomposition of the matrix with columns of unit length, and the lengths."""
     lengths = np.linalg.norm(matrix, axis=0)
     lengths = np.where(lengths > 0.0, lengths, 1.0)
-    left, singular, right = np.linalg.svd(matrix / lengths, full_matrices=False)
-    tolerance = rank_tolerance(matrix.shape[1], np.float64(max(matrix.shape[0], 1)), rcond)
+    rows, columns = matrix.shape
+    left, singular, right = np.linalg.svd(matrix / lengths, full_matrices=rows < columns)
+    tolerance = rank_tolerance(columns, np.float64(max(rows, 1)), rcond)
     rank = int(np.sum(singular > tolerance * singular[0])) if singular.size else 0
-    return left[:, :rank], singular[:rank], right[:rank], lengths
+    return left[:, :rank], singular[:rank], right, lengths

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxcslc._rank import numerical_rank, pseudo_inverse
+from jaxcslc._rank import null_vectors, numerical_rank, pseudo_inverse
 from jaxcslc.identification.likelihood._band import Spectrum
 
 
@@ -19,6 +19,9 @@ def test_inverse_solves_least_squares_in_any_units(
     solution = pseudo_inverse(matrix * units) @ target
     explained = matrix @ np.linalg.lstsq(matrix, target)[0]
     np.testing.assert_allclose((matrix * units) @ solution, explained, atol=1e-9)
+    null = null_vectors(matrix * units)
+    assert null.shape == (5 - rank, 5)
+    np.testing.assert_allclose((matrix * units) @ null.T, 0.0, atol=1e-9)
     # Of all such solutions it is the shortest, with columns of unit length.
     lengths = np.linalg.norm(matrix * units, axis=0)
     null = np.linalg.svd(matrix * units / lengths)[2][rank:]

@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
+from ..._rank import null_vectors, pseudo_inverse
 from ...inertia import Known
 from ..solver import RESULTS, FoldFit, Identification
 
@@ -64,7 +65,8 @@ def with_knowledge(
     start[fixed] = values
     matrix = np.concatenate([white, rows])
     missing = np.concatenate([white @ (k - start), target - rows @ start])
-    inverse, null = _inverse(matrix[:, free])
+    inverse = pseudo_inverse(matrix[:, free], _SMALLEST)
+    null = null_vectors(matrix[:, free], _SMALLEST)
     change = inverse @ missing
     start[free] += change
     start = _within_bounds(start, matrix, missing, free, known, change)
@@ -132,19 +134,6 @@ def _equations_of(
     parts = np.linalg.inv(np.concatenate([vectors[:, len(k) - rank :], basis], axis=1))
     rows = parts[:rank] / np.sqrt(values[len(k) - rank :])[:, None]
     return np.where(rounding, 0.0, rows / units)
-
-
-def _inverse(
-    matrix: Float[np.ndarray, "rows free"],
-) -> tuple[Float[np.ndarray, "free rows"], Float[np.ndarray, "null free"]]:
-    """The pseudo-inverse, columns scaled to unit length, and a basis of what it leaves open."""
-    scale = np.linalg.norm(matrix, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    scaled = matrix / scale
-    left, sizes, right = np.linalg.svd(scaled, full_matrices=True)
-    rank = int(np.sum(sizes > _SMALLEST * np.max(sizes, initial=0.0)))
-    inverse = (right[:rank].T / sizes[:rank]) @ left[:, :rank].T
-    return inverse / scale[:, None], right[rank:] / scale
 
 
 def _within_bounds(
