@@ -140,14 +140,14 @@ class TestHeldOut:
         self, arm: jc.CSLC, rng: np.random.Generator
     ) -> None:
         """For errors that are drawn, not fitted: F at 1 %. Four standard deviations are 0.02."""
-        from jaxcslc.identification._held_out import _judged
+        from jaxcslc.identification._held_out import judged_errors
 
         passed: list[bool] = []
         everything = np.ones((200, 1), bool)
         for _ in range(400):
             training, validation = rng.normal(size=(2, 200, 1))
             passed.append(
-                bool(_judged(training, everything, validation, everything, 0).beyond_chance)
+                bool(judged_errors(training, everything, validation, everything, 0).beyond_chance)
             )
         assert np.mean(passed) < 0.03
 
