@@ -14,7 +14,7 @@ from ._identify_several import identify_several
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import systematic_error
-from .checks import check
+from .checks import DataCheck, check
 from .possible import Choice, Part, judged_bodies
 from .prior import Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
@@ -101,30 +101,16 @@ def identify(
     >>> np.round(report.k, 3).tolist()
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
-    if (previous is None) != (groups is None):
-        raise ValueError("identify: got one of previous and groups; expected both or neither")
-    if possible not in get_args(Choice):
-        raise ValueError(f"possible: expected {', '.join(get_args(Choice))}, got {possible!r}")
-    if possible == "always" and previous is not None:
-        raise ValueError("possible: bodies are of a fit of all coefficients, not with previous")
-    if prior is not None:
-        if previous is not None:
-            raise ValueError("prior: is of a fit of all coefficients, not with previous")
-        if prior.links and possible == "never":
-            raise ValueError("prior, links: possible bodies alone can follow it; got 'never'")
-        prior.coefficient_values(network)
-        prior.link_values(network.robot)
+    _check_arguments(network, previous, groups, possible, prior)
     step = progress or without_progress
     by_name = (
         {"training recording": training} if isinstance(training, Recording) else _by_name(training)
     )
     data_check = None
     if checks:
-        listed = by_name if validation is None else {**by_name, "validation recording": validation}
         lag = 0.0 if settings is None else settings.preparation.torque_lag
         lag = (options or {}).get("torque_lag", lag)
-        on_time = [_without_lag(recording, lag) for recording in listed.values()]
-        data_check = check(network, on_time, list(listed), progress=step)
+        data_check = _checked(network, by_name, validation, lag, step)
     if len(by_name) > 1:
         if previous is not None:
             raise ValueError("identify: previous is for one recording, got several")
@@ -247,6 +233,42 @@ def identify(
         prior=prior,
         data_check=data_check,
     )
+
+
+def _check_arguments(
+    network: CSLC,
+    previous: Previous | None,
+    groups: Sequence[str] | None,
+    possible: Choice,
+    prior: Prior | None,
+) -> None:
+    """**Raises** `ValueError` for arguments that exclude each other or are not the network's."""
+    if (previous is None) != (groups is None):
+        raise ValueError("identify: got one of previous and groups; expected both or neither")
+    if possible not in get_args(Choice):
+        raise ValueError(f"possible: expected {', '.join(get_args(Choice))}, got {possible!r}")
+    if possible == "always" and previous is not None:
+        raise ValueError("possible: bodies are of a fit of all coefficients, not with previous")
+    if prior is not None:
+        if previous is not None:
+            raise ValueError("prior: is of a fit of all coefficients, not with previous")
+        if prior.links and possible == "never":
+            raise ValueError("prior, links: possible bodies alone can follow it; got 'never'")
+        prior.coefficient_values(network)
+        prior.link_values(network.robot)
+
+
+def _checked(
+    network: CSLC,
+    training: Mapping[str, Recording],
+    validation: Recording | None,
+    lag: float,
+    step: Callable[[str], None],
+) -> DataCheck:
+    """The check of all recordings, torques so much earlier [s]."""
+    listed = training if validation is None else {**training, "validation recording": validation}
+    on_time = [_without_lag(recording, lag) for recording in listed.values()]
+    return check(network, on_time, list(listed), progress=step)
 
 
 def _by_name(training: Sequence[Recording] | Mapping[str, Recording]) -> dict[str, Recording]:
