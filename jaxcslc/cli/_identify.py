@@ -52,6 +52,7 @@ from ._recording_options import (
     DespikeOption,
     DropStaleOption,
     EveryOption,
+    MeasuredOption,
     PeriodOption,
     RecordingOptions,
 )
@@ -81,6 +82,7 @@ def identify_command(
     period: PeriodOption = None,
     drop_stale: DropStaleOption = False,
     despike: DespikeOption = False,
+    measured: MeasuredOption = None,
     torque_lag: TorqueLagOption = None,
     loss: LossOption = None,
     folds: FoldsOption = None,
@@ -104,7 +106,9 @@ def identify_command(
             arm = robot_named(robot, base, tip, fix)
             saved = _previous_report(context, arm, previous)
             network = saved.network if saved else network_of(arm, lengths, friction, coupled)
-            reading = RecordingOptions(columns, between, every, period, drop_stale, despike)
+            reading = RecordingOptions(
+                columns, between, every, period, drop_stale, despike, measured
+            )
             report = identify(
                 network,
                 recordings_of(train, lambda path: reading.read(path, network.robot)),

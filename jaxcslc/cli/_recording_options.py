@@ -33,6 +33,18 @@ DespikeOption = Annotated[
 ]
 
 
+MeasuredOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--measured/--demanded",
+        help="Torques were measured at the samples, or are demands that drives hold to the next"
+        " sample; by default what the file's format says. It counts where the recording itself"
+        " does not show which torque belongs to a sample.",
+        show_default=False,
+    ),
+]
+
+
 @dataclasses.dataclass(frozen=True)
 class RecordingOptions:
     """What to do with a recording once it is read, in this order.
@@ -42,6 +54,7 @@ class RecordingOptions:
     - `columns`: a file with a mapping of its columns.
     - `between`: as text, start and end [s from its start].
     - `drop_stale`, `every`, `period`, `despike`: as the options of the command say.
+    - `measured`: whether torques are measurements; None for what the format says.
     """
 
     columns: Path | None = None
@@ -50,6 +63,7 @@ class RecordingOptions:
     period: float | None = None
     drop_stale: bool = False
     despike: bool = False
+    measured: bool | None = None
 
     def read(self, path: Path, robot: Manipulator) -> Recording:
         """The recording in a file, its joints in the robot's order.
@@ -60,6 +74,8 @@ class RecordingOptions:
           little of it.
         """
         recording = load_recording(path, joints=robot.joint_names, columns=self.columns)
+        if self.measured is not None:
+            recording = dataclasses.replace(recording, torque_measured=self.measured)
         if self.between is not None:
             recording = recording.between(*_two_numbers(self.between))
         if self.drop_stale:

@@ -69,7 +69,7 @@ def read_recording(folder: Path) -> Recording:
             np.stack([table[f"{name}{joint}"] for joint in range(1, 8)], axis=1)
             for name in ("q", "tau_J_")
         ]
-        return Recording(table["t_s"], *columns)
+        return Recording(table["t_s"], *columns, torque_measured=True)
     except (ValueError, IndexError, TypeError) as error:
         if isinstance(error, RecordingError):
             raise RecordingError(f"{path}: {error}") from None

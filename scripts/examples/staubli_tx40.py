@@ -89,7 +89,9 @@ def read_recording(folder: Path) -> Recording:
     gears = np.diag(RATIOS)
     gears[5, 4] = WRIST
     position = np.linalg.solve(gears, motor.T).T + np.array(ZERO)
-    return Recording(np.arange(len(motor)) * INTERVAL, position, torque @ gears)
+    return Recording(
+        np.arange(len(motor)) * INTERVAL, position, torque @ gears, torque_measured=True
+    )
 
 
 def _table(path: Path) -> Float[np.ndarray, "rows joints"]:

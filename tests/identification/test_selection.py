@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification import settings_document, settings_from
+from jaxcslc.identification import TorqueLag, settings_document, settings_from
+from jaxcslc.identification.selection._alignment import settled_alignment
 from jaxcslc.identification.solver._factors import triangle_of
 from jaxcslc.motion import AbstractSmoothing, CentralDifferences, Sampling, register_smoothing
 
@@ -392,3 +393,41 @@ def test_a_validation_recording_of_a_coarser_encoder_is_named(
     errors = [float(r.errors["validation"].rms[0, 0]) for r in (adapted, report)]
     assert errors[0] < errors[1]
     assert not any(text.startswith(start) for text in jc.identify(pendulum, fine, fine).warnings)
+
+
+def settled(scores: dict[str, float], lag: TorqueLag | None, *convention: str) -> str:
+    """The alignment that is settled on, at 2 ms, for scores and a lag [ms]."""
+
+    def estimate() -> TorqueLag:
+        if lag is None:
+            raise ValueError("too short")
+        return lag
+
+    settings = settled_alignment(
+        jc.Settings(),
+        convention,  # pyright: ignore[reportArgumentType]
+        lambda settings: scores[settings.preparation.torque_alignment],
+        estimate,
+        0.002,
+    )
+    return settings.preparation.torque_alignment
+
+
+def lag_of(lag: float, half: float) -> TorqueLag:
+    return TorqueLag(1e-3 * lag, 1e-3 * (lag - half), 1e-3 * (lag + half), 0.0)
+
+
+def test_an_alignment_is_settled_by_a_clear_score_or_by_the_lag() -> None:
+    clear = {"mean": 1.0, "sample": 0.8, "previous": 1.0}
+    held, measured = ("mean", "sample", "previous"), ("sample", "mean", "previous")
+    assert settled(clear, None, *held) == "sample"
+    close = {"mean": 1.0, "sample": 0.999, "previous": 1.0}
+    # A lag of none, a half and a whole sample, known to a tenth of one.
+    for lag, alignment in ((0.0, "sample"), (-1.0, "mean"), (-2.0, "previous")):
+        assert settled(close, lag_of(lag, 0.2), *held) == alignment
+        assert settled(close, lag_of(lag, 0.2), *measured) == alignment
+        # Known to no better than a sample: the convention stays.
+        assert settled(close, lag_of(lag, 2.0), *held) == "mean"
+        assert settled(close, lag_of(lag, 2.0), *measured) == "sample"
+    assert settled(close, None, *held) == "mean"
+    assert settled(close, lag_of(0.0, np.inf), *held) == "mean"

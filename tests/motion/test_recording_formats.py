@@ -8,7 +8,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jaxcslc.motion import Recording, RecordingError, load_recording, save_recording
+from jaxcslc.motion import (
+    Recording,
+    RecordingError,
+    load_recording,
+    resample,
+    save_recording,
+)
 
 from .conftest import numbered, write_rows
 
@@ -66,6 +72,18 @@ class TestUniversalRobots:
         path = write_rows(tmp_path / "ur.csv", self.columns(motion, "actual_current"))
         with pytest.raises(RecordingError, match=r"no torque: the file has motor currents \(act"):
             load_recording(path)
+
+
+def test_torques_of_logs_are_measured_and_those_of_own_columns_demanded(tmp_path: Path) -> None:
+    time, x = 0.01 * np.arange(8), np.zeros((8, 1))
+    save_recording(Recording(time, x, x, torque_measured=True), tmp_path / "own.csv")
+    assert not load_recording(tmp_path / "own.csv").torque_measured
+    lines = ["t,q_elbow,tau_elbow", *(f"{0.01 * row:g},0,0" for row in range(8))]
+    (tmp_path / "named.csv").write_text("\n".join(lines), encoding="utf-8")
+    read = load_recording(tmp_path / "named.csv")
+    assert read.torque_measured
+    assert read.rows(slice(1, 7)).torque_measured
+    assert resample(read, 0.005, drop_stale=False).torque_measured
 
 
 def test_libfranka(motion: Recording, tmp_path: Path) -> None:
