@@ -106,9 +106,7 @@ def identify_command(
             arm = robot_named(robot, base, tip, fix)
             saved = _previous_report(context, arm, previous)
             network = saved.network if saved else network_of(arm, lengths, friction, coupled)
-            reading = RecordingOptions(
-                columns, between, every, period, drop_stale, despike, measured
-            )
+            reading = RecordingOptions.of(context.params)
             report = identify(
                 network,
                 recordings_of(train, lambda path: reading.read(path, network.robot)),

@@ -1,6 +1,7 @@
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -64,6 +65,15 @@ class RecordingOptions:
     drop_stale: bool = False
     despike: bool = False
     measured: bool | None = None
+
+    @classmethod
+    def of(cls, parameters: Mapping[str, Any]) -> "RecordingOptions":
+        """Those that a command was called with.
+
+        - `parameters`: of the command, by name.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(**{name: parameters[name] for name in names if name in parameters})
 
     def read(self, path: Path, robot: Manipulator) -> Recording:
         """The recording in a file, its joints in the robot's order.
