@@ -1,3 +1,4 @@
+import warnings
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ from ._urdf_simplifications import Edit, simplified
 
 
 _ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively ...
+_LARGEST = 1e9  # of a drive's armature, damping and friction [SI units]
 _SMALLEST = 1e-15  # ... and absolutely [kg m²]: inertias of links of next to no mass are rounding
 
 WORLD = "world"  # what MuJoCo calls the body that carries all others
@@ -154,7 +156,9 @@ def _without_warnings() -> Generator[None]:
         before: Any = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(ignore)
         try:
-            yield
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # MuJoCo warns by Python's means too
+                yield
         finally:
             mujoco.set_mju_user_warning(before)
 
@@ -271,6 +275,13 @@ def _joints(model: Any, body: int) -> Iterator[FileJoint]:
         ):
             if kind and poly is not None and np.any(poly[at]):  # coefficients of higher powers
                 fault = f"{what} that is not linear is not modelled"
+        for what, value in (
+            ("armature", model.dof_armature[dof]),
+            ("damping", model.dof_damping[dof]),
+            ("friction loss", model.dof_frictionloss[dof]),
+        ):
+            if kind and not 0.0 <= value <= _LARGEST:
+                fault = f"{what} is {value:g}; expected 0 to {_LARGEST:g}"
         yield FileJoint(
             name,
             kind,

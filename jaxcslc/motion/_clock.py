@@ -13,6 +13,8 @@ UNIFORM_TO = 1e-3
 """Intervals that differ by less than this part of their mean count as equal: time stamps are
 written with a finite number of digits, and a part in a thousand changes no derivative by more."""
 
+_MOST_PERIODS = 1e9  # of a recording: eleven days at 1 kHz
+
 DETERMINED_TO = 0.1
 """An interval is determined by the motion if its standard deviation is below this part of a period:
 rounding to whole periods is then wrong less than once in a million times."""
@@ -153,8 +155,14 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
     >>> bool(np.allclose(np.diff(restored.time), np.diff(time)))
     True
     """
-    if not period > 0.0:
+    if not 0.0 < period < np.inf:
         raise ValueError(f"period is {period} s; expected more than 0")
+    length = float(recording.time[-1] - recording.time[0])
+    if length > _MOST_PERIODS * period:
+        raise ValueError(
+            f"period is {period:g} s; expected more than {length / _MOST_PERIODS:.2g} s, for a"
+            f" recording of {length:g} s"
+        )
     fresh = without_stale_rows(recording)
     stamps, position = fresh.time, fresh.position
     noise = np.maximum(noise_level(position), np.finfo(np.float64).eps)

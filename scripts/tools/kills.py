@@ -86,12 +86,15 @@ class Program(NamedTuple):
     - `output`: files and folders that it writes, in its folder.
     - `starts`: whether its earlier output is there when it starts; else only its input is.
     - `contents`: what is compared of a file of its output.
+    - `quiet`: whether Ctrl-C must end it in one line at any moment. Scripts do so once they have
+      loaded what they need.
     """
 
     line: list[str]
     output: tuple[str, ...]
     starts: bool
     contents: Callable[[Path], Any]
+    quiet: bool = False
 
 
 def _numbers_of(path: Path) -> Any:
@@ -104,7 +107,7 @@ def _numbers_of(path: Path) -> Any:
 _COMMAND = "from jaxcslc.cli import main; main()"
 _IDENTIFY = ("identify", "arm.toml", "log.csv", "--settings", "settings.json", "-o", "results")
 PROGRAMS = {
-    "identify": Program(["-c", _COMMAND, *_IDENTIFY], ("results",), True, _numbers_of),
+    "identify": Program(["-c", _COMMAND, *_IDENTIFY], ("results",), True, _numbers_of, quiet=True),
     "record": Program(["-c", RECORD], ("store",), False, lambda path: path.read_bytes()),
     "study": Program(["-c", STUDY], ("rows.jsonl",), False, lambda path: path.read_bytes()),
 }
@@ -153,9 +156,12 @@ def _kill(name: str, rows: Rows, options: argparse.Namespace) -> None:
                 pool.submit(_trial, name, trial, prepared, whole, seconds, Path(folder))
                 for trial in trials
             ]
-            for done in as_completed(waiting):
-                rows.add(done.result())
-                bar.update()
+            try:
+                for done in as_completed(waiting):
+                    rows.add(done.result())
+                    bar.update()
+            finally:
+                pool.shutdown(cancel_futures=True)
 
 
 def _trial(
@@ -178,7 +184,7 @@ def _trial(
         _, errors = process.communicate()
     faults: list[str] = []
     ended = process.returncode == 0
-    if how == signal.SIGINT and not ended:
+    if how == signal.SIGINT and not ended and program.quiet:
         if process.returncode not in _CODE_AFTER_SIGINT:
             faults.append(f"exit code {process.returncode} after SIGINT")
         if "Traceback" in errors:

@@ -223,6 +223,11 @@ def test_what_cannot_be_compared_is_said(saved: Path, tmp_path: Path) -> None:
     comparison = compare_reports(saved / "a", other)
     assert comparison.rows[0]["difference"] is None and "stands for" in comparison.rows[0]["note"]
     assert "different robots" in str(comparison)
+    for tables in document["quality"].values():
+        tables["judged"]["rms"] = None  # as in a file that was edited
+    other.write_text(json.dumps(document))
+    errors = compare_reports(saved / "a", other).page().sections[1]
+    assert "no errors of the same joints" in str(errors.blocks[0])
     document["names"] = [f"{name}x" for name in document["names"]]
     other.write_text(json.dumps(document))
     with pytest.raises(ValueError, match="no coefficient in common"):

@@ -141,6 +141,10 @@ REFUSED = {
     ),
     "MJCF twice": (mjcf(BODY.format("b", "j", "hinge", "") * 2), "repeated name"),
     "MJCF schema": (mjcf("<bodey/>"), "Schema violation"),
+    "armature below zero": (
+        mjcf('<body><joint name="j" armature="-1e300"/><geom size="0.1"/></body>'),
+        r"joint 'j': armature is -1e\+300; expected 0 to 1e\+09",
+    ),
     "damping that is not linear": (
         mjcf('<body><joint name="j" damping="1 2"/><geom size="0.1"/></body>'),
         "joint 'j': damping that is not linear",

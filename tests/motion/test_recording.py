@@ -186,3 +186,5 @@ def test_a_clock_that_is_not_there(rng: np.random.Generator) -> None:
         restore_clock(Recording(even, position, position), period=0.7e-3)
     with pytest.raises(ValueError, match="period is 0"):
         restore_clock(Recording(time, position, position), period=0.0)
+    with pytest.raises(ValueError, match=r"period is 1e-300 s; expected more than 3e-09 s"):
+        restore_clock(Recording(time, position, position), period=1e-300)

@@ -305,9 +305,27 @@ def _coefficient_section(comparison: ReportComparison) -> Section:
     )
 
 
+_QUALITIES = {"rms": "RMS", "percent": "% of RMS torque", "r_squared": "R²"}
+
+
+def _qualities(result: SavedResult) -> dict[str, dict[str, Any]]:
+    """The errors that a file has of each recording, those that have a number for each joint."""
+    joints = len(result.entry("joints", []))
+    whole: dict[str, dict[str, Any]] = {}
+    for recording, tables in result.entry("quality", {}).items():
+        try:
+            lists = [tables[samples][name] for samples in _SAMPLES for name in _QUALITIES]
+            numbers = np.array(lists, dtype=float)  # null is NaN
+        except (KeyError, TypeError, ValueError):
+            continue
+        if numbers.shape == (len(lists), joints):
+            whole[recording] = tables
+    return whole
+
+
 def _error_section(comparison: ReportComparison) -> Section:
     results = comparison.first, comparison.second
-    qualities = [result.entry("quality", {}) for result in results]
+    qualities = [_qualities(result) for result in results]
     joints = [result.entry("joints", []) for result in results]
     tables: list[Table | Paragraph] = []
     for recording in qualities[0]:
@@ -317,11 +335,7 @@ def _error_section(comparison: ReportComparison) -> Section:
             values = [quality[recording][samples] for quality in qualities]
             columns = [Column("joint", numeric=False)]
             cells: list[list[Value]] = [list(joints[0])]
-            for title, name in (
-                ("RMS", "rms"),
-                ("% of RMS torque", "percent"),
-                ("R²", "r_squared"),
-            ):
+            for name, title in _QUALITIES.items():
                 for which, value in zip(("first", "second"), values, strict=True):
                     columns.append(Column(f"{title}, {which}"))
                     cells.append(list(value[name]))

@@ -1,5 +1,6 @@
 """Mutations of files: of text, of bytes and of plain data, as slips and damage make them."""
 
+import copy
 import json
 import random
 import re
@@ -57,13 +58,14 @@ def mutated_document(document: Any, draw: random.Random) -> Any:
         keys = list(parent) if isinstance(parent, dict) else list(range(len(parent)))
         key, kind = draw.choice(keys), draw.random()
         if kind < 0.7:
-            parent[key] = draw.choice(VALUES)
+            parent[key] = copy.deepcopy(draw.choice(VALUES))
         elif kind < 0.85:
             del parent[key]
         elif isinstance(parent, dict):
-            parent[draw.choice((*map(str, keys), "unknown"))] = draw.choice(VALUES)
+            name = draw.choice((*map(str, keys), "unknown"))
+            parent[name] = copy.deepcopy(draw.choice(VALUES))
         else:
-            parent.append(draw.choice((*VALUES, parent[key])))
+            parent.append(copy.deepcopy(draw.choice((*VALUES, parent[key]))))
     return document
 
 

@@ -178,7 +178,10 @@ def _show(number: int, output: Path) -> int:
     with tempfile.TemporaryDirectory() as name:
         write_templates(Path(name))
         row = run_case(number, Path(name), folder)
-        line = shlex.join(case(number, Path(name), folder / "again").arguments)
+        again = Path(name) / "again"
+        again.mkdir()
+        line = shlex.join(case(number, Path(name), again).arguments)
+    line = line.replace(str(again), str(folder))
     print(f"jaxcslc {line}\n{row}\nits files are in {folder}")
     return int(row["fault"] is not None)
 
