@@ -65,3 +65,9 @@ def test_a_long_chain_is_derived_without_its_tables(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "closed-form tables are left out: for more than 9 joints" in result.output
     assert not (tmp_path / "out" / "tables.json").exists()
+
+
+def test_help_keeps_units_and_tables_in_brackets() -> None:
+    """Rich would take them for markup and leave them out."""
+    text = " ".join(run("identify", "--help").output.split())
+    assert "of this period [s]" in text and "with [equations]" in text

@@ -20,6 +20,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # it takes [s] for markup, and leaves it out
     help="Derive a robot's inverse dynamics, and identify its coefficients from recordings.",
 )
 app.command("derive")(derive_command)
