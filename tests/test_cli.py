@@ -196,6 +196,8 @@ class TestReidentify:
         [
             (["--reidentify", "viscous"], ["--reidentify and --previous", "both or neither"]),
             (["--previous", "KNOWN"], ["--reidentify and --previous", "both or neither"]),
+            (["--possible", "often"], ["--possible: expected auto, always, never, got 'often'"]),
+            (["--prior", "none.toml"], ["none.toml", "no such"]),
             (["--reidentify", "oil", "--previous", "KNOWN"], ["'oil'", "viscous, dry"]),
             (["--reidentify", "dry", "--previous", "none.json"], ["none.json", "no such"]),
             (

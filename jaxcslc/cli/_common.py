@@ -14,6 +14,7 @@ from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560, t
 from ..motion import Recording, RecordingError
 from ..motion.files import load_recording
 from ..network import CSLC, derive
+from ._progress_lines import progress_lines
 
 
 if TYPE_CHECKING:
@@ -269,7 +270,12 @@ def one_line_errors() -> Generator[None]:
 
 @contextlib.contextmanager
 def progress(first: str) -> Generator[Callable[[str], None]]:
-    """Shows the current step on standard error, on a terminal only."""
+    """Shows the current step on standard error: on a terminal as it changes, elsewhere a line now
+    and then, from half a minute on."""
     console = Console(stderr=True)
-    with console.status(first) as status:
-        yield lambda text: status.update(text)
+    if console.is_terminal:
+        with console.status(first) as status:
+            yield lambda text: status.update(text)
+        return
+    with progress_lines(first, lambda line: print(line, file=sys.stderr, flush=True)) as step:
+        yield step

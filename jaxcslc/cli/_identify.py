@@ -1,10 +1,10 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import typer
 
-from ..identification import Settings, identify, load_prior
+from ..identification import Report, Settings, identify, load_prior
 from ..identification.possible import Choice
 from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
 from ..manipulator import Manipulator
@@ -37,6 +37,7 @@ from ._identify_options import (
     ChecksOption,
     FoldsOption,
     LossOption,
+    MemoryOption,
     OffsetsOption,
     PossibleOption,
     PreviousOption,
@@ -92,6 +93,7 @@ def identify_command(
     systematic: SystematicOption = True,
     possible: PossibleOption = "auto",
     prior: PriorOption = None,
+    memory: MemoryOption = 2.0,
 ) -> None:
     """Identify a robot's coefficients from recordings of positions and torques.
 
@@ -113,19 +115,17 @@ def identify_command(
                 None if validate is None else reading.read(validate, network.robot),
                 _settings(settings, saved),
                 offsets=offsets,
-                previous=None if saved is None else saved.fit,
-                groups=None if reidentify is None else names_in(reidentify),
+                **_refitted(saved, reidentify),
                 options=without_none(torque_lag=torque_lag, loss=loss),
                 folds=folds,
                 checks=check,
                 systematic=systematic,
-                possible=choice_of("--possible", possible, get_args(Choice)),
-                prior=None if prior is None else load_prior(prior),
+                **_bodies(possible, prior),
+                memory=memory,
                 progress=step,
             )
-        step("writing")
-        paths = report.save(output, command=command_text(context))
-    typer.echo(f"{report}\n\nwrote " + ", ".join(str(path) for path in paths))
+        text = _written(report, output, context, step)
+    typer.echo(text)
 
 
 def _previous_report(
@@ -139,6 +139,34 @@ def _previous_report(
     if typed_options(context) & {"lengths", "friction", "coupled"}:
         raise ValueError("--lengths, --friction and --coupled: not with --previous, which has them")
     return load_report(path, robot)
+
+
+def _refitted(saved: SavedReport | None, groups: str | None) -> dict[str, Any]:
+    """What is fitted again, as arguments of `identify`."""
+    return {
+        "previous": None if saved is None else saved.fit,
+        "groups": None if groups is None else names_in(groups),
+    }
+
+
+def _bodies(possible: str, prior: Path | None) -> dict[str, Any]:
+    """What is asked and known of bodies, as arguments of `identify`."""
+    return {
+        "possible": choice_of("--possible", possible, get_args(Choice)),
+        "prior": None if prior is None else load_prior(prior),
+    }
+
+
+def _written(
+    report: "Report | SystemReport",
+    output: Path,
+    context: CommandContext,
+    step: Callable[[str], None],
+) -> str:
+    """Writes a report. **Returns** what is printed of it."""
+    step("writing")
+    paths = report.save(output, command=command_text(context))
+    return f"{report}\n\nwrote " + ", ".join(str(path) for path in paths)
 
 
 def _settings(path: Path | None, saved: SavedReport | None) -> Settings | None:

@@ -65,3 +65,11 @@ PriorOption = Annotated[
         " (docs/uncertainty.md).",
     ),
 ]
+MemoryOption = Annotated[
+    float,
+    typer.Option(
+        metavar="GB",
+        help="Memory to use, about: in a longer recording, settings are chosen and fits judged on a"
+        " part that is said; coefficients are fitted to all of it.",
+    ),
+]

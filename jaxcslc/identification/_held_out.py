@@ -16,6 +16,7 @@ from .solver import (
     effective_counts,
     filled_up,
     regressor_of,
+    torque_of,
 )
 
 
@@ -141,8 +142,7 @@ def held_out_error(
                 f"patterns have {patterns.joints} joints, {network.name!r} has"
                 f" {network.joint_count}"
             )
-        predicted = np.asarray(regressor_of(network, patterns) @ fit.k)
-        errors.append(np.asarray(patterns.torque) - predicted)
+        errors.append(np.asarray(patterns.torque) - torque_of(network, patterns, fit.k))
     masks = np.asarray(training.mask), np.asarray(validation.mask)
     held_out = judged_errors(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
     return dataclasses.replace(held_out, units=network.output_units, names=network.output_names)

@@ -18,7 +18,7 @@ from .checks import DataCheck, check
 from .possible import Choice, Part, judged_bodies
 from .prior import Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
-from .selection import Candidates, Selection, choose_settings
+from .selection import Candidates, Selection, choose_settings, section_of
 from .solver import Identification, LeastSquares, Previous
 
 
@@ -41,6 +41,7 @@ def identify(
     systematic: bool = True,
     possible: Choice = "auto",
     prior: Prior | None = None,
+    memory: float = 2.0,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Identifies a robot's coefficients from a recording, and judges the result.
@@ -78,6 +79,9 @@ def identify(
     - `prior`: what is known of coefficients and links: fixed, bounded, or a value with its error,
       by name. What is known of links makes the coefficients of possible bodies be used, which alone
       can follow it. Not with `previous`.
+    - `memory`: that may be used [GB], about. Coefficients are fitted to all samples of one training
+      recording, however long; where its regressor does not fit, settings are chosen and fits judged
+      on a part of it (`report.judged_part` says which).
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** a `Report`.
@@ -134,13 +138,15 @@ def identify(
         raise ValueError(
             "identify: offsets are of several recordings; for one use the friction term 'offset'"
         )
+    section = section_of(network, training, memory)
+    part = training if section is None else section.recording
     automatic_masks = settings is None or settings.preparation.threshold_fraction is None
     step("choosing settings")
     recordings = {"training": training}
     by_recording: dict[str, Settings] = {}
     with recording_named("training"):
         if settings is None:
-            selection = _selected(network, training, options or {}, folds)
+            selection = _selected(network, part, options or {}, folds)
             base_settings = selection.settings
         else:
             selection, base_settings = None, settings
@@ -153,27 +159,36 @@ def identify(
         warnings += [f"validation recording: {sentence}" for sentence in validation.notes]
         recordings["validation"] = validation
         by_recording["validation"], sentences = _for_validation(
-            network, by_recording["training"], training, validation, choose=settings is None
+            network,
+            by_recording["training"],
+            part,
+            validation,
+            choose=settings is None,
+            memory=memory,
         )
         warnings += sentences
     settings = by_recording["training"]
     step("preparing patterns")
     patterns = _patterns(by_recording, recordings)
+    part_patterns = patterns["training"]
+    if section is not None:
+        part_patterns = settings.patterns(part)
     slopes = None
     if previous is None and "static" in network.robot.friction_terms:
         step("fitting slopes of static friction")
-        slopes = fit_slopes(network, patterns["training"], solver=settings.solver)
+        slopes = fit_slopes(network, part_patterns, solver=settings.solver)
         network = slopes.network
         if slopes.dropped and automatic_masks:
             # Slow pairs of these joints have no term that explains them any more.
             by_recording = _without_static_friction(by_recording, slopes.dropped)
             settings = by_recording["training"]
             patterns = _patterns(by_recording, recordings)
-            slopes = _fitted_again(slopes, patterns["training"], settings.solver)
+            part_patterns = patterns["training"] if section is None else settings.patterns(part)
+            slopes = _fitted_again(slopes, part_patterns, settings.solver)
             network = slopes.network
     step("fitting coefficients")
     vectors = {}
-    if slopes is not None:
+    if slopes is not None and section is None:
         fit = slopes.fit
     elif previous is None or groups is None:
         fit = settings.fit(network, patterns["training"])
@@ -185,15 +200,15 @@ def identify(
     shifts = None
     if systematic:
         step("computing systematic errors")
-        shifts = systematic_error(network, training, settings, fit, groups=groups)
+        shifts = systematic_error(network, part, settings, fit, groups=groups)
         shifts = shifts.without([i for i, entry in known.items() if entry.fixed])
     bodies, held_out = None, None
     if previous is None:
         bodies, held_out, sentences = judged_bodies(
             network,
             fit,
-            patterns["training"],
-            lambda: Part.stretches(network, patterns["training"], settings.solver, _FOLDS),
+            part_patterns,
+            lambda: Part.stretches(network, part_patterns, settings.solver, _FOLDS),
             choice=possible,
             prior=prior,
             systematic=shifts,
@@ -211,7 +226,7 @@ def identify(
     if validation is not None:
         held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
     elif previous is None and held_out is None:
-        held_out = cross_validated_error(network, patterns["training"], settings, fit=fit)
+        held_out = cross_validated_error(network, part_patterns, settings, fit=fit)
     warnings += () if slopes is None else slopes.warnings
     warnings += () if held_out is None else held_out.warnings
     warnings += fit_warnings(network, training, fit, errors["training"])
@@ -232,6 +247,7 @@ def identify(
         possible=bodies,
         prior=prior,
         data_check=data_check,
+        judged_part=None if section is None else section.description,
     )
 
 
@@ -336,10 +352,12 @@ def _for_validation(
     name: str = "validation recording",
     *,
     choose: bool,
+    memory: float = np.inf,
 ) -> tuple[Settings, list[str]]:
     """The settings to prepare another recording with, and warnings about them.
 
     - `name`: what warnings call it.
+    - `memory`: as of `identify`.
     """
     chosen_on = settings.chosen_on or Sampling.of(training)
     differences = settings.preparation.check(validation, chosen_on)
@@ -348,6 +366,8 @@ def _for_validation(
     warning = f"{name}: {'; '.join(differences)}"
     if not choose:
         return settings, [warning]
+    section = None if memory == np.inf else section_of(network, validation, memory)
+    validation = validation if section is None else section.recording
     candidates = Candidates.suited_to(validation, network).keeping(settings)
     try:
         adapted = choose_settings(network, validation, candidates).settings

@@ -67,6 +67,7 @@ def parallel_filter(
     cutoff: float,
     order: int = 4,
     decimation: int | None = None,
+    kept: Int[np.ndarray, " kept"] | None = None,
     least_weight: float = 0.05,
 ) -> FilteredEquations:
     """Filters every column of the regressor and the torque alike, and decimates.
@@ -89,6 +90,7 @@ def parallel_filter(
         the smoothing that gave the accelerations, or it has nothing left to do.
     - `order`: of one of the filter's two passes.
     - `decimation`: keep every so many samples; by default `decimation_for(cutoff, interval)`.
+    - `kept`: the samples to keep, in place of every so many.
     - `least_weight`: drop an equation of which less than this part of the filter lay on pairs
         that count. The choice looks at the mask alone, never at the data.
 
@@ -116,7 +118,8 @@ def parallel_filter(
         raise ValueError(f"decimation is {decimation}; expected 1 or more samples")
     samples, joints, coefficients = regressor.shape
     # Start in the middle of the first stretch, so that the two ends are treated alike.
-    kept = np.arange((samples - 1) % decimation // 2, samples, decimation)
+    every = np.arange((samples - 1) % decimation // 2, samples, decimation)
+    kept = every if kept is None else kept
 
     regressors: list[Float[np.ndarray, "rows coefficients"]] = []
     columns: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []

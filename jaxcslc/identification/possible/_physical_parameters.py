@@ -11,7 +11,7 @@ from ...inertia import Fitted, LinkKnowledge, NearestBodies, bodies_of, constrai
 from ...manipulator import LinkParameters, Manipulator, seen_from
 from ...motion import Patterns
 from ...network import CSLC
-from ..solver import regressor_of
+from ..solver import torque_of
 
 
 if TYPE_CHECKING:
@@ -317,7 +317,7 @@ def _torque_distance(
     """Root mean square torque of a change of coefficients over the patterns of the mask."""
     if patterns is None:
         return np.full(network.joint_count, np.nan)
-    torque = np.asarray(regressor_of(network, patterns)) @ change
+    torque = torque_of(network, patterns, change)
     counts = np.asarray(patterns.mask)
     total = np.sum(np.where(counts, torque, 0.0) ** 2, axis=0)
     return np.sqrt(total / np.maximum(np.sum(counts, axis=0), 1))

@@ -11,7 +11,11 @@ from ..._environment import require
 from ..._text_table import text_table
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ..solver import filled_up
+from ..solver import filled_up, rows_of
+
+
+# Samples whose torques are computed at once, so that intermediates stay small.
+_AT_ONCE = 1 << 16
 
 
 class ErrorTable(eqx.Module):
@@ -200,6 +204,12 @@ def predicted_torque(
     network: AbstractLinearNetwork, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
 ) -> Float[Array, "samples joints"]:
     """The network's torque for the patterns' motion (samples, n) [N m]."""
+    if patterns.samples > _AT_ONCE:
+        parts = [
+            predicted_torque(network, rows_of(patterns, slice(i, i + _AT_ONCE)), k)
+            for i in range(0, patterns.samples, _AT_ONCE)
+        ]
+        return jnp.concatenate(parts)
     motion = (patterns.q, patterns.qd, patterns.qdd)
     torque = _torque(network, jnp.asarray(k), *(filled_up(x) for x in motion))
     return torque[: patterns.q.shape[0]]

@@ -56,6 +56,8 @@ class Report:
     - `prior`: what was known before; None if nothing was said.
     - `several`: of several training recordings: noise and offsets of each, and whether they agree.
       `patterns["training"]` then holds all of them, one after the other.
+    - `judged_part`: in words, the part of a long recording that settings are chosen on and fits
+      judged on; None if that is all of it.
     - `data_check`: what was read, and what looks wrong with it; None if it was not checked.
 
     >>> import numpy as np, jaxcslc as jc
@@ -89,6 +91,7 @@ class Report:
     prior: Prior | None = None
     several: SeveralFit | None = None
     data_check: DataCheck | None = None
+    judged_part: str | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -156,6 +159,7 @@ class Report:
             bodies=self.bodies,
             possible=self.possible,
             several=self.several,
+            judged_part=self.judged_part,
             findings=[*findings, *self._findings],
             command=command,
         )
@@ -174,6 +178,8 @@ class Report:
 
     def _sections(self) -> Iterator[list[str]]:
         yield [str(self.network), *joint_lines(self.network), f"settings: {self.settings}"]
+        if self.judged_part is not None:
+            yield [self.judged_part]
         if self.groups is not None:
             yield [
                 f"re-identified: {', '.join(self.groups)}; all other coefficients are fixed at"

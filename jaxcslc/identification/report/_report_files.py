@@ -116,6 +116,8 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         document["systematic_error"] = dict(report.systematic.parts)
     if report.several is not None:
         document["recordings"] = report.several.document()
+    if report.judged_part is not None:
+        document["judged_part"] = report.judged_part
     if report.prior is not None:
         document["prior"] = report.prior.document()
     if report.possible is not None:

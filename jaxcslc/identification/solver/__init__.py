@@ -1,6 +1,9 @@
 from ._compiled import (
     filled_up as filled_up,
     regressor_of as regressor_of,
+    rows_of as rows_of,
+    stretches_of as stretches_of,
+    torque_of as torque_of,
 )
 from ._equations import Equations as Equations, equations_of as equations_of
 from ._factors import (

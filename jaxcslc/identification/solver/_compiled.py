@@ -11,31 +11,86 @@ from ...network import AbstractLinearNetwork
 
 # Tracing a network takes longer than computing this many patterns with it.
 _FEWEST_ROWS = 4096
+_DOUBLED = 1 << 16
+# Entries of a regressor that are computed at once, and of how many one is split.
+_ENTRIES, _MOST_ENTRIES = 1 << 23, 1 << 25
 
 
 def filled_up(
-    x: Float[Array | np.ndarray, "samples columns"],
+    x: Float[Array | np.ndarray, "samples columns"], least: int = 0
 ) -> Float[Array, "rows columns"]:
-    """Zero rows behind the end, to the next power of two.
+    """Zero rows behind the end, to the next power of two or multiple of 65,536.
 
     So that recordings of similar lengths share one compiled function. Zeros are patterns of
     weight zero, or are cut off again.
+
+    - `least`: rows.
     """
-    rows = max(_FEWEST_ROWS, 1 << (x.shape[0] - 1).bit_length())
+    rows = max(_FEWEST_ROWS, least, 1 << (x.shape[0] - 1).bit_length())
+    if rows > _DOUBLED:  # long recordings are seldom compiled for, and doubling takes memory
+        rows = -(-x.shape[0] // _DOUBLED) * _DOUBLED
     widths = ((0, rows - x.shape[0]), (0, 0))
     # NumPy's own arrays are filled up by NumPy: nothing to compile, as `jnp.asarray` would.
     return jax.device_put(np.pad(x, widths)) if isinstance(x, np.ndarray) else jnp.pad(x, widths)
 
 
 def regressor_of(
-    network: AbstractLinearNetwork, patterns: Patterns
+    network: AbstractLinearNetwork, patterns: Patterns, least: int = 0
 ) -> Float[Array | np.ndarray, "samples joints coefficients"]:
-    """The regressor of patterns; compiled once for all recordings of similar lengths."""
-    q, qd, qdd = (filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+    """The regressor of patterns; compiled once for all recordings of similar lengths.
+
+    - `least`: rows that are compiled for.
+    """
+    q, qd, qdd = (filled_up(x, least) for x in (patterns.q, patterns.qd, patterns.qdd))
     filled = _regressor(network, q, qd, qdd)
     # NumPy's slice shares the memory; JAX's is a program to compile for each number of samples.
     rows = filled if isinstance(filled, Tracer) else np.asarray(filled)
     return rows[: len(patterns.q)]
+
+
+def stretch_length(network: AbstractLinearNetwork, samples: int) -> int:
+    """Samples whose regressor is computed at once: all of them, or as many as are a stretch of a
+    long recording."""
+    row = max(network.joint_count * network.size, 1)
+    if samples * row <= _MOST_ENTRIES:
+        return samples
+    return max(1 << (max(_ENTRIES // row, 1).bit_length() - 1), _FEWEST_ROWS)
+
+
+def stretches_of(network: AbstractLinearNetwork, samples: int) -> list[slice]:
+    """The stretches of a recording, all of one length but the last."""
+    length = max(stretch_length(network, samples), 1)
+    return [slice(start, min(start + length, samples)) for start in range(0, samples, length)]
+
+
+def torque_of(
+    network: AbstractLinearNetwork,
+    patterns: Patterns,
+    k: Float[Array | np.ndarray, " coefficients"],
+) -> Float[np.ndarray, "samples joints"]:
+    """The regressor of patterns times coefficients, in stretches; on the host."""
+    k, samples = np.asarray(k), len(patterns.q)
+    stretches = stretches_of(network, samples)
+    if len(stretches) < 2:
+        return np.asarray(regressor_of(network, patterns)) @ k
+    length = stretches[0].stop
+    parts = [
+        np.asarray(regressor_of(network, rows_of(patterns, rows), length)) @ k for rows in stretches
+    ]
+    return np.concatenate(parts)
+
+
+def rows_of(patterns: Patterns, rows: slice) -> Patterns:
+    """Some samples of patterns."""
+    return Patterns(
+        *(
+            np.asarray(values)[rows]
+            for values in (
+                *(patterns.time, patterns.q, patterns.qd, patterns.qdd, patterns.torque),
+                *(patterns.backlash_mask, patterns.friction_mask),
+            )
+        )
+    )
 
 
 @eqx.filter_jit

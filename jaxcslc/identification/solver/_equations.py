@@ -4,10 +4,20 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...motion import Patterns, parallel_filter, uniform_interval
+from ...motion import (
+    FilteredEquations,
+    Patterns,
+    decimation_for,
+    parallel_filter,
+    uniform_interval,
+)
 from ...network import AbstractLinearNetwork
-from ._compiled import regressor_of
+from ._compiled import regressor_of, rows_of, stretches_of
 from ._factors import JointFactors, Unknowns
+
+
+# After so many periods of its cut-off the zero-phase filter has forgotten to ten digits.
+_MEMORY = 10.0
 
 
 class Equations(eqx.Module):
@@ -48,6 +58,11 @@ class Equations(eqx.Module):
         filtered = parallel_filter(
             regressor, torque, mask, interval=uniform_interval(time), cutoff=cutoff
         )
+        return cls.of_filtered(unknowns, filtered)
+
+    @classmethod
+    def of_filtered(cls, unknowns: Unknowns, filtered: FilteredEquations) -> "Equations":
+        """Those that a parallel filter has made."""
         joints = [filtered.joint == joint for joint in range(len(unknowns.support))]
         rows = [
             np.concatenate(
@@ -126,6 +141,17 @@ def equations_of(
     regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
 ) -> Equations:
     """One a pair that counts, or those that a parallel filter makes of them; on the host."""
+    samples = len(patterns.q)
+    stretches = stretches_of(network, samples) if regressor is None else []
+    if len(stretches) > 1 and cutoff is not None:
+        return _filtered_in_stretches(network, patterns, cutoff, stretches[0].stop)
+    if len(stretches) > 1:
+        length = stretches[0].stop
+        parts = [
+            equations_of(network, part, None, np.asarray(regressor_of(network, part, length)))
+            for part in (rows_of(patterns, rows) for rows in stretches)
+        ]
+        return _joined(parts, [rows.start for rows in stretches])
     return Equations.of(
         Unknowns.of(network),
         np.asarray(regressor_of(network, patterns)) if regressor is None else regressor,
@@ -133,4 +159,51 @@ def equations_of(
         np.asarray(patterns.mask),
         time=np.asarray(patterns.time),
         cutoff=cutoff,
+    )
+
+
+def _filtered_in_stretches(
+    network: AbstractLinearNetwork, patterns: Patterns, cutoff: float, length: int
+) -> Equations:
+    """The equations that a parallel filter makes of a long recording, whose regressor would not fit
+    into memory.
+
+    Each stretch is filtered with as much of its neighbours as the filter remembers to ten digits.
+
+    - `length`: of stretches with these parts of their neighbours, unless the filter reaches far.
+    """
+    interval, samples = uniform_interval(np.asarray(patterns.time)), len(patterns.q)
+    reach = int(np.ceil(_MEMORY / (cutoff * interval)))
+    decimation = decimation_for(cutoff, interval)
+    kept = np.arange((samples - 1) % decimation // 2, samples, decimation)
+    parts: list[Equations] = []
+    starts: list[int] = []
+    inside = max(length - 2 * reach, 2 * reach)
+    for first in range(0, samples, inside):
+        rows = slice(first, min(first + inside, samples))
+        start, stop = max(rows.start - reach, 0), min(rows.stop + reach, samples)
+        within = rows_of(patterns, slice(start, stop))
+        inner = kept[(kept >= rows.start) & (kept < rows.stop)] - start
+        filtered = parallel_filter(
+            np.asarray(regressor_of(network, within, length)),
+            np.asarray(within.torque),
+            np.asarray(within.mask),
+            interval=interval,
+            cutoff=cutoff,
+            kept=inner,
+        )
+        parts.append(Equations.of_filtered(Unknowns.of(network), filtered))
+        starts.append(start)
+    return _joined(parts, starts)
+
+
+def _joined(parts: Sequence[Equations], starts: Sequence[int]) -> Equations:
+    """Equations of parts of a recording that begin at these samples."""
+    return Equations(
+        parts[0].unknowns,
+        tuple(np.concatenate(rows) for rows in zip(*(part.rows for part in parts), strict=True)),
+        tuple(
+            np.concatenate([start + sample for start, sample in zip(starts, samples, strict=True)])
+            for samples in zip(*(part.sample for part in parts), strict=True)
+        ),
     )

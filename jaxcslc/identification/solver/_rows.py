@@ -172,6 +172,9 @@ class PatternRows(AbstractRows):
         )
 
 
+_KeptBlock = tuple[tuple[Array, ...], Array, Array, Array]
+
+
 class KeptRows(AbstractRows):
     """Equations that are few enough to be kept, such as a parallel filter has made."""
 
@@ -231,8 +234,17 @@ class KeptRows(AbstractRows):
         weights: Float[Array, " joints"],
         used: Float[Array, " components"],
     ) -> CosineSums:
-        sums = CosineSums.empty(self.of.size, len(used))
-        weight = self.counts * weights[None, :] ** 2
-        for j, (indices, rows) in enumerate(zip(self.of.support, self.columns, strict=True)):
-            sums = sums.plus(indices, rows.T, residual[:, j], weight[:, j], self.phase, used)
-        return sums
+        def plus(sums: CosineSums, block: _KeptBlock) -> tuple[CosineSums, None]:
+            columns, residual, weight, phase = block
+            for j, (indices, rows) in enumerate(zip(self.of.support, columns, strict=True)):
+                sums = sums.plus(indices, rows.T, residual[:, j], weight[:, j], phase, used)
+            return sums, None
+
+        empty = CosineSums.empty(self.of.size, len(used))
+        whole = (self.columns, residual, self.counts * weights[None, :] ** 2, self.phase)
+        instants = len(self.phase)
+        if instants <= 2 * _BLOCK or instants % _BLOCK:
+            return plus(empty, whole)[0]
+        # Block by block: there are as many products of rows and cosines as components.
+        blocks = jax.tree.map(lambda x: x.reshape(-1, _BLOCK, *x.shape[1:]), whole)
+        return jax.lax.scan(plus, empty, blocks)[0]

@@ -65,6 +65,7 @@ def report_data(
     bodies: PhysicalParameters | None = None,
     possible: PossibleFit | None = None,
     several: SeveralFit | None = None,
+    judged_part: str | None = None,
     findings: Sequence[str] = (),
     command: str | None = None,
 ) -> dict[str, Any]:
@@ -77,6 +78,7 @@ def report_data(
     - `bodies`: possible ones nearest to the fit.
     - `possible`: how they predict torque, beside the fit.
     - `several`: of several training recordings.
+    - `judged_part`: of a long recording, in words.
     - `findings`: about the recordings, a sentence each, beside the report's own warnings.
     - `command`: that repeats it.
 
@@ -129,6 +131,7 @@ def report_data(
         "bodies": None,
         "several": None if several is None else several.document(),
         "versions": versions(),
+        "judged_part": judged_part,
         "command": command,
     }
     if isinstance(network, CSLC):

@@ -345,6 +345,8 @@ def _judged_bodies(data: Mapping[str, Any], judged: Mapping[str, Any]) -> list[A
 
 def _settings(data: Mapping[str, Any]) -> Section:
     blocks: list[AbstractBlock] = [Paragraph(f"Used: {data['settings']}.")]
+    if data["judged_part"] is not None:
+        blocks.append(Paragraph(f"Long recording: {data['judged_part']}."))
     trials = data["trials"]
     if trials:
         best = trials[0]["score"]

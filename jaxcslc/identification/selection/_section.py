@@ -1,0 +1,73 @@
+from typing import NamedTuple
+
+import numpy as np
+
+from ...motion import Recording
+from ...network import CSLC
+
+
+# Copies of a regressor that choosing settings and judging fits hold at a time, JAX's included.
+_COPIES = 12
+# Sections that the best is selected from.
+_SECTIONS = 32
+_LEAST_SAMPLES = 4096
+# A longer distance between samples, in sampling intervals, is a gap.
+_GAP = 2.5
+
+
+class Section(NamedTuple):
+    """The part of a long recording that settings are chosen on and fits are judged on.
+
+    - `recording`: of consecutive samples.
+    - `description`: where it is, in words.
+    """
+
+    recording: Recording
+    description: str
+
+
+def section_of(network: CSLC, recording: Recording, memory: float) -> Section | None:
+    """The part of a recording whose regressor fits into memory, or None if all of it does.
+
+    Of sections of equal length without gaps that start at even distances, that in which joints
+    cover the most: the greatest sum of logarithms of the standard deviations of positions and of
+    their differences. (Sections apart from each other would have gaps between them, which no
+    filter may pass.)
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `recording`: of n joints.
+    - `memory`: that may be used [GB].
+
+    **Raises**
+
+    - `ValueError`: a memory that is not above zero.
+    """
+    if not 0.0 < memory < np.inf:
+        raise ValueError(f"memory: expected more than 0 GB, got {memory:g}")
+    row = 8 * network.joint_count * network.size
+    most = max(int(1e9 * memory / (_COPIES * row)), _LEAST_SAMPLES)
+    if recording.samples <= most:
+        return None
+    starts = np.linspace(0, recording.samples - most, _SECTIONS).astype(int)
+    steps = np.diff(recording.time)
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
+    whole = [start for start in starts if not np.any((gaps >= start) & (gaps < start + most))]
+    start = max(whole or starts, key=lambda start: _motion(recording, slice(start, start + most)))
+    part = recording.rows(slice(start, start + most))
+    from_start = part.time - recording.time[0]
+    return Section(
+        part,
+        f"settings, held-out errors, systematic errors and possible bodies are judged on {most} of"
+        f" {recording.samples} samples, from {from_start[0]:.4g} s to {from_start[-1]:.4g} s, where"
+        f" joints move most: the regressor of all would take more than {memory:g} GB (--memory);"
+        " coefficients are fitted to all samples",
+    )
+
+
+def _motion(recording: Recording, rows: slice) -> float:
+    """How much the joints move in a part of a recording."""
+    position = recording.position[rows]
+    spread = np.std(position, axis=0) * np.std(np.diff(position, axis=0), axis=0)
+    return float(np.sum(np.log(np.maximum(spread, 1e-30))))
