@@ -71,3 +71,11 @@ def test_help_keeps_units_and_tables_in_brackets() -> None:
     """Rich would take them for markup and leave them out."""
     text = " ".join(run("identify", "--help").output.split())
     assert "of this period [s]" in text and "with [equations]" in text
+
+
+def test_numbers_that_no_machine_word_holds(tmp_path: Path) -> None:
+    """TOML's integers have any length: they are numbers like others."""
+    path = tmp_path / "arm.toml"
+    path.write_text("[[joint]]\nviscous = 99999999999999999999999999\n[[joint]]\nviscous = 1\n")
+    result = run("derive", path)
+    assert result.exit_code == 0, result.output

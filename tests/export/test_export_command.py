@@ -154,6 +154,7 @@ def _first(document: dict[str, Any], name: str, value: Any) -> None:
         (lambda document: document.update(expressions=["m1"]), "expressions"),
         (lambda document: document.update(friction="dry"), "friction: expected a list"),
         (lambda document: document.update(coupled=[3]), "fit.json"),
+        (lambda document: document.update(lengths=[["a1"]]), "lengths: expected a text or a list"),
     ],
 )
 @pytest.mark.parametrize("extra", [(), ("--c",)])
