@@ -1,29 +1,17 @@
-import contextlib
 import dataclasses
-from collections.abc import Callable, Generator, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, get_args
 
-import jax.numpy as jnp
-import numpy as np
-
-from ..motion import Patterns, Preparation, Recording, Sampling
+from ..motion import Preparation, Recording
 from ..network import CSLC
-from ._held_out import cross_validated_error, held_out_error
+from ._identify_one import identify_one, without_progress
 from ._identify_several import identify_several
 from ._settings import Settings
-from ._slopes import SlopeFit, fit_slopes
-from ._systematic import systematic_error
 from .checks import DataCheck, check
-from .possible import Choice, Part, judged_bodies
-from .prior import Prior, with_knowledge
-from .report import Report, compare, degree_of_excitation, fit_warnings
-from .selection import Candidates, Selection, choose_settings, section_of
-from .solver import Identification, LeastSquares, Previous
-
-
-# Stretches that settings are chosen by, and how many samples each has at least.
-_FOLDS, _FEWEST_OF_FOLD = 8, 80
+from .possible import Choice
+from .prior import Prior
+from .report import Report
+from .solver import Previous
 
 
 def identify(
@@ -129,7 +117,6 @@ def identify(
             systematic=systematic,
             possible=possible,
             prior=prior,
-            adapted=_for_validation,
             data_check=data_check,
             step=step,
         )
@@ -138,116 +125,21 @@ def identify(
         raise ValueError(
             "identify: offsets are of several recordings; for one use the friction term 'offset'"
         )
-    section = section_of(network, training, memory)
-    part = training if section is None else section.recording
-    automatic_masks = settings is None or settings.preparation.threshold_fraction is None
-    step("choosing settings")
-    recordings = {"training": training}
-    by_recording: dict[str, Settings] = {}
-    with recording_named("training"):
-        if settings is None:
-            selection = _selected(network, part, options or {}, folds)
-            base_settings = selection.settings
-        else:
-            selection, base_settings = None, settings
-        base_settings = base_settings.with_options(**(options or {}))
-        by_recording["training"] = base_settings.for_network(network)
-    warnings = [*network.robot.notes]
-    warnings += [f"training recording: {sentence}" for sentence in training.notes]
-    warnings += [f"training recording: {sentence}" for sentence in base_settings.check(training)]
-    if validation is not None:
-        warnings += [f"validation recording: {sentence}" for sentence in validation.notes]
-        recordings["validation"] = validation
-        by_recording["validation"], sentences = _for_validation(
-            network,
-            by_recording["training"],
-            part,
-            validation,
-            choose=settings is None,
-            memory=memory,
-        )
-        warnings += sentences
-    settings = by_recording["training"]
-    step("preparing patterns")
-    patterns = _patterns(by_recording, recordings)
-    part_patterns = patterns["training"]
-    if section is not None:
-        part_patterns = settings.patterns(part)
-    slopes = None
-    if previous is None and "static" in network.robot.friction_terms:
-        step("fitting slopes of static friction")
-        slopes = fit_slopes(network, part_patterns, solver=settings.solver)
-        network = slopes.network
-        if slopes.dropped and automatic_masks:
-            # Slow pairs of these joints have no term that explains them any more.
-            by_recording = _without_static_friction(by_recording, slopes.dropped)
-            settings = by_recording["training"]
-            patterns = _patterns(by_recording, recordings)
-            part_patterns = patterns["training"] if section is None else settings.patterns(part)
-            slopes = _fitted_again(slopes, part_patterns, settings.solver)
-            network = slopes.network
-    step("fitting coefficients")
-    vectors = {}
-    if slopes is not None and section is None:
-        fit = slopes.fit
-    elif previous is None or groups is None:
-        fit = settings.fit(network, patterns["training"])
-    else:
-        fit = settings.reidentify(network, patterns["training"], previous, groups)
-        vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
-    known = {} if prior is None else prior.coefficient_values(network)
-    fit = with_knowledge(fit, known)
-    shifts = None
-    if systematic:
-        step("computing systematic errors")
-        shifts = systematic_error(network, part, settings, fit, groups=groups)
-        shifts = shifts.without([i for i, entry in known.items() if entry.fixed])
-    bodies, held_out = None, None
-    if previous is None:
-        bodies, held_out, sentences = judged_bodies(
-            network,
-            fit,
-            part_patterns,
-            lambda: Part.stretches(network, part_patterns, settings.solver, _FOLDS),
-            choice=possible,
-            prior=prior,
-            systematic=shifts,
-            step=step,
-        )
-        warnings += sentences
-    if bodies is not None:
-        fit, vectors = bodies.fit, bodies.other_coefficients
-    step("computing errors")
-    errors = {
-        name: compare(network, values, {"fit": fit.k, **vectors})
-        for name, values in patterns.items()
-    }
-    excitation = degree_of_excitation(network, patterns["training"]) if previous is None else None
-    if validation is not None:
-        held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
-    elif previous is None and held_out is None:
-        held_out = cross_validated_error(network, part_patterns, settings, fit=fit)
-    warnings += () if slopes is None else slopes.warnings
-    warnings += () if held_out is None else held_out.warnings
-    warnings += fit_warnings(network, training, fit, errors["training"])
-    return Report(
+    return identify_one(
         network,
+        training,
+        validation,
         settings,
-        fit,
-        patterns,
-        MappingProxyType(errors),
-        excitation,
-        held_out,
-        slopes,
-        shifts,
-        None if groups is None else tuple(groups),
-        tuple(warnings),
-        selection,
-        bodies=None if bodies is None else bodies.parameters,
-        possible=bodies,
+        previous=previous,
+        groups=groups,
+        options=options or {},
+        folds=folds,
+        systematic=systematic,
+        possible=possible,
         prior=prior,
+        memory=memory,
         data_check=data_check,
-        judged_part=None if section is None else section.description,
+        step=step,
     )
 
 
@@ -303,97 +195,3 @@ def _without_lag(recording: Recording, lag: float) -> Recording:
     """The recording, its torques so much earlier [s]."""
     torque = Preparation(torque_lag=lag).aligned(recording.time, recording.torque)
     return dataclasses.replace(recording, torque=torque)
-
-
-def _selected(
-    network: CSLC, recording: Recording, options: Mapping[str, Any], folds: int | None
-) -> Selection:
-    """The settings that cross-validation selects, some options set in advance."""
-    candidates = Candidates.suited_to(recording, network)
-    if "torque_lag" in options:
-        candidates = dataclasses.replace(candidates, torque_lags=(options["torque_lag"],))
-    if folds is None:
-        folds = max(2, min(_FOLDS, recording.samples // _FEWEST_OF_FOLD))
-    return choose_settings(network, recording, candidates, folds=folds)
-
-
-def _without_static_friction(
-    by_recording: Mapping[str, Settings], joints: Sequence[int]
-) -> dict[str, Settings]:
-    """The settings when joints, counted from 1, have lost their term of static friction."""
-    return {
-        name: dataclasses.replace(
-            settings, preparation=settings.preparation.without_static_friction(joints)
-        )
-        for name, settings in by_recording.items()
-    }
-
-
-def _fitted_again(slopes: SlopeFit, patterns: Patterns, solver: LeastSquares) -> SlopeFit:
-    """The fit of slopes to other patterns, without the joints that have lost the term."""
-    network = slopes.network
-    if "static" not in network.robot.friction_terms:
-        return dataclasses.replace(slopes, fit=solver.fit(network, patterns))
-    again = fit_slopes(network, patterns, solver=solver, start=slopes.slopes)
-    lost = np.isin(np.arange(1, network.joint_count + 1), slopes.dropped)
-    return dataclasses.replace(
-        again,
-        slope_error=jnp.where(lost, jnp.inf, again.slope_error),
-        dropped=tuple(sorted({*slopes.dropped, *again.dropped})),
-        warnings=(*slopes.warnings, *again.warnings),
-    )
-
-
-def _for_validation(
-    network: CSLC,
-    settings: Settings,
-    training: Recording,
-    validation: Recording,
-    name: str = "validation recording",
-    *,
-    choose: bool,
-    memory: float = np.inf,
-) -> tuple[Settings, list[str]]:
-    """The settings to prepare another recording with, and warnings about them.
-
-    - `name`: what warnings call it.
-    - `memory`: as of `identify`.
-    """
-    chosen_on = settings.chosen_on or Sampling.of(training)
-    differences = settings.preparation.check(validation, chosen_on)
-    if not differences:
-        return settings, []
-    warning = f"{name}: {'; '.join(differences)}"
-    if not choose:
-        return settings, [warning]
-    section = None if memory == np.inf else section_of(network, validation, memory)
-    validation = validation if section is None else section.recording
-    candidates = Candidates.suited_to(validation, network).keeping(settings)
-    try:
-        adapted = choose_settings(network, validation, candidates).settings
-    except ValueError as error:  # too short, or too little motion to choose by
-        return settings, [f"{warning}; no smoothing of its own: {error}"]
-    return adapted, [f"{warning}; prepared by settings of its own: {adapted.preparation}"]
-
-
-def _patterns(
-    settings: Mapping[str, Settings], recordings: Mapping[str, Recording]
-) -> Mapping[str, Patterns]:
-    patterns: dict[str, Patterns] = {}
-    for name, recording in recordings.items():
-        with recording_named(name):
-            patterns[name] = settings[name].patterns(recording)
-    return MappingProxyType(patterns)
-
-
-@contextlib.contextmanager
-def recording_named(recording: str) -> Generator[None]:
-    """Adds to an error's message which recording it is about."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{recording} recording: {error}") from None
-
-
-def without_progress(step: str) -> None:
-    del step

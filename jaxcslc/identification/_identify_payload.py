@@ -4,7 +4,7 @@ import numpy as np
 
 from ..motion import Recording
 from ..network import CSLC
-from ._identify import recording_named, without_progress
+from ._identify_one import recording_named, without_progress
 from ._offline import fit_payload
 from ._settings import Settings
 from .report import PayloadReport, compare

@@ -5,6 +5,7 @@ from types import MappingProxyType
 from ..motion import Patterns, Recording, joined_patterns
 from ..network import CSLC
 from ._held_out import held_out_error, left_out_error
+from ._identify_one import settings_for_another
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import SystematicError, systematic_error
@@ -26,16 +27,14 @@ def identify_several(
     systematic: bool,
     possible: Choice,
     prior: Prior | None,
-    adapted: Callable[..., tuple[Settings, list[str]]],
     data_check: DataCheck | None,
     step: Callable[[str], None],
 ) -> Report:
     """What `identify` does with several recordings.
 
     Settings are chosen on the longest; recordings that were sampled in another way get a smoothing
-    of their own, by `adapted`. Slopes of static friction are those of the longest.
+    of their own. Slopes of static friction are those of the longest.
 
-    - `adapted`: settings for a further recording, and warnings about them.
     - `data_check`: of all recordings, the one for validation included.
     """
     step("choosing settings")
@@ -53,7 +52,7 @@ def identify_several(
     by_recording = {main: base}
     for name, recording in training.items():
         if name != main:
-            by_recording[name], sentences = adapted(
+            by_recording[name], sentences = settings_for_another(
                 network, base, training[main], recording, name, choose=automatic
             )
             warnings += sentences
@@ -104,7 +103,7 @@ def identify_several(
     if validation is None and held_out is None:
         held_out = left_out_error(network, several.patterns, fit, several.without)
     elif validation is not None:
-        suited, sentences = adapted(
+        suited, sentences = settings_for_another(
             network, base, training[main], validation, "validation recording", choose=automatic
         )
         warnings += sentences

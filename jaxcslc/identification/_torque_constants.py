@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ..motion import Patterns, Recording
 from ..network import CSLC
-from ._identify import recording_named, without_progress
+from ._identify_one import recording_named, without_progress
 from ._settings import Settings
 from .solver import Equations, Identification, LeastSquares, Unknowns, regressor_of
 

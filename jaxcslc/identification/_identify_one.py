@@ -1,0 +1,276 @@
+import contextlib
+import dataclasses
+from collections.abc import Callable, Generator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..motion import Patterns, Recording, Sampling
+from ..network import CSLC
+from ._held_out import cross_validated_error, held_out_error
+from ._settings import Settings
+from ._slopes import SlopeFit, fit_slopes
+from ._systematic import systematic_error
+from .checks import DataCheck
+from .possible import Choice, Part, judged_bodies
+from .prior import Prior, with_knowledge
+from .report import Report, compare, degree_of_excitation, fit_warnings
+from .selection import Candidates, Section, Selection, choose_settings, section_of
+from .solver import Identification, LeastSquares, Previous
+
+
+# Stretches that settings are chosen by, and how many samples each has at least.
+_FOLDS, _FEWEST_OF_FOLD = 8, 80
+
+
+@dataclasses.dataclass(frozen=True)
+class _Prepared:
+    """Recordings with the settings that they are prepared by.
+
+    - `recordings`: `training`, and `validation` if there is one.
+    - `settings`: of each.
+    - `part`: of the training recording, where memory allows no more; or all of it.
+    - `section`: which part that is, if it is one.
+    - `selection`: how the settings were chosen, if they were.
+    - `warnings`: about the recordings and their settings.
+    """
+
+    recordings: Mapping[str, Recording]
+    settings: Mapping[str, Settings]
+    part: Recording
+    section: Section | None
+    selection: Selection | None
+    warnings: tuple[str, ...]
+
+    @property
+    def of_training(self) -> Settings:
+        """The settings of the training recording."""
+        return self.settings["training"]
+
+    def patterns(self) -> tuple[Mapping[str, Patterns], Patterns]:
+        """Those of all recordings, and those of the part."""
+        patterns: dict[str, Patterns] = {}
+        for name, recording in self.recordings.items():
+            with recording_named(name):
+                patterns[name] = self.settings[name].patterns(recording)
+        whole = patterns["training"]
+        part = whole if self.section is None else self.of_training.patterns(self.part)
+        return MappingProxyType(patterns), part
+
+    def without_static_friction(self, joints: Sequence[int]) -> "_Prepared":
+        """When joints, counted from 1, have lost their term of static friction."""
+        return dataclasses.replace(
+            self,
+            settings={
+                name: dataclasses.replace(
+                    settings, preparation=settings.preparation.without_static_friction(joints)
+                )
+                for name, settings in self.settings.items()
+            },
+        )
+
+
+def identify_one(
+    network: CSLC,
+    training: Recording,
+    validation: Recording | None,
+    settings: Settings | None,
+    *,
+    previous: Previous | None,
+    groups: Sequence[str] | None,
+    options: Mapping[str, Any],
+    folds: int | None,
+    systematic: bool,
+    possible: Choice,
+    prior: Prior | None,
+    memory: float,
+    data_check: DataCheck | None,
+    step: Callable[[str], None],
+) -> Report:
+    """What `identify` does with one recording; arguments as there."""
+    automatic_masks = settings is None or settings.preparation.threshold_fraction is None
+    step("choosing settings")
+    prepared = _prepared(network, training, validation, settings, options, folds, memory)
+    step("preparing patterns")
+    patterns, part_patterns = prepared.patterns()
+    slopes = None
+    if previous is None and "static" in network.robot.friction_terms:
+        step("fitting slopes of static friction")
+        slopes = fit_slopes(network, part_patterns, solver=prepared.of_training.solver)
+        if slopes.dropped and automatic_masks:
+            # Slow pairs of these joints have no term that explains them any more.
+            prepared = prepared.without_static_friction(slopes.dropped)
+            patterns, part_patterns = prepared.patterns()
+            slopes = _fitted_again(slopes, part_patterns, prepared.of_training.solver)
+        network = slopes.network
+    settings = prepared.of_training
+    step("fitting coefficients")
+    vectors = {}
+    if slopes is not None and prepared.section is None:
+        fit = slopes.fit
+    elif previous is None or groups is None:
+        fit = settings.fit(network, patterns["training"])
+    else:
+        fit = settings.reidentify(network, patterns["training"], previous, groups)
+        vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
+    known = {} if prior is None else prior.coefficient_values(network)
+    fit = with_knowledge(fit, known)
+    shifts = None
+    if systematic:
+        step("computing systematic errors")
+        shifts = systematic_error(network, prepared.part, settings, fit, groups=groups)
+        shifts = shifts.without([i for i, entry in known.items() if entry.fixed])
+    warnings = [*prepared.warnings]
+    bodies, held_out = None, None
+    if previous is None:
+        bodies, held_out, sentences = judged_bodies(
+            network,
+            fit,
+            part_patterns,
+            lambda: Part.stretches(network, part_patterns, settings.solver, _FOLDS),
+            choice=possible,
+            prior=prior,
+            systematic=shifts,
+            step=step,
+        )
+        warnings += sentences
+    if bodies is not None:
+        fit, vectors = bodies.fit, bodies.other_coefficients
+    step("computing errors")
+    errors = {
+        name: compare(network, values, {"fit": fit.k, **vectors})
+        for name, values in patterns.items()
+    }
+    excitation = degree_of_excitation(network, patterns["training"]) if previous is None else None
+    if validation is not None:
+        held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
+    elif previous is None and held_out is None:
+        held_out = cross_validated_error(network, part_patterns, settings, fit=fit)
+    warnings += () if slopes is None else slopes.warnings
+    warnings += () if held_out is None else held_out.warnings
+    warnings += fit_warnings(network, training, fit, errors["training"])
+    return Report(
+        network,
+        settings,
+        fit,
+        patterns,
+        MappingProxyType(errors),
+        excitation,
+        held_out,
+        slopes,
+        shifts,
+        None if groups is None else tuple(groups),
+        tuple(warnings),
+        prepared.selection,
+        bodies=None if bodies is None else bodies.parameters,
+        possible=bodies,
+        prior=prior,
+        data_check=data_check,
+        judged_part=None if prepared.section is None else prepared.section.description,
+    )
+
+
+def _prepared(
+    network: CSLC,
+    training: Recording,
+    validation: Recording | None,
+    settings: Settings | None,
+    options: Mapping[str, Any],
+    folds: int | None,
+    memory: float,
+) -> _Prepared:
+    """The settings of the training recording, chosen or as they are, and of the validation's."""
+    section = section_of(network, training, memory)
+    part = training if section is None else section.recording
+    with recording_named("training"):
+        selection = _selected(network, part, options, folds) if settings is None else None
+        base = settings if selection is None else selection.settings
+        assert base is not None
+        base = base.with_options(**options)
+        of_training = base.for_network(network)
+    warnings = [*network.robot.notes]
+    warnings += [f"training recording: {sentence}" for sentence in training.notes]
+    warnings += [f"training recording: {sentence}" for sentence in base.check(training)]
+    recordings, by_recording = {"training": training}, {"training": of_training}
+    if validation is not None:
+        warnings += [f"validation recording: {sentence}" for sentence in validation.notes]
+        recordings["validation"] = validation
+        by_recording["validation"], sentences = settings_for_another(
+            network, of_training, part, validation, choose=selection is not None, memory=memory
+        )
+        warnings += sentences
+    return _Prepared(recordings, by_recording, part, section, selection, tuple(warnings))
+
+
+def _selected(
+    network: CSLC, recording: Recording, options: Mapping[str, Any], folds: int | None
+) -> Selection:
+    """The settings that cross-validation selects, some options set in advance."""
+    candidates = Candidates.suited_to(recording, network)
+    if "torque_lag" in options:
+        candidates = dataclasses.replace(candidates, torque_lags=(options["torque_lag"],))
+    if folds is None:
+        folds = max(2, min(_FOLDS, recording.samples // _FEWEST_OF_FOLD))
+    return choose_settings(network, recording, candidates, folds=folds)
+
+
+def _fitted_again(slopes: SlopeFit, patterns: Patterns, solver: LeastSquares) -> SlopeFit:
+    """The fit of slopes to other patterns, without the joints that have lost the term."""
+    network = slopes.network
+    if "static" not in network.robot.friction_terms:
+        return dataclasses.replace(slopes, fit=solver.fit(network, patterns))
+    again = fit_slopes(network, patterns, solver=solver, start=slopes.slopes)
+    lost = np.isin(np.arange(1, network.joint_count + 1), slopes.dropped)
+    return dataclasses.replace(
+        again,
+        slope_error=jnp.where(lost, jnp.inf, again.slope_error),
+        dropped=tuple(sorted({*slopes.dropped, *again.dropped})),
+        warnings=(*slopes.warnings, *again.warnings),
+    )
+
+
+def settings_for_another(
+    network: CSLC,
+    settings: Settings,
+    training: Recording,
+    validation: Recording,
+    name: str = "validation recording",
+    *,
+    choose: bool,
+    memory: float = np.inf,
+) -> tuple[Settings, list[str]]:
+    """The settings to prepare another recording with, and warnings about them.
+
+    - `name`: what warnings call it.
+    - `memory`: as of `identify`.
+    """
+    chosen_on = settings.chosen_on or Sampling.of(training)
+    differences = settings.preparation.check(validation, chosen_on)
+    if not differences:
+        return settings, []
+    warning = f"{name}: {'; '.join(differences)}"
+    if not choose:
+        return settings, [warning]
+    section = None if memory == np.inf else section_of(network, validation, memory)
+    validation = validation if section is None else section.recording
+    candidates = Candidates.suited_to(validation, network).keeping(settings)
+    try:
+        adapted = choose_settings(network, validation, candidates).settings
+    except ValueError as error:  # too short, or too little motion to choose by
+        return settings, [f"{warning}; no smoothing of its own: {error}"]
+    return adapted, [f"{warning}; prepared by settings of its own: {adapted.preparation}"]
+
+
+@contextlib.contextmanager
+def recording_named(recording: str) -> Generator[None]:
+    """Adds to an error's message which recording it is about."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{recording} recording: {error}") from None
+
+
+def without_progress(step: str) -> None:
+    del step
