@@ -10,6 +10,7 @@ from jaxtyping import Float
 import jaxcslc as jc
 from jaxcslc.identification import PossibleFit, cross_validated_error
 from jaxcslc.identification.possible import Part, in_file_frames, possible_fit
+from jaxcslc.identification.report._payload_report import in_last_body_frame
 
 
 _ROUNDING = 1e-9
@@ -199,3 +200,24 @@ def test_identify_reports_what_it_used(network: jc.CSLC, k: Float[np.ndarray, " 
     assert always.errors["training"].names == ("fit", "free")
     assert "their coefficients are used" in str(always) and "possible bodies" not in str(never)
     assert never.possible is None and never.errors["training"].names == ("fit",)
+
+
+def test_payloads_are_in_the_frame_of_the_files_body(tmp_path: Path, network: jc.CSLC) -> None:
+    """The body's frame is turned about x and moved along it: a payload is seen from there."""
+    (tmp_path / "arm.urdf").write_text("""<robot name="arm"><link name="floor"/>
+  <link name="upper"/>
+  <joint name="shoulder" type="continuous"><parent link="floor"/><child link="upper"/>
+    <origin xyz="0.2 0 0.3" rpy="0.2 0 0.1"/><axis xyz="0.6 0 0.8"/></joint></robot>""")
+    robot = jc.load_robot(tmp_path / "arm.urdf")
+    assert robot.source is not None
+    ball = jc.LinkParameters(2.0, np.array([0.05, 0.02, 0.1]), np.diag([0.01, 0.02, 0.03]))
+    body = in_last_body_frame(robot, ball)
+    assert body is not None
+    pose = robot.source.placements[-1]
+    back = pose[:3, :3] @ np.asarray(body.centre_of_gravity) + pose[:3, 3]
+    np.testing.assert_allclose(back, ball.centre_of_gravity, atol=_ROUNDING)
+    np.testing.assert_allclose(
+        pose[:3, :3] @ np.asarray(body.inertia) @ pose[:3, :3].T, ball.inertia, atol=_ROUNDING
+    )
+    assert in_last_body_frame(network.robot, ball) is None
+    assert in_last_body_frame(robot, None) is None

@@ -1,7 +1,11 @@
 import dataclasses
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ..._text_table import text_table
+from ...manipulator import LinkParameters, Manipulator, seen_from
 from ...motion import Patterns
 from ...network import CSLC
 from .._payload_fit import PayloadFit
@@ -41,6 +45,12 @@ class PayloadReport:
     patterns: Patterns
     errors: ErrorTable
 
+    @property
+    def file_body(self) -> LinkParameters | None:
+        """The possible body in the frame that the robot's URDF or MJCF gives the last joint's body;
+        None where there is no such body, or no such file."""
+        return in_last_body_frame(self.network.robot, self.fit.possible)
+
     def save(self, folder: str | Path) -> tuple[Path, Path]:
         """Writes `payload.csv` and `payload.json` into a folder: both or, if writing fails, none.
 
@@ -60,6 +70,7 @@ class PayloadReport:
                     "robot": self.network.robot.name,
                     "settings": settings_document(self.settings),
                     **self.fit.document(),
+                    **_document_of(self.network.robot, self.file_body),
                     "torque_error_rms": dict(zip(self.errors.names, self.errors.rms, strict=True)),
                 },
             )
@@ -79,7 +90,43 @@ class PayloadReport:
             f" for {self.fit.fit.errors} errors; possible: the nearest body that can exist",
             *(f"not determined: {sentence}" for sentence in self.fit.unidentifiable),
         ]
+        if self.file_body is not None and self.network.robot.source is not None:
+            name, body = self.network.robot.source.links[-1], self.file_body
+            centre = ", ".join(f"{x:.4g}" for x in np.asarray(body.centre_of_gravity))
+            tensor = np.asarray(body.inertia)
+            moments = ", ".join(f"{tensor[pair]:.4g}" for pair in _PAIRS)
+            lines.append(
+                f"possible, in the file's frame of {name}: {float(body.mass):.4g} kg at"
+                f" [{centre}] m; Ixx, Iyy, Izz, Ixy, Ixz, Iyz there {moments} kg m²"
+            )
         loaded, unloaded = (", ".join(f"{x:.3g}" for x in row.tolist()) for row in self.errors.rms)
         lines.append(f"torque error over the loaded recording, joint by joint: {loaded}")
         lines.append(f"  without the payload's part: {unloaded}")
         return "\n".join(lines)
+
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def in_last_body_frame(robot: Manipulator, body: LinkParameters | None) -> LinkParameters | None:
+    """A body in the last link's frame, in that which the file gives the body of its joint.
+
+    None of no body, and of robots that are read from no URDF or MJCF.
+    """
+    source = robot.source
+    if body is None or source is None or source.format == "toml":
+        return None
+    return seen_from(body, np.linalg.inv(source.placements[-1]))
+
+
+def _document_of(robot: Manipulator, body: LinkParameters | None) -> dict[str, Any]:
+    if body is None or robot.source is None:
+        return {}
+    return {
+        "file_body": {
+            "frame": robot.source.links[-1],
+            "mass": float(body.mass),
+            "centre_of_gravity": np.asarray(body.centre_of_gravity),
+            "inertia": np.asarray(body.inertia),
+        }
+    }
