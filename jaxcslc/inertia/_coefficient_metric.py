@@ -66,4 +66,6 @@ def whitening(
     if free.size:
         numbers = np.linalg.svd(free)[2][len(free) :]
     values, vectors = np.linalg.eigh(numbers @ scaled @ numbers.T)
+    # Of a motion that is all rounding, variances are too, and may be below zero.
+    values = np.maximum(values, np.finfo(float).eps * len(values) * values[-1:])
     return (vectors.T / np.sqrt(values)[:, None]) @ numbers / units

@@ -124,6 +124,15 @@ class TestBodies:
         np.testing.assert_allclose(white @ null.T, 0.0, atol=1e-3)
         assert np.sum((white @ change) ** 2) == pytest.approx(change @ gram @ change, rel=1e-4)
 
+    def test_variances_that_rounding_takes_below_zero(self) -> None:
+        """As those of a motion that smoothing left nothing of: correlations beyond one."""
+        beyond = 1.0 + 1e-9
+        fit = Fit(np.zeros(2), np.array([[1.0, beyond], [beyond, 1.0]]), np.zeros((0, 2)))
+        white = whitening(fit, np.full(2, 1e-9))
+        assert np.isfinite(white).all()
+        together = np.sum((white @ [1.0, 1.0]) ** 2)
+        assert together == pytest.approx(2.0 / (1.0 + beyond), rel=1e-6)
+
 
 class TestIdentity:
     def test_possible_coefficients_stay(
