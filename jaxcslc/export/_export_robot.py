@@ -7,7 +7,7 @@ import numpy as np
 from .._scratch import unfinished
 from .._text_table import text_table
 from ..identification import PhysicalParameters, SystematicError, physical_parameters
-from ..identification.possible import fixed_bodies, moved_bodies
+from ..identification.possible import fixed_bodies, moved_bodies, other_masses
 from ..identification.solver import Identification
 from ..motion import Patterns
 from ..network import CSLC
@@ -127,6 +127,7 @@ def export_robot(
     report("writing and reading again")
     written = write_robot(network, parameters, path, states=(states.q, states.qd, states.qdd))
     warnings = moved_bodies(network, fit, parameters, systematic, motors=motors)
+    warnings += other_masses(network, parameters)
     return RobotExport(network, parameters, written, motion is not None, warnings)
 
 

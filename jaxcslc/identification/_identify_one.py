@@ -34,6 +34,7 @@ class _Prepared:
     - `part`: of the training recording, where memory allows no more; or all of it.
     - `section`: which part that is, if it is one.
     - `selection`: how the settings were chosen, if they were.
+    - `notes`: what readers of the robot and of recordings decided.
     - `warnings`: about the recordings and their settings.
     """
 
@@ -42,6 +43,7 @@ class _Prepared:
     part: Recording
     section: Section | None
     selection: Selection | None
+    notes: tuple[str, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -169,6 +171,7 @@ def identify_one(
         prior=prior,
         data_check=data_check,
         judged_part=None if prepared.section is None else prepared.section.description,
+        notes=prepared.notes,
     )
 
 
@@ -190,18 +193,20 @@ def _prepared(
         assert base is not None
         base = base.with_options(**options)
         of_training = base.for_network(network)
-    warnings = [*network.robot.notes]
-    warnings += [f"training recording: {sentence}" for sentence in training.notes]
-    warnings += [f"training recording: {sentence}" for sentence in base.check(training)]
+    warnings = [f"training recording: {sentence}" for sentence in base.check(training)]
     recordings, by_recording = {"training": training}, {"training": of_training}
     if validation is not None:
-        warnings += [f"validation recording: {sentence}" for sentence in validation.notes]
         recordings["validation"] = validation
         by_recording["validation"], sentences = settings_for_another(
             network, of_training, part, validation, choose=selection is not None, memory=memory
         )
         warnings += sentences
-    return _Prepared(recordings, by_recording, part, section, selection, tuple(warnings))
+    notes = [*network.robot.notes]
+    for name, recording in recordings.items():
+        notes += [f"{name} recording: {sentence}" for sentence in recording.notes]
+    return _Prepared(
+        recordings, by_recording, part, section, selection, tuple(notes), tuple(warnings)
+    )
 
 
 def _selected(

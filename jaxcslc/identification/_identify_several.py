@@ -45,10 +45,10 @@ def identify_several(
         settings = selection.settings
     automatic = selection is not None
     base = settings.for_network(network)
-    warnings = [*network.robot.notes]
-    warnings += [f"{name}: {note}" for name, some in training.items() for note in some.notes]
-    warnings += [] if validation is None else [f"validation: {note}" for note in validation.notes]
-    warnings += [f"{main}: {sentence}" for sentence in settings.check(training[main])]
+    notes = [*network.robot.notes]
+    notes += [f"{name}: {note}" for name, some in training.items() for note in some.notes]
+    notes += [] if validation is None else [f"validation: {note}" for note in validation.notes]
+    warnings = [f"{main}: {sentence}" for sentence in settings.check(training[main])]
     by_recording = {main: base}
     for name, recording in training.items():
         if name != main:
@@ -134,6 +134,7 @@ def identify_several(
         prior=prior,
         several=several,
         data_check=data_check,
+        notes=tuple(notes),
     )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.identification import PossibleFit, cross_validated_error
-from jaxcslc.identification.possible import Part, in_file_frames, possible_fit
+from jaxcslc.identification.possible import Part, in_file_frames, other_masses, possible_fit
 from jaxcslc.identification.report._payload_report import in_last_body_frame
 
 
@@ -124,6 +124,23 @@ def test_a_body_far_from_the_fit_is_named_with_what_to_do(
     (warning,) = possible.warnings
     assert f"({network.names[last]}" in warning and "link 2 by" in warning and "--prior" in warning
     assert not possible.used  # impossible as they are, they are what the torque follows
+
+
+def test_masses_far_from_the_file_are_named(network: jc.CSLC, k: Float[np.ndarray, " _"]) -> None:
+    patterns = patterns_of(network, k, size=1.0, noise=0.01)
+    parameters = jc.physical_parameters(network, SOLVER.fit(network, patterns))
+    masses = [float(link.mass) for link in parameters.links]
+
+    def with_file(factor: float) -> jc.CSLC:
+        links = [dataclasses.replace(link, mass=factor * link.mass) for link in parameters.links]
+        robot = dataclasses.replace(network.robot, links=(parameters.links[0], links[1]))
+        return jc.derive(robot, lengths="numeric")
+
+    assert other_masses(network, parameters) == ()  # no masses in the file
+    assert other_masses(with_file(1.9), parameters) == ()
+    (sentence,) = other_masses(with_file(2.1), parameters)
+    assert f"link 2 {masses[1]:.3g} kg in place of {2.1 * masses[1]:.3g}" in sentence
+    assert "link 1" not in sentence and "--prior" in sentence
 
 
 def test_bodies_are_in_the_frames_of_the_file(tmp_path: Path) -> None:

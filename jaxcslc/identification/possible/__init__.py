@@ -1,4 +1,8 @@
-from ._movement import moved_bodies as moved_bodies, movement_of as movement_of
+from ._movement import (
+    moved_bodies as moved_bodies,
+    movement_of as movement_of,
+    other_masses as other_masses,
+)
 from ._physical_parameters import (
     POSSIBILITY as POSSIBILITY,
     PhysicalParameters as PhysicalParameters,

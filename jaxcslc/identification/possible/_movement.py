@@ -10,6 +10,8 @@ from ._physical_parameters import PhysicalParameters
 # A coefficient that moves by more combined standard errors is warned of: one in sixteen thousand
 # normal errors does.
 _FAR = 4.0
+# A mass that is this many times the file's, or this part of it, is not the link's own.
+_OTHER_MASS = 2.0
 # Coefficients that a warning names of each body.
 _MOST_NAMES = 3
 
@@ -71,4 +73,29 @@ def moved_bodies(
         "possible bodies: to be possible, these move from the fit further than its errors explain:"
         f" {'; '.join(bodies)}. Identified coefficients are those of no body:"
         f" {', '.join(remedies)}",
+    )
+
+
+def other_masses(network: CSLC, parameters: PhysicalParameters) -> tuple[str, ...]:
+    """A sentence about masses that make up for each other far from the file's, or none.
+
+    Written into a robot's file they surprise: the torque that they give is right, but they are not
+    those of the links.
+    """
+    links = network.robot.links
+    if links is None:
+        return ()
+    texts: list[str] = []
+    for name, link, file in zip(parameters.body_names, parameters.links, links, strict=True):
+        mass, expected = float(link.mass), float(file.mass)
+        if expected > 0.0 and not expected / _OTHER_MASS < mass < expected * _OTHER_MASS:
+            named = f"link {name}" if name.isdigit() else name
+            texts.append(f"{named} {mass:.3g} kg in place of {expected:.3g}")
+    if not texts:
+        return ()
+    return (
+        f"possible bodies: masses far from the robot's file: {', '.join(texts)}. They give the"
+        " identified torques, but motion of the joints tells combinations of masses, centres and"
+        " motor inertias only: say what is known of them with --prior (motor inertias first,"
+        " where the file has none)",
     )

@@ -59,6 +59,7 @@ class Report:
     - `judged_part`: in words, the part of a long recording that settings are chosen on and fits
       judged on; None if that is all of it.
     - `data_check`: what was read, and what looks wrong with it; None if it was not checked.
+    - `notes`: what readers of the robot and of the recordings decided, one sentence each.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -92,6 +93,7 @@ class Report:
     several: SeveralFit | None = None
     data_check: DataCheck | None = None
     judged_part: str | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -161,6 +163,7 @@ class Report:
             several=self.several,
             judged_part=self.judged_part,
             findings=[*findings, *self._findings],
+            notes=self.notes,
             command=command,
         )
         document = report_document(self, data)
@@ -201,6 +204,7 @@ class Report:
         if self._findings:
             yield [f"warning: {finding}" for finding in self._findings]
         yield [f"warning: {warning}" for warning in self.warnings]
+        yield [f"note: {note}" for note in self.notes]
 
     def _determination(self) -> list[str]:
         fitted = sum(

@@ -132,6 +132,7 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         "share_judged": {name: table.share_judged for name, table in errors.items()},
         **quality_document(data),
         "warnings": report.warnings,
+        "notes": report.notes,
         "motion": _some_motion(report.patterns["training"]),
     }
 

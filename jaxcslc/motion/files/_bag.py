@@ -141,7 +141,7 @@ def joint_states(path: Path, joints: Sequence[str] | None, topic: str | None) ->
     wanted = [g for g in groups.values() if g.names and set(joints or ()) <= set(g.names)]
     if not wanted:
         have = _listed(groups.values()) if groups else "no message"
-        named = "" if joints is None else f" of {', '.join(joints)}"
+        named = "" if joints is None else f" of {', '.join(_missing(joints, groups.values()))}"
         raise RecordingError(
             f"{path}: no joint states{named}; the bag has {have}; expected the names of the robot's"
             " file, or joints = {robot's name = 'recording's name'} in a file of --columns"
@@ -168,6 +168,12 @@ def _one_line_errors(path: Path) -> Generator[None]:
     except Exception as error:  # decompression, SQLite, YAML and rosbags have errors of their own
         reason = one_line(error) or type(error).__name__
         raise RecordingError(f"{path}: is no readable bag: {reason}") from error
+
+
+def _missing(joints: Sequence[str], groups: Iterable[JointStates]) -> list[str]:
+    """Those joints that the topic which has the most of them lacks."""
+    lacking = [[joint for joint in joints if joint not in group.names] for group in groups]
+    return min(lacking, key=len, default=list(joints))
 
 
 def _listed(groups: Iterable[JointStates]) -> str:

@@ -67,6 +67,7 @@ def report_data(
     several: SeveralFit | None = None,
     judged_part: str | None = None,
     findings: Sequence[str] = (),
+    notes: Sequence[str] = (),
     command: str | None = None,
 ) -> dict[str, Any]:
     """Everything that a report's page shows, as plain data.
@@ -80,6 +81,7 @@ def report_data(
     - `several`: of several training recordings.
     - `judged_part`: of a long recording, in words.
     - `findings`: about the recordings, a sentence each, beside the report's own warnings.
+    - `notes`: what readers decided, a sentence each.
     - `command`: that repeats it.
 
     **Returns** numbers, texts, lists and dictionaries with texts as keys. Numbers are those of the
@@ -124,6 +126,7 @@ def report_data(
         "held_out": None if report.held_out is None else _held_out(report.held_out),
         "warnings": list(report.warnings),
         "findings": list(findings),
+        "notes": list(notes),
         "settings": str(report.settings),
         "settings_document": settings_document(report.settings),
         "trials": [] if selection is None else _trials(selection),

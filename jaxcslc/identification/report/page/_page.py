@@ -71,6 +71,8 @@ def _data_check(data: Mapping[str, Any]) -> Section:
             empty="Nothing looks wrong.",
         )
     ]
+    if data["notes"]:
+        blocks.append(Messages(tuple(Message(note, "plain") for note in data["notes"])))
     motion = dict.fromkeys("m" if unit == "N" else "rad" for unit in data["units"])
     length = " or ".join(motion)
     for name, recording in data["recordings"].items():
