@@ -24,7 +24,8 @@ def export_command(
     identification: Annotated[
         Path,
         typer.Argument(
-            metavar="IDENTIFICATION", help="The identification.json that identify wrote."
+            metavar="IDENTIFICATION",
+            help="Folder that identify wrote, or the identification.json in it.",
         ),
     ],
     output: Annotated[

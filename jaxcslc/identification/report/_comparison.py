@@ -24,6 +24,7 @@ from ...page import (
 )
 from .._systematic import SystematicError, standard_uncertainty
 from ..solver import Identification
+from ._saved import identification_file
 
 
 # Standard errors beyond which a difference is listed as one.
@@ -64,7 +65,7 @@ class SavedResult:
 
         - `ValueError`: there is no such file, or it holds something else.
         """
-        file = Path(path) / "identification.json" if Path(path).is_dir() else Path(path)
+        file = identification_file(path)
         try:
             fit = Identification.load(file)
             document = json.loads(file.read_text(encoding="utf-8"))

@@ -53,7 +53,7 @@ def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
 
     **Arguments**
 
-    - `path`: of the file.
+    - `path`: of the file, or of the report's folder.
     - `robot`: that was identified. Friction terms and couplings are taken from the file, unless the
       robot has friction terms of single joints or couplings of its own.
 
@@ -74,11 +74,11 @@ def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
     >>> report = jc.identify(network, recording, settings=jc.Settings())
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = report.save(folder, pictures=False)
-    ...     saved = jc.load_report(Path(folder) / "identification.json", pendulum)
+    ...     saved = jc.load_report(folder, pendulum)
     >>> bool(np.all(saved.fit.k == report.k)), saved.settings == report.settings
     (True, True)
     """
-    path = Path(path)
+    path = identification_file(path)
     document = _document(path, "identification")
     network = derive(_with_friction(robot, document, path), lengths=_lengths(document, path))
     network = _with_slopes(network, document, path)
@@ -99,7 +99,7 @@ def load_settings(path: str | Path) -> Settings:
 
     **Arguments**
 
-    - `path`: of the file.
+    - `path`: of the file, or of the report's folder.
 
     **Returns** `Settings`.
 
@@ -114,7 +114,7 @@ def load_settings(path: str | Path) -> Settings:
     ...     load_settings(path).solver.cutoff
     15.0
     """
-    path = Path(path)
+    path = identification_file(path)
     document = _document(path, "settings file")
     entries = document.get("settings", document)
     if not isinstance(entries, dict):
@@ -123,6 +123,12 @@ def load_settings(path: str | Path) -> Settings:
         return settings_from(entries)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def identification_file(path: str | Path) -> Path:
+    """The `identification.json` of a report's folder, or the file itself."""
+    path = Path(path)
+    return path / "identification.json" if path.is_dir() else path
 
 
 def _document(path: Path, kind: str) -> dict[str, Any]:
