@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import get_args
 
 import equinox as eqx
@@ -13,8 +13,9 @@ from ...network import CSLC
 from .._settings import Settings
 from ..solver import RESULTS, Identification
 from ._band import Spectrum
+from ._readings import TorqueSampling
 from ._search import Minimum, search
-from ._start import TorqueSampling, starting_point
+from ._start import starting_point
 
 
 _FEWEST_SAMPLES = 10
@@ -31,9 +32,10 @@ class LikelihoodFit(eqx.Module):
       levels.
     - `slopes`: (n,) of static friction [s/rad or s/m]; `slope_error`: their standard deviations.
       Zeros for a network without static friction.
-    - `offset`: (n,) of each encoder within a step [rad or m]; `offset_error`.
-    - `position`: (samples, n) estimated positions [rad or m].
-    - `torque_noise`: (n,) [N m or N]; `position_noise`: (n,) [rad or m]: standard deviations.
+    - `offset`: (recordings, n) of each encoder within a step [rad or m]; `offset_error`.
+    - `position`: (samples, n) estimated positions [rad or m], of one recording after the other.
+    - `torque_noise`: (recordings, n) [N m or N]; `position_noise`: (recordings, n) [rad or m]:
+      standard deviations.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
 
@@ -52,11 +54,11 @@ class LikelihoodFit(eqx.Module):
     fit: Identification
     slopes: Float[np.ndarray, " joints"]
     slope_error: Float[np.ndarray, " joints"]
-    offset: Float[np.ndarray, " joints"]
-    offset_error: Float[np.ndarray, " joints"]
+    offset: Float[np.ndarray, "recordings joints"]
+    offset_error: Float[np.ndarray, "recordings joints"]
     position: Float[np.ndarray, "samples joints"]
-    torque_noise: Float[np.ndarray, " joints"]
-    position_noise: Float[np.ndarray, " joints"]
+    torque_noise: Float[np.ndarray, "recordings joints"]
+    position_noise: Float[np.ndarray, "recordings joints"]
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
@@ -67,7 +69,9 @@ class LikelihoodFit(eqx.Module):
         return self.fit.k
 
     def __repr__(self) -> str:
-        noise = ", ".join(f"{level:.2g}" for level in self.torque_noise)
+        noise = "; ".join(
+            ", ".join(f"{level:.2g}" for level in levels) for levels in self.torque_noise
+        )
         ended = "converged" if self.converged else "did not converge"
         return (
             f"LikelihoodFit({ended} after {self.steps} steps; torque noise [{noise}]; {self.fit})"
@@ -133,16 +137,17 @@ class MaximumLikelihood:
     def fit(
         self,
         network: CSLC,
-        recording: Recording,
+        recording: Recording | Sequence[Recording],
         start: Identification | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> LikelihoodFit:
-        """The most likely coefficients of a recording.
+        """The most likely coefficients of a recording, or of several together.
 
         **Arguments**
 
         - `network`: n joints, p coefficients; without a payload.
-        - `recording`: at least ten samples. Velocities that it holds are not used.
+        - `recording`: at least ten samples. Velocities that it holds are not used. Each of several
+          has noise levels and encoder offsets of its own.
         - `start`: coefficients to start from; by default those of a regression.
         - `progress`: is called with a few words at each stage.
 
@@ -155,22 +160,11 @@ class MaximumLikelihood:
         - `RuntimeError`: the regression that it starts from fails.
         """
         require_float64()
-        n = network.joint_count
-        if recording.position.shape[1] != n:
-            raise ValueError(
-                f"the recording has {recording.position.shape[1]} joints; expected {n}, those of"
-                f" {network.name!r}"
-            )
-        if network.payload is not None:
-            raise ValueError(f"{network.name!r} has a payload; expected a network without one")
-        if recording.samples < _FEWEST_SAMPLES:
-            raise ValueError(
-                f"the recording has {recording.samples} samples; expected at least"
-                f" {_FEWEST_SAMPLES}"
-            )
+        recordings = [recording] if isinstance(recording, Recording) else list(recording)
+        _check(network, recordings)
         problem, point, torque_noise, position_noise = starting_point(
             network,
-            recording,
+            recordings,
             self.settings or Settings(),
             self.torque_sampling,
             None if self.resolution is None else np.array(self.resolution),
@@ -178,6 +172,26 @@ class MaximumLikelihood:
         )
         report = progress or (lambda words: None)
         return _result(network, search(problem, point, torque_noise, position_noise, report))
+
+
+def _check(network: CSLC, recordings: Sequence[Recording]) -> None:
+    """**Raises** `ValueError` as `MaximumLikelihood.fit`."""
+    n = network.joint_count
+    if network.payload is not None:
+        raise ValueError(f"{network.name!r} has a payload; expected a network without one")
+    if not recordings:
+        raise ValueError("got no recording; expected one or more")
+    for number, recording in enumerate(recordings, start=1):
+        which = "the recording" if len(recordings) == 1 else f"recording {number}"
+        if recording.position.shape[1] != n:
+            raise ValueError(
+                f"{which} has {recording.position.shape[1]} joints; expected {n}, those of"
+                f" {network.name!r}"
+            )
+        if recording.samples < _FEWEST_SAMPLES:
+            raise ValueError(
+                f"{which} has {recording.samples} samples; expected at least {_FEWEST_SAMPLES}"
+            )
 
 
 # A coefficient that shares this part of a unit null vector is not determined by itself.
@@ -222,7 +236,7 @@ def _result(network: CSLC, minimum: Minimum) -> LikelihoodFit:
         slopes=slopes,
         slope_error=slopes * error[p : p + n],
         offset=point.offset,
-        offset_error=error[p + n :],
+        offset_error=error[p + n :].reshape(point.offset.shape),
         position=point.q,
         torque_noise=minimum.torque_noise,
         position_noise=minimum.position_noise,

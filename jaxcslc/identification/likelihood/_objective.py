@@ -19,20 +19,20 @@ class Point:
     **Attributes**
 
     - `k`: (p,) coefficients; `slopes`: (n,) logarithms of static friction's.
-    - `offset`: (n,) of the encoders.
+    - `offset`: (recordings, n) of the encoders.
     - `q`: (samples, n) positions; `turn`: (reversals,) moments of the reversals.
     """
 
     k: Float[np.ndarray, " coefficients"]
     slopes: Float[np.ndarray, " joints"]
-    offset: Float[np.ndarray, " joints"]
+    offset: Float[np.ndarray, "recordings joints"]
     q: Float[np.ndarray, "samples joints"]
     turn: Float[np.ndarray, " reversals"]
 
     @property
     def border(self) -> Float[np.ndarray, " border"]:
         """Coefficients, slopes and offsets: what all equations share."""
-        return np.concatenate([self.k, self.slopes, self.offset])
+        return np.concatenate([self.k, self.slopes, self.offset.ravel()])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +61,7 @@ class Objective:
 
     - `equations`: torque as a function of positions.
     - `position`: (samples, n) as recorded; `torque`: (equations, n) as recorded.
+    - `part`: (samples,) number of the recording.
     - `signs`: directions and reversals.
     - `weights`: inverse variances of all residuals; of the border 0 where nothing is known
       beforehand.
@@ -71,6 +72,7 @@ class Objective:
     equations: MotionEquations
     position: Float[np.ndarray, "samples joints"]
     torque: Float[np.ndarray, "equations joints"]
+    part: Int[np.ndarray, " samples"]
     signs: Signs
     weights: Residuals
     expected: Float[np.ndarray, " border"]
@@ -121,7 +123,7 @@ class Objective:
         return Point(
             border[:p],
             border[p : p + n],
-            border[p + n :],
+            border[p + n :].reshape(-1, n),
             point.q + step.position,
             point.turn + step.turn,
         )
@@ -129,7 +131,7 @@ class Objective:
     def _residuals(self, point: Point, predicted: Float[np.ndarray, "..."]) -> Residuals:
         return Residuals(
             self.torque - predicted,
-            self.position - point.q - point.offset,
+            self.position - point.q - point.offset[self.part],
             -np.diff(point.q, axis=0),
             self.signs.turn - point.turn,
             self.expected - point.border,
@@ -185,9 +187,9 @@ class Linear:
 
         index = order.position
         result.add(index.reshape(-1, 1), weights.position.reshape(-1, 1, 1))
-        joints, offset = np.arange(n), self._offset
-        result.mixed[index[:, joints], offset] += weights.position * scale[offset]
-        result.border[offset, offset] += weights.position.sum(0) * scale[offset] ** 2
+        offset = self._offset
+        result.mixed[index, offset] += weights.position * scale[offset]
+        np.add.at(result.border, (offset, offset), weights.position * scale[offset] ** 2)
         row, joint = np.nonzero(weights.standstill)
         pair = np.stack([index[row, joint], index[row + 1, joint]], axis=1)
         difference = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -229,10 +231,11 @@ class Linear:
         )
 
     @property
-    def _offset(self) -> Int[np.ndarray, " joints"]:
-        """Where the offsets are in the border."""
-        n = self.order.position.shape[1]
-        return len(self.objective.scale) - n + np.arange(n)
+    def _offset(self) -> Int[np.ndarray, "samples joints"]:
+        """Where the offset of each reading is in the border."""
+        n, part = self.order.position.shape[1], self.objective.part
+        first = len(self.objective.scale) - n * (int(part[-1]) + 1)
+        return first + n * part[:, None] + np.arange(n)
 
     @property
     def _stencil(self) -> Int[np.ndarray, "equations positions"]:
@@ -268,7 +271,7 @@ class Linear:
             rows = signs.samples - 1 + offset
             inner[order.turn] += self.by_turn[index] * force[rows, signs.joints]
         border = np.einsum("ijk,ij->k", self.by_border, force)
-        border[self._offset] += reading.sum(0) * scale[self._offset]
+        np.add.at(border, self._offset, reading * scale[self._offset])
         border += scale * weights.border * residuals.border
         return inner, border
 

@@ -8,6 +8,7 @@ from scipy.linalg import LinAlgError
 from ._band import Factored, Spectrum
 from ._motion_equations import MotionEquations
 from ._objective import TURN, Linear, Objective, Point, Residuals
+from ._readings import Readings
 from ._signs import LATEST_TURN, Signs, runs
 
 
@@ -45,26 +46,25 @@ class Problem:
     **Attributes**
 
     - `equations`: torque as a function of positions.
-    - `time`: (samples,); `position`: (samples, n) as recorded; `torque`: (equations, n).
+    - `readings`: of one recording or of several.
     - `stuck`: (intervals, n), where joints are at standstill.
     - `scale`: (border,) of the unknowns that all equations share; 0 fixes one.
     - `known`: from a point, mean and inverse variance, (border,) each, of what is known of these
       beforehand.
     - `slope_bounds`: (n,) each, least and greatest logarithms of slopes.
     - `breakaway`: from a point, (n,) the greatest friction at standstill.
-    - `fixed_noise`: whether the noise of positions is that of encoders, not to be estimated, (n,).
+    - `fixed_noise`: whether the noise of positions is that of encoders, not to be estimated,
+      (recordings, n).
     """
 
     equations: MotionEquations
-    time: Float[np.ndarray, " samples"]
-    position: Float[np.ndarray, "samples joints"]
-    torque: Float[np.ndarray, "equations joints"]
+    readings: Readings
     stuck: Bool[np.ndarray, "intervals joints"]
     scale: Float[np.ndarray, " border"]
     known: Callable[[Point], tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]]
     slope_bounds: tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]
     breakaway: Callable[[Point], Float[np.ndarray, " joints"]]
-    fixed_noise: Bool[np.ndarray, " joints"]
+    fixed_noise: Bool[np.ndarray, "recordings joints"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Minimum:
 
     - `point`: all unknowns; `objective`: the sum of squares there; `linear`: its equations.
     - `information`: (border, border), in units of the border's scale.
-    - `torque_noise`, `position_noise`: (n,) standard deviations.
+    - `torque_noise`, `position_noise`: (recordings, n) standard deviations.
     - `counted`: (equations, n), which equations have the full weight.
     - `steps`: Gauss-Newton steps; `converged`: whether the last stage changed nothing.
     """
@@ -84,8 +84,8 @@ class Minimum:
     objective: Objective
     linear: Linear
     information: Float[np.ndarray, "border border"]
-    torque_noise: Float[np.ndarray, " joints"]
-    position_noise: Float[np.ndarray, " joints"]
+    torque_noise: Float[np.ndarray, "recordings joints"]
+    position_noise: Float[np.ndarray, "recordings joints"]
     counted: Bool[np.ndarray, "equations joints"]
     steps: int
     converged: bool
@@ -94,13 +94,15 @@ class Minimum:
 def search(
     problem: Problem,
     point: Point,
-    torque_noise: Float[np.ndarray, " joints"],
-    position_noise: Float[np.ndarray, " joints"],
+    torque_noise: Float[np.ndarray, "recordings joints"],
+    position_noise: Float[np.ndarray, "recordings joints"],
     progress: Callable[[str], None],
 ) -> Minimum:
     """Minimises stage by stage: signs, weights and noise levels are fixed within each stage."""
-    samples, n = problem.position.shape
-    torque_scale = np.sqrt(np.mean(problem.torque**2, axis=0))
+    readings = problem.readings
+    samples, n = readings.position.shape
+    of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
+    torque_scale = np.sqrt(np.mean(readings.torque**2, axis=0))
     least = np.maximum(_LEAST_TORQUE_NOISE * torque_scale, 1e-9)
     torque_noise = np.maximum(torque_noise, least)
     outlier_weight = np.ones((samples - 2, n))
@@ -114,25 +116,36 @@ def search(
         turned = point.turn
         before, signs = (
             signs,
-            Signs.of(point.q, problem.time, problem.stuck, margin=margin, modelled=modelled),
+            Signs.of(
+                point.q,
+                readings.time,
+                problem.stuck,
+                margin=margin,
+                modelled=modelled,
+                joined=readings.joined,
+            ),
         )
         turn = signs.turn if before is None else signs.carried(before, turned)
         point = dataclasses.replace(point, turn=turn)
         extra, at_rest = _friction_variance(problem, signs, point)
-        weight = outlier_weight / (torque_noise**2 + extra)
-        weight[at_rest] = 0.0
+        weight = outlier_weight / (torque_noise[of_equation] ** 2 + extra)
+        without = at_rest | readings.joined[:, None]
+        weight[without] = 0.0
         expected, known = problem.known(point)
         weights = Residuals(
             torque=weight,
-            position=_reading_weights(problem.stuck) / position_noise**2,
-            standstill=np.where(problem.stuck, 1.0 / (_REST * position_noise) ** 2, 0.0),
+            position=_reading_weights(problem.stuck) / position_noise[readings.part] ** 2,
+            standstill=np.where(
+                problem.stuck, 1.0 / (_REST * position_noise[of_interval]) ** 2, 0.0
+            ),
             turn=np.full(len(signs.samples), TURN**-2),
             border=known,
         )
         objective = Objective(
             problem.equations,
-            problem.position,
-            problem.torque,
+            readings.position,
+            readings.torque,
+            readings.part,
             signs,
             weights,
             expected,
@@ -144,7 +157,7 @@ def search(
         )
         steps += used
         progress(f"maximum likelihood: stage {stage + 1}, {steps} steps")
-        counted = (extra == 0.0) & ~at_rest
+        counted = (extra == 0.0) & ~without
         linear = objective.linearised(point)
         factored = linear.factored(0.0)
         if stage < _LEVEL_STAGES:
@@ -152,7 +165,9 @@ def search(
                 problem, linear, factored, counted, torque_noise, position_noise, least
             )
             size = np.maximum(np.abs(linear.residuals.torque), 1e-300)
-            outlier_weight = np.where(counted, np.minimum(1.0, _OUTLIER * torque_noise / size), 1.0)
+            outlier_weight = np.where(
+                counted, np.minimum(1.0, _OUTLIER * torque_noise[of_equation] / size), 1.0
+            )
         moved = np.abs(point.border - border_before)
         settled = bool(np.all(moved <= _SETTLED * problem.scale * _deviation(factored)))
         same = before is not None and np.array_equal(before.samples, signs.samples)
@@ -241,10 +256,10 @@ def _noise_levels(
     linear: Linear,
     factored: Factored,
     counted: Bool[np.ndarray, "equations joints"],
-    torque_noise: Float[np.ndarray, " joints"],
-    position_noise: Float[np.ndarray, " joints"],
+    torque_noise: Float[np.ndarray, "recordings joints"],
+    position_noise: Float[np.ndarray, "recordings joints"],
     least: Float[np.ndarray, " joints"],
-) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
+) -> tuple[Float[np.ndarray, "recordings joints"], Float[np.ndarray, "recordings joints"]]:
     """The levels at which residuals would be as large as they are.
 
     Residuals are what fitting the same unknowns leaves of the noise of torque and of positions. One
@@ -252,7 +267,7 @@ def _noise_levels(
     torque noise follows from what positions do not explain (a fixed point of the marginal
     likelihood, whose trace is estimated from one draw; Harville 1977).
     """
-    weights, rng = linear.objective.weights, np.random.default_rng(0)
+    weights, rng, part = linear.objective.weights, np.random.default_rng(0), problem.readings.part
     zeros = Residuals(
         **{
             part.name: np.zeros_like(getattr(weights, part.name))
@@ -260,28 +275,29 @@ def _noise_levels(
         }
     )
     counts = weights.torque > 0.0
-    noise = rng.normal(size=counts.shape) * np.where(counts, torque_noise, 0.0)
+    noise = rng.normal(size=counts.shape) * np.where(counts, torque_noise[part[1:-1]], 0.0)
     by_torque = _left(linear, factored, dataclasses.replace(zeros, torque=noise))
-    noise = rng.normal(size=weights.position.shape) * position_noise
+    noise = rng.normal(size=weights.position.shape) * position_noise[part]
     by_position = _left(linear, factored, dataclasses.replace(zeros, position=noise))
     new_torque, new_position = torque_noise.copy(), position_noise.copy()
-    for joint in range(counted.shape[1]):
-        rows = counted[:, joint]
+    for index in np.ndindex(*torque_noise.shape):
+        number, joint = index
+        rows = counted[:, joint] & (part[1:-1] == number)
         if rows.any():
             square, alone, others = (
                 np.median(np.abs(x.torque[rows, joint])) ** 2
                 for x in (linear.residuals, by_torque, by_position)
             )
-            part = (square - others) / alone if alone > 0.0 else 0.0
-            new_torque[joint] = torque_noise[joint] * np.sqrt(np.clip(part, 0.0, 9.0))
-        if not problem.fixed_noise[joint]:
-            moving = ~np.r_[problem.stuck[:, joint], False]
+            ratio = (square - others) / alone if alone > 0.0 else 0.0
+            new_torque[index] = torque_noise[index] * np.sqrt(np.clip(ratio, 0.0, 9.0))
+        if not problem.fixed_noise[index]:
+            moving = ~np.r_[problem.stuck[:, joint], False] & (part == number)
             square, alone, others = (
                 np.mean(x.position[moving, joint] ** 2)
                 for x in (linear.residuals, by_position, by_torque)
             )
-            part = (square - others) / alone if alone > 0.0 else 1.0
-            new_position[joint] = position_noise[joint] * np.sqrt(np.clip(part, 0.1, 9.0))
+            ratio = (square - others) / alone if alone > 0.0 else 1.0
+            new_position[index] = position_noise[index] * np.sqrt(np.clip(ratio, 0.1, 9.0))
     return np.maximum(np.maximum(new_torque, _FALL * torque_noise), least), new_position
 
 

@@ -36,6 +36,7 @@ class Signs:
         *,
         margin: int,
         modelled: bool,
+        joined: Bool[np.ndarray, " equations"] | None = None,
     ) -> "Signs":
         """The signs of a motion.
 
@@ -47,6 +48,7 @@ class Signs:
         - `margin`: how many equations on either side of a change of sign are uncertain.
         - `modelled`: whether a reversal on its own, with clear motion on both sides, is a moment
           to be estimated, in place of uncertain equations.
+        - `joined`: equations that span two recordings; there are none if omitted.
         """
         intervals = np.diff(time)
         mean = np.diff(q, axis=0) / intervals[:, None]
@@ -58,6 +60,8 @@ class Signs:
         at_rest = stuck[1:] | stuck[:-1]
         changes = sign[:-1] * sign[1:] <= 0.0
         uncertain = dilated(at_rest, 3)
+        if joined is not None:
+            uncertain |= dilated(joined[:, None], margin)
         samples: list[int] = []
         joints: list[int] = []
         turns: list[float] = []

@@ -1,21 +1,20 @@
-from typing import Literal
+from collections.abc import Iterable, Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...motion import Patterns, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
-from ..solver import Identification, regressor_of
+from ..several import fit_recordings
+from ..solver import Identification, regressor_of, torque_of
 from ._motion_equations import MotionEquations
 from ._objective import Point
+from ._readings import Readings, TorqueSampling
 from ._search import Problem
 from ._signs import rests
 
-
-TorqueSampling = Literal["held", "sampled"]
-"""What a recorded torque is: held until the next sample, or the value at the sample's instant."""
 
 # The share of its dry friction that static friction starts with; the speed at which it has gone to
 # 1/e as a part of the joint's greatest speed, at first, at most and at least.
@@ -28,17 +27,18 @@ _SLOW = 2e-3
 _LEAST_NOISE = 1e-9
 
 Joints = Float[np.ndarray, " joints"]
+Recordings = Float[np.ndarray, "recordings joints"]
 
 
 def starting_point(
     network: CSLC,
-    recording: Recording,
+    recordings: Sequence[Recording],
     settings: Settings,
     torque_sampling: TorqueSampling,
     resolution: Joints | None,
     start: Identification | None,
-) -> tuple[Problem, Point, Joints, Joints]:
-    """The problem of a recording, and where its search starts: regression on smoothed motion.
+) -> tuple[Problem, Point, Recordings, Recordings]:
+    """The problem of recordings, and where its search starts: regression on smoothed motion.
 
     **Returns** the problem, the point, and the noise of torque and of positions.
 
@@ -49,19 +49,26 @@ def starting_point(
     settings = settings.with_options(
         torque_alignment="mean" if torque_sampling == "held" else "sample"
     )
-    patterns = settings.patterns(recording)
-    regression = settings.for_network(static.without).fit(static.without, patterns)
-    smooth = settings.preparation.smoothing.smooth(recording.time, recording.position)
-    q, speed = np.array(smooth[0]), np.abs(np.asarray(smooth[1]))
+    patterns = {str(i): settings.patterns(recording) for i, recording in enumerate(recordings)}
+    regression = _regression(static.without, patterns, settings.for_network(static.without))
+    smooth = [
+        settings.preparation.smoothing.smooth(recording.time, recording.position)
+        for recording in recordings
+    ]
+    q, speed = (np.concatenate([np.array(motion[i]) for motion in smooth]) for i in (0, 1))
+    speed = np.abs(speed)
     fastest = np.maximum(speed.max(axis=0), 1e-6)
 
-    sampling = Sampling.of(recording)
-    resolution = np.array(sampling.resolution) if resolution is None else resolution
-    encoder = resolution > 0.0
-    least = _LEAST_NOISE * np.maximum(np.ptp(recording.position, axis=0), 1e-3)
-    position_noise = np.where(
-        encoder, resolution / np.sqrt(12.0), np.maximum(np.array(sampling.noise), least)
-    )
+    readings = Readings.of(recordings, torque_sampling)
+    samplings = [Sampling.of(recording) for recording in recordings]
+    if resolution is None:
+        steps = np.array([sampling.resolution for sampling in samplings])
+    else:
+        steps = np.tile(resolution, (len(recordings), 1))
+    encoder = steps > 0.0
+    least = _LEAST_NOISE * np.maximum(np.ptp(readings.position, axis=0), 1e-3)
+    noise = np.maximum(np.array([sampling.noise for sampling in samplings]), least)
+    position_noise = np.where(encoder, steps / np.sqrt(12.0), noise)
 
     k = np.zeros(p)
     index = {name: number for number, name in enumerate(network.names)}
@@ -82,8 +89,8 @@ def starting_point(
         of_slopes = np.zeros(n)
         of_slopes[static.joints] = _SLOPE_DEVIATION**-2
         return (
-            np.concatenate([np.zeros(p), slopes, np.zeros(n)]),
-            np.concatenate([of_k, of_slopes, position_noise**-2.0]),
+            np.concatenate([np.zeros(p), slopes, np.zeros(position_noise.size)]),
+            np.concatenate([of_k, of_slopes, position_noise.ravel() ** -2.0]),
         )
 
     def breakaway(point: Point) -> Joints:
@@ -94,17 +101,14 @@ def starting_point(
 
     moves = np.zeros(n)
     moves[static.joints] = 0.5
+    residual = [_residual(static.without, values, regression) for values in patterns.values()]
+    torque_noise = np.sqrt(np.mean(np.square(residual), axis=0))
+    scale = _scale(network, patterns.values(), torque_noise)
     problem = Problem(
-        equations=MotionEquations(network, jnp.asarray(np.diff(recording.time))),
-        time=np.asarray(recording.time),
-        position=np.asarray(recording.position),
-        torque=averaged_torque(recording, torque_sampling),
-        stuck=rests(
-            recording.position, speed, np.where(encoder, resolution, 2 * least), _SLOW * fastest
-        ),
-        scale=np.concatenate(
-            [_scale(network, patterns, np.asarray(regression.torque_error)), moves, position_noise]
-        ),
+        equations=MotionEquations(network, jnp.asarray(np.diff(readings.time))),
+        readings=readings,
+        stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
+        scale=np.concatenate([scale, moves, position_noise.ravel()]),
         known=known,
         slope_bounds=(
             np.log(1.0 / (_LEAST_DECAY * fastest)),
@@ -113,29 +117,40 @@ def starting_point(
         breakaway=breakaway,
         fixed_noise=encoder,
     )
-    point = Point(k, slopes, np.zeros(n), q, np.zeros(0))
-    return problem, point, np.asarray(regression.torque_error), position_noise
+    point = Point(k, slopes, np.zeros(position_noise.shape), q, np.zeros(0))
+    return problem, point, np.array(residual), position_noise
 
 
-def averaged_torque(
-    recording: Recording, torque_sampling: TorqueSampling
-) -> Float[np.ndarray, "equations joints"]:
-    """The recorded torque, averaged as the second difference averages acceleration.
+def _regression(
+    network: CSLC, patterns: Mapping[str, Patterns], settings: Settings
+) -> Identification:
+    """Of all recordings together."""
+    if len(patterns) > 1:
+        return fit_recordings(network, patterns, settings.solver).fit
+    (only,) = patterns.values()
+    return settings.fit(network, only)
 
-    >>> import numpy as np
-    >>> line = np.arange(5.0)[:, None]
-    >>> recording = Recording(np.arange(5.0), line, line)
-    >>> averaged_torque(recording, "held")[:, 0].tolist()
-    [0.5, 1.5, 2.5]
-    >>> averaged_torque(recording, "sampled")[:, 0].tolist()
-    [1.0, 2.0, 3.0]
-    """
-    torque, h = np.asarray(recording.torque), np.diff(recording.time)[:, None]
-    before, after = h[:-1] / (h[:-1] + h[1:]), h[1:] / (h[:-1] + h[1:])
-    if torque_sampling == "held":
-        return before * torque[:-2] + after * torque[1:-1]
-    # Linear between samples: two thirds of each triangle are at its middle, a third at its end.
-    return (before * torque[:-2] + 2.0 * torque[1:-1] + after * torque[2:]) / 3.0
+
+def _residual(network: CSLC, patterns: Patterns, fit: Identification) -> Joints:
+    """(n,) RMS residual of a recording."""
+    error = np.asarray(patterns.torque) - torque_of(network, patterns, fit.k)
+    mask = np.asarray(patterns.mask)
+    squares = np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
+    return np.sqrt(squares / np.maximum(mask.sum(axis=0), 1))
+
+
+def _rests(
+    readings: Readings,
+    speed: Float[np.ndarray, "samples joints"],
+    resolution: Recordings,
+    slowest: Joints,
+) -> Bool[np.ndarray, "intervals joints"]:
+    """Where joints are at rest, never between two recordings."""
+    stuck = np.zeros((len(speed) - 1, speed.shape[1]), bool)
+    for number in range(readings.recordings):
+        rows = np.flatnonzero(readings.part == number)
+        stuck[rows[:-1]] = rests(readings.position[rows], speed[rows], resolution[number], slowest)
+    return stuck
 
 
 class _Static:
@@ -161,10 +176,12 @@ class _Static:
 
 
 def _scale(
-    network: CSLC, patterns: Patterns, torque_error: Joints
+    network: CSLC, patterns: Iterable[Patterns], torque_error: Joints
 ) -> Float[np.ndarray, " coefficients"]:
     """One over the length of each column of the regressor, joints weighted by their residual."""
     weights = 1.0 / np.maximum(torque_error, 1e-6 * max(float(torque_error.max()), 1e-12))
-    regressor = np.asarray(regressor_of(network, patterns)) * weights[None, :, None]
-    length = np.sqrt(np.sum(regressor**2, axis=(0, 1)))
-    return 1.0 / np.where(length > 0.0, length, 1.0)
+    square = np.zeros(network.size)
+    for values in patterns:
+        regressor = np.asarray(regressor_of(network, values)) * weights[None, :, None]
+        square += np.sum(regressor**2, axis=(0, 1))
+    return 1.0 / np.sqrt(np.where(square > 0.0, square, 1.0))

@@ -30,7 +30,7 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     signs = Signs.of(q, time, np.zeros((SAMPLES - 1, 2), bool), margin=1, modelled=True)
     assert len(signs.samples) == 1
     k = rng.uniform(0.2, 1.0, arm.size)
-    border = arm.size + 4
+    border = arm.size + 6
     weights = Residuals(
         torque=rng.uniform(1.0, 2.0, (SAMPLES - 2, 2)),
         position=rng.uniform(1e4, 2e4, (SAMPLES, 2)),
@@ -41,9 +41,16 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     equations = MotionEquations(arm, jnp.asarray(np.diff(time)))
     torque = rng.normal(size=(SAMPLES - 2, 2))
     result = Objective(
-        equations, q + 1e-3, torque, signs, weights, np.zeros(border), rng.uniform(0.5, 2, border)
+        equations,
+        q + 1e-3,
+        torque,
+        np.repeat([0, 1], [5, SAMPLES - 5]),  # encoder offsets of two recordings
+        signs,
+        weights,
+        np.zeros(border),
+        rng.uniform(0.5, 2, border),
     )
-    return result, Point(k, np.log([2.0, 3.0]), np.zeros(2), q, signs.turn)
+    return result, Point(k, np.log([2.0, 3.0]), np.zeros((2, 2)), q, signs.turn)
 
 
 def test_derivatives(objective: tuple[Objective, Point]) -> None:

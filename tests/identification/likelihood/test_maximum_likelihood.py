@@ -123,6 +123,61 @@ def test_noise_levels_are_estimated(clean: tuple[np.ndarray, np.ndarray, np.ndar
     assert_allclose(result.position_noise, 1e-4, rtol=0.15)
 
 
+class TestSeveralRecordings:
+    def test_each_has_its_noise(self) -> None:
+        time, position, torque = swing(1600, static=0.0)
+        rng = np.random.default_rng(0)
+        noises = ((1e-4, 0.05), (3e-4, 0.4))
+        parts = [
+            jc.Recording(
+                time[rows],
+                position[rows] + noise * rng.normal(size=(800, 1)),
+                torque[rows] + level * rng.normal(size=(800, 1)),
+            )
+            for rows, (noise, level) in zip((slice(0, 800), slice(800, None)), noises, strict=True)
+        ]
+        result = jc.MaximumLikelihood(resolution=(0.0,)).fit(pendulum("viscous", "dry"), parts)
+        assert_allclose(result.torque_noise[:, 0], [0.05, 0.4], rtol=0.3)
+        assert_allclose(result.position_noise[:, 0], [1e-4, 3e-4], rtol=0.2)
+        assert result.position.shape == (1600, 1)
+
+    def test_each_has_its_encoder_offset(
+        self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]
+    ) -> None:
+        time, position, torque = clean
+        step = 5e-3
+        parts = [
+            jc.Recording(time, step * np.round(position / step + shift) - step * shift, torque)
+            for shift in (-0.3, 0.4)
+        ]
+        shifted = [
+            jc.Recording(part.time, part.position + shift, part.torque)
+            for part, shift in zip(parts, (-1e-3, 1e-3), strict=True)
+        ]
+        result = jc.MaximumLikelihood().fit(pendulum("viscous", "dry", "static"), shifted)
+        assert_allclose(result.offset[:, 0], [-1e-3, 1e-3], atol=4 * result.offset_error.max())
+        # The mean of both is gravity's to find; their difference is not that of gravity.
+        assert np.ptp(result.offset) > 1e-3
+        for deviation in deviations(result).values():
+            assert abs(deviation) < 4.0
+
+    def test_a_recording_in_two_is_the_recording(self) -> None:
+        time, position, torque = swing(1200, static=0.0)
+        rng = np.random.default_rng(0)
+        position = position + 1e-4 * rng.normal(size=position.shape)
+        torque = torque + 0.1 * rng.normal(size=torque.shape)
+        network = pendulum("viscous", "dry")
+        parts = [
+            jc.Recording(time[rows], position[rows], torque[rows])
+            for rows in (slice(0, 700), slice(700, None))
+        ]
+        one = jc.MaximumLikelihood().fit(network, jc.Recording(time, position, torque))
+        two = jc.MaximumLikelihood().fit(network, parts)
+        error = np.asarray(one.fit.standard_error)
+        assert np.all(np.abs(np.asarray(two.k - one.k)) < error)
+        assert_allclose(two.fit.standard_error, error, rtol=0.3)
+
+
 def test_a_joint_that_never_moves_is_undetermined() -> None:
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
     network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
@@ -169,6 +224,10 @@ class TestBadInput:
         recording = jc.Recording(time, np.tile(position, 2), np.tile(torque, 2))
         with pytest.raises(ValueError, match="recording has 2 joints; expected 1"):
             jc.MaximumLikelihood().fit(pendulum(), recording)
+
+    def test_no_recording(self) -> None:
+        with pytest.raises(ValueError, match="got no recording; expected one or more"):
+            jc.MaximumLikelihood().fit(pendulum(), [])
 
     def test_too_few_samples(self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
         time, position, torque = (x[:6] for x in clean)
