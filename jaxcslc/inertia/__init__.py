@@ -12,5 +12,10 @@ from ._link_knowledge import (
     Known as Known,
     LinkKnowledge as LinkKnowledge,
 )
-from ._nearest_bodies import NearestBodies as NearestBodies, Optimum as Optimum
+from ._nearest_bodies import (
+    WEAK as WEAK,
+    NearestBodies as NearestBodies,
+    Optimum as Optimum,
+)
 from ._nearest_body import nearest_body as nearest_body
+from ._prior_weight import by_discrepancy as by_discrepancy

@@ -16,6 +16,11 @@ from ._prior_bodies import Prior, balls, prior_of
 from ._semidefinite import semidefinite_least_squares
 
 
+WEAK = 0.01
+"""The weight of a prior that decides only what the data do not: standard errors that a change by
+the whole of it counts."""
+
+
 class Optimum(NamedTuple):
     """What `NearestBodies.solve` returns.
 
@@ -49,7 +54,10 @@ class NearestBodies:
     - `others`: the prior of the others, in units of `scales`.
     - `bounded`: 1 for others that cannot be negative.
     - `scales`: units of the others.
-    - `weight`: standard errors that a change by the whole prior counts.
+    - `weight`: standard errors that a change of a body by its whole prior counts.
+    - `known`: 1 for others that the prior knows: motor inertias of the robot's file. A motor
+      inertia that it lacks is no measurement of zero, and counts by `WEAK` at most.
+    - `informed`: whether bodies of the prior are those of the robot, not balls.
     - `knowledge`: what is known of single parameters.
     """
 
@@ -64,6 +72,8 @@ class NearestBodies:
     bounded: Float[np.ndarray, " others"]
     scales: Float[np.ndarray, " others"]
     weight: float
+    known: Float[np.ndarray, " others"]
+    informed: bool
     knowledge: tuple[LinkKnowledge, ...] = ()
 
     @classmethod
@@ -144,6 +154,8 @@ class NearestBodies:
             bounded=np.concatenate([np.ones(motor_count), 1.0 * positive]),
             scales=scales,
             weight=weight,
+            known=np.concatenate([prior_bodies.motors[motor_mask] > 0, 0.0 * others]),
+            informed=links is not None,
             knowledge=tuple(knowledge),
         )
 
@@ -171,10 +183,19 @@ class NearestBodies:
         others = np.where(self.bounded > 0, np.maximum(others, 0.0), others) * self.scales
         return Optimum(bodies, others, converged)
 
+    def distance(self, k: Float[np.ndarray, " coefficients"]) -> float:
+        """Root mean square change of the determined coefficients, in standard errors."""
+        change = self.whitening @ (k - self.k)
+        return float(np.sqrt(np.mean(change**2))) if change.size else 0.0
+
     def coefficients(self, optimum: Optimum) -> Float[np.ndarray, " coefficients"]:
         """The coefficients that an optimum implies."""
         k = np.einsum("ple,le->p", self.of_bodies, optimum.bodies + self.fixed)
         return k + self.of_others @ (optimum.others / self.scales)
+
+    @property
+    def _other_weights(self) -> Float[np.ndarray, " others"]:
+        return np.where(self.known > 0, self.weight, min(self.weight, WEAK))
 
     def _convex(self, least: float) -> Optimum | None:
         count = len(self.prior.bodies)
@@ -193,11 +214,10 @@ class NearestBodies:
                 rows.append(row / size)
                 values.append(float(-form @ self.fixed[i] / size))
         known = self._linear_knowledge(units)
+        weights = np.concatenate([np.full(16 * count, self.weight), self._other_weights])
         solution, converged = semidefinite_least_squares(
-            np.concatenate([matrix, self.weight * np.eye(matrix.shape[1]), known.soft]),
-            np.concatenate(
-                [self.whitening @ (self.k - of_fixed), self.weight * wanted, known.target]
-            ),
+            np.concatenate([matrix, np.diag(weights), known.soft]),
+            np.concatenate([self.whitening @ (self.k - of_fixed), weights * wanted, known.target]),
             np.concatenate([np.array(rows).reshape(-1, matrix.shape[1]), known.rows]),
             np.concatenate([np.array(values), known.values]),
             bodies=count,
@@ -252,7 +272,12 @@ class NearestBodies:
             self.whitening @ self.k,
             self.others,
             self.bounded,
-            self.weight,
+            np.concatenate(
+                [
+                    np.full(sum(len(chart.start) for chart in charts), self.weight),
+                    self._other_weights,
+                ]
+            ),
         )
         return Optimum(*solution)
 

@@ -133,10 +133,11 @@ def nearest_in_charts(
     target: Float[np.ndarray, " rows"],
     others: Float[np.ndarray, " others"],
     bounded: Float[np.ndarray, " others"],
-    weight: float,
+    weights: Float[np.ndarray, " unknowns"],
 ) -> tuple[Float[np.ndarray, "links 10"], Float[np.ndarray, " others"], bool]:
-    """min |of_bodies · bodies + of_others · y - target|² + weight² |coordinates - start|², bodies
-    possible, y ≥ 0 where `bounded`. Not convex; the search starts at the prior.
+    """min |of_bodies · bodies + of_others · y - target|² + |weights (z - start)|², z the bodies'
+    coordinates and y; bodies possible, y ≥ 0 where `bounded`. Not convex; the search starts at
+    the prior.
 
     **Returns**
 
@@ -160,16 +161,14 @@ def nearest_in_charts(
 
     def residual(z: np.ndarray) -> np.ndarray:
         change = np.einsum("rle,le->r", of_bodies, bodies(z)) + of_others @ z[edges[-1] :] - target
-        return np.concatenate([change, weight * (z - wanted)])
+        return np.concatenate([change, weights * (z - wanted)])
 
     def jacobian(z: np.ndarray) -> np.ndarray:
         blocks = [
             of_bodies[:, i] @ chart.jacobian(z[part])
             for i, (chart, part) in enumerate(zip(charts, slices, strict=True))
         ]
-        return np.concatenate(
-            [np.concatenate([*blocks, of_others], axis=1), weight * np.eye(len(z))]
-        )
+        return np.concatenate([np.concatenate([*blocks, of_others], axis=1), np.diag(weights)])
 
     optimum = least_squares(
         residual,

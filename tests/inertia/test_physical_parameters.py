@@ -267,6 +267,66 @@ class TestImpossible:
             assert cost(parameters.k + step * (k - parameters.k)) > lowest * (1 - 1e-5)
 
 
+class TestPriorWeight:
+    """The largest weight of the robot's bodies that the errors of the data allow."""
+
+    def test_imprecise_data_leave_the_bodies_as_they_are(
+        self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator
+    ) -> None:
+        """Bodies that are a fraction of a standard error away are taken with the largest weight."""
+        prior = random_links(rng, 3)
+        k = elbow.coefficients_from(prior, viscous=[1.0] * 3, dry=[0.1] * 3)
+        parameters = jc.physical_parameters(elbow, fit_of(1.02 * np.asarray(k), 1.0), prior)
+        assert parameters.prior_weight == pytest.approx(10.0)
+        for body, before in zip(parameters.links, prior, strict=True):
+            np.testing.assert_allclose(body_of(body), body_of(before), rtol=0.1, atol=0.05)
+
+    @pytest.mark.parametrize("possible", [True, False])
+    def test_it_is_the_largest_within_the_discrepancy(
+        self,
+        elbow: jc.CSLC,
+        random_links: Callable[..., Links],
+        rng: np.random.Generator,
+        possible: bool,
+    ) -> None:
+        """By trying all weights, for a fit of other bodies and for one of no bodies."""
+        prior, links = random_links(rng, 3), random_links(rng, 3)
+        k = np.asarray(elbow.coefficients_from(links, viscous=[1.0] * 3, dry=[0.1] * 3))
+        fit = fit_of(k if possible else k + rng.normal(size=k.shape), 0.05)
+        weights = 0.01 * 10 ** (0.5 * np.arange(7))
+        distances = np.array(
+            [jc.physical_parameters(elbow, fit, prior, prior_weight=w).distance for w in weights]
+        )
+        assert np.all(np.diff(distances) > -_SOLVER)
+        limit = np.hypot(distances[0], 0.5)
+        assert distances[-1] > limit  # or there would be nothing to find
+        parameters = jc.physical_parameters(elbow, fit, prior)
+        assert parameters.prior_weight == pytest.approx(np.max(weights[distances <= limit]))
+
+    def test_a_motor_that_the_file_lacks_is_no_motor_of_zero(
+        self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator
+    ) -> None:
+        """Motors explain what they can, and bodies stay those of the file."""
+        links = random_links(rng, 3)
+        with_motors = [
+            jc.LinkParameters(body.mass, body.centre_of_gravity, body.inertia, 0.7)
+            for body in links
+        ]
+        without = [
+            jc.LinkParameters(body.mass, body.centre_of_gravity, body.inertia) for body in links
+        ]
+        k = elbow.coefficients_from(with_motors, viscous=[1.0] * 3, dry=[0.1] * 3)
+        parameters = jc.physical_parameters(elbow, fit_of(k), without)
+        assert parameters.prior_weight == pytest.approx(10.0)
+        for body, truth in zip(parameters.links, links, strict=True):
+            np.testing.assert_allclose(body_of(body), body_of(truth), atol=1e-3)
+            assert float(body.motor_inertia) == pytest.approx(0.7, rel=1e-2)
+
+    def test_balls_keep_the_weak_one(self, pendulum: jc.CSLC) -> None:
+        parameters = jc.physical_parameters(pendulum, fit_of([1.0, 0.3, 0.0, 0.2, 0.05]))
+        assert parameters.prior_weight == 0.01
+
+
 class TestFixedBodies:
     def test_they_stay_and_the_other_bodies_are_possible(
         self, elbow: jc.CSLC, random_links: Callable[..., Links], rng: np.random.Generator

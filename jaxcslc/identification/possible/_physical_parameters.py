@@ -7,7 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._environment import require
-from ...inertia import Fitted, LinkKnowledge, NearestBodies, bodies_of, constrained, link_of
+from ...inertia import (
+    WEAK,
+    Fitted,
+    LinkKnowledge,
+    NearestBodies,
+    bodies_of,
+    by_discrepancy,
+    constrained,
+    link_of,
+)
 from ...manipulator import LinkParameters, Manipulator, seen_from
 from ...motion import Patterns
 from ...network import CSLC
@@ -18,9 +27,8 @@ if TYPE_CHECKING:
     import pandas
 
 
-# Standard errors that a change of a body by its whole prior counts; and the part of its prior that
-# every body holds at least.
-PRIOR_WEIGHT, LEAST = 0.01, 1e-3
+# The part of its prior that every body holds at least.
+LEAST = 1e-3
 
 
 class POSSIBILITY(eqx.Enumeration):
@@ -49,6 +57,7 @@ class PhysicalParameters:
     - `body_names`: of the file's bodies, or the links' numbers.
     - `friction`: friction coefficients by kind, as `CSLC.coefficients_from` takes them.
     - `k`: (p,) the coefficients that all of these imply.
+    - `prior_weight`: of the links that decide what the data do not.
     - `distance`: root mean square change of the determined coefficients against the fit, in
       standard errors.
     - `torque_distance`: (n,) root mean square change of each joint's torque over the patterns
@@ -75,6 +84,7 @@ class PhysicalParameters:
     body_names: tuple[str, ...]
     friction: Mapping[str, Float[np.ndarray, "..."]]
     k: Float[np.ndarray, " coefficients"]
+    prior_weight: float
     distance: float
     torque_distance: Float[np.ndarray, " joints"]
     result: POSSIBILITY
@@ -120,7 +130,7 @@ def physical_parameters(
     fixed: Sequence[LinkParameters | None] | None = None,
     patterns: Patterns | None = None,
     motors: bool = True,
-    prior_weight: float = PRIOR_WEIGHT,
+    prior_weight: float | None = None,
     least: float = LEAST,
     knowledge: Sequence[LinkKnowledge] = (),
     throw: bool = True,
@@ -133,7 +143,7 @@ def physical_parameters(
     is linear in its entries. So the possible parameters nearest to a fit are the solution of a
     semidefinite programme (Sousa and Cortesão 2014): it minimises
 
-        (k - k(θ))ᵀ C⁻¹ (k - k(θ)) + w² Σ |J̃ᵢ - 1|² + w² Σ |other - prior|²
+        (k - k(θ))ᵀ C⁻¹ (k - k(θ)) + w² Σ |J̃ᵢ - 1|² + Σ w'² |other - prior|²
 
     where C is the fit's covariance, on the combinations that it determines, and J̃ᵢ is link i's
     pseudo-inertia in units of the prior's: with J₀ = L Lᵀ, J̃ = L⁻¹ J L⁻ᵀ. Its distance from 1 is
@@ -157,7 +167,10 @@ def physical_parameters(
     - `patterns`: over which `torque_distance` is measured.
     - `motors`: whether joints have motor inertia where the network has it; False fixes it at zero,
       as for a file format without it.
-    - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts.
+    - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts. If
+      omitted, the largest up to 10 whose bodies are as near to the fit as errors of the data let
+      the truth be (`jaxcslc.inertia.by_discrepancy`), or 0.01 where the prior is balls. Motor
+      inertias that the prior lacks, and friction, have a weight of 0.01 at most.
     - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
     - `knowledge`: what is known of single parameters of links, from `Prior.link_values`.
     - `throw`: raise an error if the solver fails, instead of returning the result code.
@@ -192,7 +205,7 @@ def physical_parameters(
     for name, links in (("prior", prior), ("fixed", fixed)):
         if links is not None and len(links) != n:
             raise ValueError(f"{name}: expected {n} entries, one a joint, got {len(links)}")
-    if not 0 < prior_weight < np.inf:
+    if prior_weight is not None and not 0 < prior_weight < np.inf:
         raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
     if not 0 < least < 1:
         raise ValueError(f"least: expected a number between 0 and 1, got {least!r}")
@@ -203,11 +216,14 @@ def physical_parameters(
         inertial=network.layout.inertial,
         prior=prior,
         fixed=fixed,
-        weight=prior_weight,
+        weight=prior_weight or WEAK,
         motors=motors,
         knowledge=knowledge,
     )
-    optimum = problem.solve(least)
+    if prior_weight is None:
+        problem, optimum = by_discrepancy(problem, least)
+    else:
+        optimum = problem.solve(least)
     if optimum is None:
         if throw:
             raise RuntimeError(f"physical_parameters: {POSSIBILITY[POSSIBILITY.failed]}")
@@ -232,7 +248,6 @@ def physical_parameters(
     )
     k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
     k += problem.of_others @ (others / problem.scales)
-    change = problem.whitening @ (k - problem.k)
     return PhysicalParameters(
         network.names,
         links,
@@ -241,7 +256,8 @@ def physical_parameters(
         body_names(network.robot),
         _friction(network, k),
         k,
-        float(np.sqrt(np.mean(change**2))) if change.size else 0.0,
+        problem.weight,
+        problem.distance(k),
         _torque_distance(network, k - problem.k, patterns),
         code,
     )
@@ -251,7 +267,8 @@ def possible_coefficients(
     network: CSLC,
     fit: Fitted,
     fixed: Sequence[LinkParameters | None] | None,
-    knowledge: Sequence[LinkKnowledge] = (),
+    knowledge: Sequence[LinkKnowledge],
+    prior_weight: float,
 ) -> Float[np.ndarray, " coefficients"]:
     """The coefficients of `physical_parameters`, without the parameters.
 
@@ -264,7 +281,7 @@ def possible_coefficients(
         inertial=network.layout.inertial,
         prior=None,
         fixed=fixed,
-        weight=PRIOR_WEIGHT,
+        weight=prior_weight,
         motors=True,
         knowledge=knowledge,
     )

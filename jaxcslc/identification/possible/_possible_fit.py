@@ -146,6 +146,7 @@ class PossibleFit:
             "k": self.parameters.k,
             "free_k": np.asarray(self.free.k),
             "distance": self.parameters.distance,
+            "prior_weight": self.parameters.prior_weight,
             "held_out": self.held_out.source,
             "held_out_rms": self.held_out.held_out,
             "free_held_out_rms": self.free_held_out.held_out,
@@ -221,8 +222,12 @@ def possible_fit(
     )
     step("judging possible bodies")
     free_errors = [part.errors(part.fit.k) for part in parts]
+    # The weight of the whole fit's bodies, found once: searched for in each part, it would cost
+    # four times as much.
+    weight = parameters.prior_weight
     errors = [
-        part.errors(possible_coefficients(network, part.fit, fixed, knowledge)) for part in parts
+        part.errors(possible_coefficients(network, part.fit, fixed, knowledge, weight))
+        for part in parts
     ]
     masks = [part.mask for part in parts]
     change, change_error = _change(errors, free_errors, masks)
