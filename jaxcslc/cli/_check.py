@@ -47,6 +47,7 @@ def check_command(
     """Check recordings for wrong units, signs, times and samples, before anything is identified.
 
     Prints what was read, and what looks wrong, with the likely cause and what to do about it.
+    Exit code 0: nothing looks wrong; 1: something does; 2: wrong input.
     """
     with one_line_errors(), progress("reading") as step:
         manipulator = robot_named(robot, base, tip, fix)
@@ -62,6 +63,8 @@ def check_command(
             for note in recording.notes
         ]
     typer.echo("\n".join([str(page), *notes]))
+    if page.findings:
+        raise typer.Exit(1)
 
 
 def _lengths(robot: Manipulator) -> str:

@@ -110,7 +110,8 @@ ColumnsOption = Annotated[
 
 def recording_of(path: Path, robot: Manipulator, columns: Path | None) -> Recording:
     """A recording of a robot, its joints in the robot's order."""
-    return load_recording(path, joints=robot.joint_names, columns=columns)
+    fixed = () if robot.source is None else robot.source.fixed_joints
+    return load_recording(path, joints=robot.joint_names, columns=columns, fixed=fixed)
 
 
 def recordings_of(paths: Sequence[Path], read: Callable[[Path], Recording]) -> dict[str, Recording]:

@@ -7,7 +7,8 @@ import typer
 
 from ..identification import without_outliers
 from ..manipulator import Manipulator
-from ..motion import Recording, fresh_rows, load_recording, restore_clock, without_stale_rows
+from ..motion import Recording, fresh_rows, restore_clock, without_stale_rows
+from ._common import recording_of
 
 
 BetweenOption = Annotated[
@@ -83,7 +84,7 @@ class RecordingOptions:
         - `ValueError`: in one line, for a file that cannot be read, and for options that leave too
           little of it.
         """
-        recording = load_recording(path, joints=robot.joint_names, columns=self.columns)
+        recording = recording_of(path, robot, self.columns)
         if self.measured is not None:
             recording = dataclasses.replace(recording, torque_measured=self.measured)
         if self.between is not None:

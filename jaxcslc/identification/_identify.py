@@ -69,7 +69,8 @@ def identify(
       can follow it. Not with `previous`.
     - `memory`: that may be used [GB], about. Coefficients are fitted to all samples of one training
       recording, however long; where its regressor does not fit, settings are chosen and fits judged
-      on a part of it (`report.judged_part` says which).
+      on a part of it (`report.judged_part` says which). Of several recordings that do not fit
+      together, parts are used throughout, as `report.notes` say.
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** a `Report`.
@@ -106,13 +107,14 @@ def identify(
     if len(by_name) > 1:
         if previous is not None:
             raise ValueError("identify: previous is for one recording, got several")
-        if options or folds is not None:
-            raise ValueError("identify: options and folds are for one recording, got several")
         return identify_several(
             network,
             by_name,
             validation,
             settings,
+            options=options or {},
+            folds=folds,
+            memory=memory,
             offsets=offsets,
             systematic=systematic,
             possible=possible,

@@ -124,7 +124,7 @@ def identify_one(
         step("computing systematic errors")
         shifts = systematic_error(network, prepared.part, settings, fit, groups=groups)
         shifts = shifts.without([i for i, entry in known.items() if entry.fixed])
-    warnings = [*prepared.warnings]
+    consequences: list[str] = []
     bodies, held_out = None, None
     if previous is None:
         bodies, held_out, sentences = judged_bodies(
@@ -137,7 +137,7 @@ def identify_one(
             systematic=shifts,
             step=step,
         )
-        warnings += sentences
+        consequences += sentences
     if bodies is not None:
         fit, vectors = bodies.fit, bodies.other_coefficients
     step("computing errors")
@@ -150,9 +150,13 @@ def identify_one(
         held_out = held_out_error(network, fit, patterns["training"], patterns["validation"])
     elif previous is None and held_out is None:
         held_out = cross_validated_error(network, part_patterns, settings, fit=fit)
-    warnings += () if slopes is None else slopes.warnings
-    warnings += () if held_out is None else held_out.warnings
-    warnings += fit_warnings(network, training, fit, errors["training"])
+    consequences += () if held_out is None else held_out.warnings
+    consequences += fit_warnings(network, training, fit, errors["training"])
+    warnings = [
+        *prepared.warnings,
+        *(() if slopes is None else slopes.warnings),
+        *(consequences if data_check is None else data_check.unexplained(consequences)),
+    ]
     return Report(
         network,
         settings,
@@ -188,7 +192,7 @@ def _prepared(
     section = section_of(network, training, memory)
     part = training if section is None else section.recording
     with recording_named("training"):
-        selection = _selected(network, part, options, folds) if settings is None else None
+        selection = selected_settings(network, part, options, folds) if settings is None else None
         base = settings if selection is None else selection.settings
         assert base is not None
         base = base.with_options(**options)
@@ -209,7 +213,7 @@ def _prepared(
     )
 
 
-def _selected(
+def selected_settings(
     network: CSLC, recording: Recording, options: Mapping[str, Any], folds: int | None
 ) -> Selection:
     """The settings that cross-validation selects, some options set in advance."""

@@ -1,11 +1,12 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 from ..motion import Patterns, Recording, joined_patterns
 from ..network import CSLC
 from ._held_out import held_out_error, left_out_error
-from ._identify_one import settings_for_another
+from ._identify_one import selected_settings, settings_for_another
 from ._settings import Settings
 from ._slopes import SlopeFit, fit_slopes
 from ._systematic import SystematicError, systematic_error
@@ -13,7 +14,7 @@ from .checks import AGREEMENT_KINDS, DataCheck
 from .possible import Choice, Part, judged_bodies
 from .prior import Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
-from .selection import choose_settings
+from .selection import sections_of
 from .several import RecordingAgreement, fit_recordings
 
 
@@ -23,6 +24,9 @@ def identify_several(
     validation: Recording | None,
     settings: Settings | None,
     *,
+    options: Mapping[str, Any],
+    folds: int | None,
+    memory: float,
     offsets: bool,
     systematic: bool,
     possible: Choice,
@@ -33,21 +37,25 @@ def identify_several(
     """What `identify` does with several recordings.
 
     Settings are chosen on the longest; recordings that were sampled in another way get a smoothing
-    of their own. Slopes of static friction are those of the longest.
+    of their own. Slopes of static friction are those of the longest. Each has a share of the
+    memory by its length; of what is longer, a section is used.
 
     - `data_check`: of all recordings, the one for validation included.
     """
     step("choosing settings")
+    training, parts = sections_of(network, training, memory)
     main = max(training, key=lambda name: training[name].samples)
     selection = None
     if settings is None:
-        selection = choose_settings(network, training[main])
+        selection = selected_settings(network, training[main], options, folds)
         settings = selection.settings
+    settings = settings.with_options(**options)
     automatic = selection is not None
     base = settings.for_network(network)
     notes = [*network.robot.notes]
     notes += [f"{name}: {note}" for name, some in training.items() for note in some.notes]
     notes += [] if validation is None else [f"validation: {note}" for note in validation.notes]
+    notes += parts
     warnings = [f"{main}: {sentence}" for sentence in settings.check(training[main])]
     by_recording = {main: base}
     for name, recording in training.items():
@@ -95,7 +103,7 @@ def identify_several(
         systematic=shifts,
         step=step,
     )
-    warnings += sentences
+    consequences = [*sentences]
     if bodies is not None:
         fit, vectors = bodies.fit, bodies.other_coefficients
     step("computing errors")
@@ -104,7 +112,13 @@ def identify_several(
         held_out = left_out_error(network, several.patterns, fit, several.without)
     elif validation is not None:
         suited, sentences = settings_for_another(
-            network, base, training[main], validation, "validation recording", choose=automatic
+            network,
+            base,
+            training[main],
+            validation,
+            "validation recording",
+            choose=automatic,
+            memory=memory,
         )
         warnings += sentences
         judged["validation"] = suited.patterns(validation)
@@ -113,9 +127,10 @@ def identify_several(
         name: compare(network, values, {"fit": fit.k, **vectors}) for name, values in judged.items()
     }
     warnings += several.agreement.warnings
-    warnings += () if held_out is None else held_out.warnings
+    consequences += () if held_out is None else held_out.warnings
     recording = Recording(together.time, together.q, together.torque)
-    warnings += fit_warnings(network, recording, fit, errors["training"])
+    consequences += fit_warnings(network, recording, fit, errors["training"])
+    warnings += consequences if data_check is None else data_check.unexplained(consequences)
     return Report(
         network,
         base,

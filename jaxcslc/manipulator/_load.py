@@ -164,6 +164,12 @@ def _robot(
             base,
             tips,
             fix,
+            tuple(
+                joint.name
+                for body in tree.bodies
+                for joint in body.joints
+                if joint.kind is not None and joint not in files
+            ),
             notes=(*notes, *part.notes, *_faults(tree, path, numbers, attached)),
         ),
     )

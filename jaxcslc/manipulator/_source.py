@@ -41,6 +41,7 @@ class Source:
     - `path`, `format`: of the file.
     - `base`, `tips`: the part of the file's tree that was asked for, as bodies' names.
     - `fix`: joints and bodies that were to be fixed.
+    - `fixed_joints`: joints that move in the file and are none of the robot's, taken as at zero.
     - `joints`, `links`: for each joint of the robot, the file's joint and the body that it moves.
     - `placements`: (4, 4) for each link, the pose of the file's body frame in the link's frame,
       lengths in m.
@@ -59,5 +60,6 @@ class Source:
     base: str | None = None
     tips: tuple[str, ...] = ()
     fix: tuple[str, ...] = ()
+    fixed_joints: tuple[str, ...] = ()
     limits: tuple[JointLimits, ...] = ()
     notes: tuple[str, ...] = ()

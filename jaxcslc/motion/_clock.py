@@ -107,6 +107,7 @@ def resample(
         joint_names=fresh.joint_names,
         notes=fresh.notes,
         torque_measured=fresh.torque_measured,
+        fixed_motion=fresh.fixed_motion,
     )
 
 

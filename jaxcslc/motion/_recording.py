@@ -139,6 +139,8 @@ class Recording(eqx.Module):
     - `torque_measured`: whether torques are measurements of the samples' instants, and not demands
         that a drive holds to the next one. `choose_settings` relies on it where the recording
         itself does not show which torque belongs to a sample.
+    - `fixed_motion`: joints that the robot's description takes as fixed, and how far each moves in
+        the recording [rad or m].
 
     Those of motion are float64 arrays.
 
@@ -158,6 +160,7 @@ class Recording(eqx.Module):
     joint_names: tuple[str, ...] | None = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     torque_measured: bool = eqx.field(static=True)
+    fixed_motion: tuple[tuple[str, float], ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -170,6 +173,7 @@ class Recording(eqx.Module):
         joint_names: Sequence[str] | None = None,
         notes: Sequence[str] = (),
         torque_measured: bool = False,
+        fixed_motion: Sequence[tuple[str, float]] = (),
     ):
         """**Arguments**
 
@@ -191,6 +195,7 @@ class Recording(eqx.Module):
         self.joint_names = None if joint_names is None else tuple(joint_names)
         self.notes = tuple(notes)
         self.torque_measured = torque_measured
+        self.fixed_motion = tuple(fixed_motion)
         # Checked here and not in `__check_init__`, so that the message is this one whether or
         # not a run-time checker of the shape annotations is at work.
         quantities = {
@@ -255,6 +260,7 @@ class Recording(eqx.Module):
             joint_names=self.joint_names,
             notes=self.notes,
             torque_measured=self.torque_measured,
+            fixed_motion=self.fixed_motion,
         )
 
     def between(self, start: float, end: float) -> "Recording":

@@ -255,6 +255,36 @@ def test_clipping_is_no_plateau_of_rounding() -> None:
     assert np.array_equal(clipping(limited), limited == limited.max())
 
 
+def test_joints_that_stand_still_are_one_finding(clean: jc.Recording) -> None:
+    """A gripper's: with the option that leaves them out, if the robot's file allows for it."""
+    still = np.array([1.0, 0.0, 0.0])
+    recording = changed(clean, position=clean.position * still, torque=clean.torque * still)
+    names = ("arm", "finger", "thumb")
+    (finding,) = sample_findings(recording, names, fixable=True)
+    assert (finding.kind, finding.joint) == ("motionless joint", "finger, thumb")
+    assert "--fix finger,thumb" in finding.remedy and "no torque" in finding.evidence
+    (finding,) = sample_findings(recording, names)
+    assert "--fix" not in finding.remedy
+
+
+def test_a_joint_that_moves_though_it_is_fixed(arm: jc.CSLC, clean: jc.Recording) -> None:
+    moving = (("finger", 0.02), ("thumb", 0.001))
+    (finding,) = jc.check(arm, changed(clean, fixed_motion=moving)).findings
+    assert (finding.kind, finding.joint) == ("fixed joint", "finger")
+    assert "moves by 0.02" in finding.evidence
+
+
+def test_a_cause_explains_the_warnings_of_a_fit(arm: jc.CSLC, clean: jc.Recording) -> None:
+    """Degrees: one warning names them, and none the torque errors that they bring about."""
+    degrees = changed(clean, position=np.degrees(clean.position))
+    report = jc.identify(arm, degrees, settings=jc.Settings(), systematic=False)
+    (warning,) = [sentence for sentence in report.warnings if "left out" in sentence]
+    assert "positions are in degrees" in warning and "mend that first" in warning
+    assert not any("variance" in sentence for sentence in report.warnings)
+    unchecked = jc.identify(arm, degrees, settings=jc.Settings(), systematic=False, checks=False)
+    assert any("variance" in sentence for sentence in unchecked.warnings)
+
+
 def test_too_little_motion_is_said(arm: jc.CSLC, clean: jc.Recording) -> None:
     assert jc.check(arm, clean.rows(slice(0, 12))).findings[-1].kind == "motion"
     kinds = {finding.kind for finding in jc.check(arm, clean.rows(slice(0, 300))).findings}
@@ -290,10 +320,16 @@ def test_the_command_and_limits_of_a_urdf(tmp_path: Path) -> None:
     torque = torque + 0.02 * np.random.default_rng(0).standard_normal(torque.shape)
     jc.save_recording(jc.Recording(1e3 * time, q, torque), log)
     result = run("check", robot, log)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 1, result.output
     assert "shoulder" in result.output and "2.5" in result.output
+    assert "positions in rad, speeds in rad/s, torques in N m\n" in result.output
     assert "time is in milliseconds" in result.output
     assert run("check", robot, log, "--between", "one").exit_code == 2
+
+    jc.save_recording(jc.Recording(time, q, torque), log)
+    clean = run("check", robot, log)
+    assert clean.exit_code == 0, clean.output
+    assert "nothing looks wrong" in clean.output
 
     jc.save_recording(jc.Recording(time, q, np.roll(torque, 10, axis=0)), log)
     late = run("identify", robot, log, "-o", tmp_path / "out", "--no-systematic")

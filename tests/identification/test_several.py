@@ -181,6 +181,46 @@ class TestIdentify:
         assert report.data_check is not None
         assert all(finding.recording != "warm" for finding in report.data_check.findings)
 
+    def test_options_and_folds(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
+        """They count for all recordings, whether settings are chosen or not."""
+        recordings = [self.recording(patterns) for patterns in motions[:2]]
+        for settings in (None, jc.Settings()):
+            report = jc.identify(
+                network,
+                recordings,
+                settings=settings,
+                options={"loss": "huber", "torque_lag": 0.001},
+                folds=4,
+                checks=False,
+                systematic=False,
+                possible="never",
+            )
+            assert report.settings.solver.loss == "huber"
+            assert report.settings.preparation.torque_lag == 0.001
+
+    def test_memory_is_shared(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
+        """Of recordings too long for it parts are used, which the report names."""
+        whole = self.recording(motions[0])
+        repeated = jc.Recording(
+            0.01 * np.arange(12 * whole.samples),
+            np.tile(whole.position, (12, 1)),
+            np.tile(whole.torque, (12, 1)),
+        )
+        report = jc.identify(
+            network,
+            {"long": repeated, "short": whole},
+            settings=jc.Settings(),
+            memory=1e-6,
+            checks=False,
+            systematic=False,
+            possible="never",
+        )
+        assert report.several is not None
+        used = {name: patterns.samples for name, patterns in report.several.patterns.items()}
+        assert used["long"] < repeated.samples and used["short"] <= whole.samples
+        (note,) = [note for note in report.notes if "long: of this recording" in note]
+        assert "where joints move most" in note and "--memory" in note
+
     def test_wrong_arguments(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
         one = self.recording(motions[0])
         with pytest.raises(ValueError, match="got no recording; expected one or more"):

@@ -31,6 +31,21 @@ def test_every_version_holds_the_motion(motion: Recording, tmp_path: Path, versi
         assert read.notes == ("not of the robot, and not read: gripper",)
 
 
+def test_joints_that_are_taken_as_fixed(motion: Recording, tmp_path: Path) -> None:
+    """How far they move; and of a bag that lacks joints of the robot, which could be fixed."""
+    path = write_bag(tmp_path / "bag", motion)
+    assert motion.joint_names is not None
+    names = list(motion.joint_names)
+    read = load_recording(path, joints=names[:-1], fixed=(names[-1], "nowhere"))
+    ((name, extent),) = read.fixed_motion
+    assert name == names[-1] and extent == np.ptp(motion.position[:, -1])
+    assert read.rows(slice(0, 10)).fixed_motion == read.fixed_motion
+    assert load_recording(path, joints=names[:-1]).fixed_motion == ()
+    fingers = ("finger_1", "finger_2")
+    with pytest.raises(RecordingError, match=r"need no columns: --fix finger_1,finger_2$"):
+        load_recording(path, joints=[*names, *fingers])
+
+
 def test_repeated_messages_and_missing_stamps_are_said(motion: Recording, tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", motion, stamps=False, repeat=2)
     read = load_recording(path)

@@ -21,6 +21,10 @@ from ._sample_findings import (
 from ._summary import RecordingSummary
 
 
+# With one of these, no model explains the torque, and everything computed says so again.
+_SPOILING = ("time unit", "angle unit", "torque unit", "sign", "swapped joints", "wrong robot")
+
+
 @dataclasses.dataclass(frozen=True)
 class DataCheck:
     """What was read from recordings, and what looks wrong with them.
@@ -40,6 +44,25 @@ class DataCheck:
 
     recordings: tuple[RecordingSummary, ...]
     findings: tuple[Finding, ...]
+
+    def unexplained(self, warnings: Sequence[str]) -> tuple[str, ...]:
+        """What remains to be said of a fit: its warnings, unless a finding explains them.
+
+        - `warnings`: about errors and coefficients of a fit to the recordings.
+
+        >>> from jaxcslc import DataCheck, Finding
+        >>> degrees = Finding("angle unit", "", "", "positions are in degrees", "")
+        >>> print(*DataCheck((), (degrees,)).unexplained(["elbow: a large error"]))
+        1 warning about errors and bodies is left out: positions are in degrees; mend that first
+        """
+        causes = [finding.cause for finding in self.findings if finding.kind in _SPOILING]
+        if not causes or not warnings:
+            return tuple(warnings)
+        many = f"{len(warnings)} warnings" if len(warnings) > 1 else "1 warning"
+        are = "are" if len(warnings) > 1 else "is"
+        return (
+            f"{many} about errors and bodies {are} left out: {'; '.join(causes)}; mend that first",
+        )
 
     def __str__(self) -> str:
         pages = [str(recording) for recording in self.recordings]
@@ -136,7 +159,9 @@ class _Check:
             for quantity, least in LEAST_DISTANCE.items()
         }
         self.findings += outlier_findings(recording, outlying, self.names)
-        self.findings += sample_findings(recording, self.names)
+        source = network.robot.source
+        fixable = source is not None and source.format != "toml"
+        self.findings += sample_findings(recording, self.names, fixable=fixable)
         clipped = clipping(recording.torque)
         valid = ~clipped if clipped.mean() > 0 else None
         mended = without_outliers(recording)

@@ -10,6 +10,7 @@ from ._evidence import Evidence
 from ._finding import Finding
 from ._hypotheses import Change, Hypothesis, angle_units, driven_joints, objective, sign_and_order
 from ._prior_torque import WELL, PriorFit, prior_fit
+from ._sample_findings import motionless
 from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
 
 
@@ -204,7 +205,9 @@ def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
     common = abs(prior.common_factor)
     expected = prior.size * (common if np.isfinite(common) else 1.0)
     return np.flatnonzero(
-        (np.minimum(np.maximum(recorded, expected), 1.5) > _MOST) & (prior.explained < _FEW)
+        (np.minimum(np.maximum(recorded, expected), 1.5) > _MOST)
+        & (prior.explained < _FEW)
+        & (np.ptp(np.asarray(patterns.torque), axis=0) > 0.0)
     )
 
 
@@ -289,7 +292,8 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
         f"excitation: {duration:.3g} s determine {rank} of {network.size} coefficients, condition"
         f" {float(fit.condition):.3g}"
     )
-    if rank == network.size and gap < _TAME:
+    # Coefficients of a joint that stands still are undetermined, which is said elsewhere.
+    if (rank == network.size or motionless(evidence.recording).any()) and gap < _TAME:
         return [], text
     evidence_text = (
         f"{text}; errors on data left out of the fit are {np.exp(gap):.3g} times those of the fit"

@@ -64,7 +64,11 @@ def prior_fit(network: CSLC, patterns: Patterns) -> PriorFit | None:
         np.sqrt(np.where(mask, values**2, 0.0).sum(axis=0) / counts)
         for values in (expected, np.asarray(patterns.torque))
     ]
-    explained = 1.0 - (with_file / np.maximum(without_file, 1e-300)) ** 2
+    # Of a torque that was not recorded nothing is left to explain, and nothing is explained.
+    recorded = without_file > 0.0
+    explained = (
+        1.0 - (np.where(recorded, with_file, 1.0) / np.where(recorded, without_file, 1.0)) ** 2
+    )
     return PriorFit(factor, explained, sizes[0] / np.maximum(sizes[1], 1e-300))
 
 

@@ -17,32 +17,41 @@ _FAR, _WINDOW = 12.0, 7
 # outliers has half.
 _ALONE = 0.45
 _MOTIONLESS = 3.0  # counts
+_FIXED = 0.01  # rad or m that a joint may move by that is taken as fixed
 LEAST_DISTANCE = {"position": 0.02, "torque": 0.6}
 """Outliers are further away than this part of the range. Dry friction makes torques jump by half of
 theirs, back and forth within a few samples where a joint hesitates."""
 
 
-def sample_findings(recording: Recording, names: Sequence[str]) -> Iterator[Finding]:
-    """What is wrong with single samples: stale and repeated rows, clipping, joints at rest.
+def sample_findings(
+    recording: Recording, names: Sequence[str], *, fixable: bool = False
+) -> Iterator[Finding]:
+    """What is wrong with single samples: stale and repeated rows, clipping, joints at rest, and
+    joints that move though they are taken as fixed.
 
     **Arguments**
 
     - `recording`: of n joints.
     - `names`: of the joints.
+    - `fixable`: whether joints of the robot's file can be left out.
 
     **Returns** the findings.
     """
     yield from _repetition(recording)
+    for name, extent in recording.fixed_motion:
+        if extent > _FIXED:
+            yield Finding(
+                "fixed joint",
+                name,
+                f"it moves by {extent:.3g} rad or m, and is taken as fixed at zero",
+                "--fix, --tip or --base leave out a joint that the motion needs",
+                "leave it free, or record the others with this joint at rest",
+            )
     still = motionless(recording)
-    for joint in np.flatnonzero(still).tolist():
-        yield Finding(
-            "motionless joint",
-            names[joint],
-            f"its position stays within {np.ptp(recording.position[:, joint]):.2g}",
-            "the joint was locked, or its column is of something else",
-            "move it, or expect its own coefficients to be undetermined",
-        )
-    for joint in np.flatnonzero(np.ptp(recording.torque, axis=0) == 0.0).tolist():
+    constant = np.ptp(recording.torque, axis=0) == 0.0
+    if still.any():
+        yield _motionless(recording, still, constant, names, fixable)
+    for joint in np.flatnonzero(constant & ~still).tolist():
         yield Finding(
             "constant torque",
             names[joint],
@@ -61,6 +70,28 @@ def sample_findings(recording: Recording, names: Sequence[str]) -> Iterator[Find
             "the drive or the recorder limits the torque there: the motion had another one",
             "record a slower motion; --loss bisquare disregards what does not fit",
         )
+
+
+def _motionless(
+    recording: Recording,
+    still: Bool[np.ndarray, " joints"],
+    constant: Bool[np.ndarray, " joints"],
+    names: Sequence[str],
+    fixable: bool,
+) -> Finding:
+    """One finding for all joints that do not move: their remedy is one option."""
+    listed = [name for name, rests in zip(names, still, strict=True) if rests]
+    extent = float(np.max(np.ptp(recording.position[:, still], axis=0)))
+    same = "; no torque of theirs changes" if constant[still].all() else ""
+    return Finding(
+        "motionless joint",
+        ", ".join(listed),
+        f"positions stay within {extent:.2g} rad or m{same}",
+        "locked joints, a gripper that stood still, or columns of something else",
+        f"--fix {','.join(listed)} if the joints are not to be identified; else move them"
+        if fixable
+        else "move them, or expect their own coefficients to be undetermined",
+    )
 
 
 def outlier_findings(

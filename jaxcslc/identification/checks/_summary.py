@@ -59,6 +59,7 @@ class RecordingSummary:
     - `name`: of the recording.
     - `samples`, `duration`, `rate`: how many there are, and how fast [s, Hz].
     - `joints`: one `JointSummary` each.
+    - `prismatic`: whether the robot has prismatic joints.
     - `excitation`: in words; empty where it was not computed.
     """
 
@@ -67,6 +68,7 @@ class RecordingSummary:
     duration: float
     rate: float
     joints: tuple[JointSummary, ...]
+    prismatic: bool = False
     excitation: str = ""
 
     @classmethod
@@ -92,7 +94,8 @@ class RecordingSummary:
             for j, joint in enumerate(robot.joint_names)
         )
         duration = float(recording.time[-1] - recording.time[0])
-        return cls(name, recording.samples, duration, 1.0 / interval, joints)
+        prismatic = "P" in robot.kinds
+        return cls(name, recording.samples, duration, 1.0 / interval, joints, prismatic)
 
     def __str__(self) -> str:
         columns = {
@@ -110,7 +113,8 @@ class RecordingSummary:
         cells = [[shown(joint) for shown in columns.values()] for joint in self.joints]
         title = (
             f"{self.name}: {self.samples} samples in {self.duration:.4g} s,"
-            f" {self.rate:.4g} a second"
+            f" {self.rate:.4g} a second; positions in rad, speeds in rad/s, torques in N m"
+            + (" (of prismatic joints m, m/s and N)" if self.prismatic else "")
         )
         table = text_table(list(columns), cells, left=["joint"])
         return "\n".join([title, table, *([self.excitation] if self.excitation else [])])

@@ -52,8 +52,8 @@ class ErrorTable(eqx.Module):
     mean |e1|  0.25
     mean ε     0.125
     <BLANKLINE>
-    joint  judged samples  RMS fit  RMS fit, all samples
-    1                50 %     0.25                  0.75
+    RMS [N m]  judged samples   fit  fit, all samples
+    joint 1              50 %  0.25              0.75
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -117,15 +117,17 @@ class ErrorTable(eqx.Module):
             [f"[{self.unit}]" if self.unit else "error", *self.names],
             [[str(row[""]), *(f"{row[name]:.4g}" for name in self.names)] for row in self.rows()],
         )
-        header = [self.kind, "judged samples", *(f"RMS {name}" for name in self.names)]
-        header += [f"RMS {name}, all samples" for name in self.names]
+        unit = f" [{self.unit}]" if self.unit else ""
+        header = [f"RMS{unit}", "judged samples", *self.names]
+        header += [f"{name}, all samples" for name in self.names]
         share, rms, all_samples = map(
             np.asarray, (self.share_judged, self.rms, self.rms_all_samples)
         )
+        labels = [self._label(joint) for joint in range(len(share))]
         cells = [
-            [self._label(joint), f"{100 * share[joint]:.3g} %"]
+            [f"{self.kind} {label}" if label.isdigit() else label, f"{100 * share[joint]:.3g} %"]
             + [f"{value:.4g}" for value in (*rms[:, joint], *all_samples[:, joint])]
-            for joint in range(len(share))
+            for joint, label in enumerate(labels)
         ]
         return f"{errors}\n\n{text_table(header, cells)}"
 

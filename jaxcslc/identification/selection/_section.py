@@ -1,3 +1,4 @@
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,9 @@ class Section(NamedTuple):
     description: str
 
 
-def section_of(network: CSLC, recording: Recording, memory: float) -> Section | None:
+def section_of(
+    network: CSLC, recording: Recording, memory: float, *, streamed: bool = True
+) -> Section | None:
     """The part of a recording whose regressor fits into memory, or None if all of it does.
 
     Of sections of equal length without gaps that start at even distances, that in which joints
@@ -39,6 +42,7 @@ def section_of(network: CSLC, recording: Recording, memory: float) -> Section | 
     - `network`: n joints, p coefficients.
     - `recording`: of n joints.
     - `memory`: that may be used [GB].
+    - `streamed`: whether coefficients are fitted to all of the recording nevertheless.
 
     **Raises**
 
@@ -57,12 +61,43 @@ def section_of(network: CSLC, recording: Recording, memory: float) -> Section | 
     start = max(whole or starts, key=lambda start: _motion(recording, slice(start, start + most)))
     part = recording.rows(slice(start, start + most))
     from_start = part.time - recording.time[0]
+    what = "settings, held-out errors, systematic errors and possible bodies are judged on"
     return Section(
         part,
-        f"settings, held-out errors, systematic errors and possible bodies are judged on {most} of"
-        f" {recording.samples} samples, from {from_start[0]:.4g} s to {from_start[-1]:.4g} s, where"
-        f" joints move most: the regressor of all would take more than {memory:g} GB (--memory);"
-        " coefficients are fitted to all samples",
+        f"{what if streamed else 'of this recording are used'} {most} of {recording.samples}"
+        f" samples, from {from_start[0]:.4g} s to {from_start[-1]:.4g} s, where joints move most:"
+        f" the regressor of all would take more than {memory:g} GB (--memory)"
+        + ("; coefficients are fitted to all samples" if streamed else ""),
+    )
+
+
+def sections_of(
+    network: CSLC, recordings: Mapping[str, Recording], memory: float
+) -> tuple[dict[str, Recording], list[str]]:
+    """What of several recordings is fitted together in a memory: each has a share by its length.
+
+    Equations of all are kept until the recordings are compared, so that they are not streamed.
+
+    **Arguments**
+
+    - `network`, `memory`: as of `section_of`.
+    - `recordings`: by name.
+
+    **Returns** the recordings, long ones cut to a section, and a sentence about each that was.
+
+    **Raises** as `section_of`.
+    """
+    total = sum(recording.samples for recording in recordings.values())
+    sections = {
+        name: section_of(network, recording, memory * recording.samples / total, streamed=False)
+        for name, recording in recordings.items()
+    }
+    return (
+        {
+            name: recordings[name] if section is None else section.recording
+            for name, section in sections.items()
+        },
+        [f"{name}: {part.description}" for name, part in sections.items() if part is not None],
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..._environment import MissingExtraError, require
 from .. import RecordingError
 from ._errors import one_line
-from ._layout import Header
+from ._layout import Header, to_fix
 
 
 _STATE = "sensor_msgs/msg/JointState"
@@ -141,10 +141,12 @@ def joint_states(path: Path, joints: Sequence[str] | None, topic: str | None) ->
     wanted = [g for g in groups.values() if g.names and set(joints or ()) <= set(g.names)]
     if not wanted:
         have = _listed(groups.values()) if groups else "no message"
-        named = "" if joints is None else f" of {', '.join(_missing(joints, groups.values()))}"
+        missing = _missing(joints or (), groups.values())
+        named = f" of {', '.join(missing)}" if joints is not None else ""
         raise RecordingError(
             f"{path}: no joint states{named}; the bag has {have}; expected the names of the robot's"
             " file, or joints = {robot's name = 'recording's name'} in a file of --columns"
+            + to_fix(missing, joints or ())
         )
     return wanted
 

@@ -133,13 +133,14 @@ class Layout:
         count = joints if isinstance(joints, int) else len(names)
         unnamed = bool(names) and is_numbered(names)
         if not names or unnamed or self.joint_names is None:
-            return self._in_file_order(file, count, numbered=unnamed)
+            return self._in_file_order(file, count, names, numbered=unnamed)
         missing = [name for name in names if name not in self.joint_names]
         if missing:
             raise RecordingError(
                 f"{file}: no joint {_listed(missing)}; the recording has"
                 f" {_listed(self.joint_names)}; expected the names of the robot's file, or"
                 " joints = {robot's name = 'recording's name'} in a file of --columns"
+                + to_fix(missing, names)
             )
         others = [name for name in self.joint_names if name not in names]
         notes = self.notes
@@ -156,12 +157,15 @@ class Layout:
             notes=notes,
         )
 
-    def _in_file_order(self, file: str, count: int, *, numbered: bool) -> "Layout":
+    def _in_file_order(
+        self, file: str, count: int, names: Sequence[str], *, numbered: bool
+    ) -> "Layout":
         if self.joints != count:
+            lacking = () if numbered else names[self.joints :]
             had = "" if self.joint_names is None else f" ({_listed(self.joint_names)})"
             raise RecordingError(
                 f"{file}: {self.joints} position columns{had}; expected {count}, one for each joint"
-                " of the robot"
+                f" of the robot{to_fix(lacking, names)}"
             )
         if numbered and self.joint_names is not None and not _count_up(self.joint_names):
             raise RecordingError(
@@ -179,6 +183,17 @@ def is_numbered(names: Sequence[str]) -> bool:
     (True, False)
     """
     return list(names) == [f"joint {i}" for i in range(1, len(names) + 1)]
+
+
+def to_fix(missing: Sequence[str], names: Sequence[str]) -> str:
+    """What to do about joints of the robot that a recording lacks, as the fingers of a gripper.
+
+    >>> to_fix(["finger"], ["shoulder", "elbow", "finger"])
+    '; joints that stood still need no columns: --fix finger'
+    """
+    if not missing or len(missing) == len(names):
+        return ""
+    return f"; joints that stood still need no columns: --fix {','.join(missing)}"
 
 
 def _count_up(names: Sequence[str]) -> bool:

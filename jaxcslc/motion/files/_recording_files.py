@@ -51,6 +51,8 @@ def load_recording(
     path: str | os.PathLike[str],
     joints: int | Sequence[str] | None = None,
     columns: ColumnMapping | str | os.PathLike[str] | None = None,
+    *,
+    fixed: Sequence[str] = (),
 ) -> Recording:
     """Reads a recording from a file.
 
@@ -64,6 +66,9 @@ def load_recording(
         names (`robot.joint_names`), by which the recording's joints are put in order.
     - `columns`: names and units of the columns, where the format does not say them: a mapping, or
         the path of its TOML file.
+    - `fixed`: joints that the robot's description takes as fixed
+        (`robot.source.fixed_joints`). Where the recording has them, its `fixed_motion` says how far
+        they move.
 
     **Returns**
 
@@ -105,7 +110,31 @@ def load_recording(
         joint_names=layout.joint_names,
         notes=layout.notes,
         torque_measured=layout.torque_measured,
+        fixed_motion=_motion_of(path, columns, fixed) if fixed else (),
     )
+
+
+def _motion_of(
+    path: Path, columns: ColumnMapping | str | os.PathLike[str] | None, names: Sequence[str]
+) -> list[tuple[str, float]]:
+    """How far joints move that a file may have, by name; nothing of what cannot be read.
+
+    The file is read again, for what is wrong with columns that nobody needs must not keep those
+    that are needed from being read.
+    """
+    try:
+        layout, pieces = _opened(path, None, columns)
+        recorded = [name for name in names if name in (layout.joint_names or ())]
+        if not recorded:
+            return []
+        positions = layout.of_joints(str(path), recorded).quantities["position"]
+        ends: list[list[float]] = []
+        for piece in pieces:
+            values = [piece[column.name] for column in positions]
+            ends += [[np.min(v) for v in values], [np.max(v) for v in values]]
+    except RecordingError:
+        return []
+    return list(zip(recorded, np.ptp(ends, axis=0).tolist(), strict=True))
 
 
 def load_recordings(

@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser,
         lambda: _study(rows, jobs, missing, folder),
         rows.path,
-        seconds=12.0 * len(missing) + 30.0,
+        seconds=2.0 * len(missing) + 10.0,
     )
 
 

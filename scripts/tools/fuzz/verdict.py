@@ -60,7 +60,8 @@ def _fault(
         last = traceback.extract_tb(error.__traceback__)[-1]
         at = f"{Path(last.filename).name}, line {last.lineno}"
         return f"traceback: {type(error).__name__}: {' '.join(str(error).split())[:300]} ({at})"
-    if result.exit_code not in (0, 2):
+    looks_wrong = result.exit_code == 1 and example.arguments[:1] == ["check"]
+    if result.exit_code not in (0, 2) and not looks_wrong:
         return f"exit code {result.exit_code}: {result.output[-300:]}"
     if seconds > MOST_SECONDS:
         return f"took {seconds:.1f} s: {' '.join(example.arguments)}"
@@ -71,13 +72,13 @@ def _fault(
             return f"expected one line, got {result.stderr[-500:]!r}"
         if result.stdout.strip():
             return f"printed before it failed: {result.stdout[-300:]!r}"
-    if result.exit_code == 0 and lines:
+    if result.exit_code != 2 and lines:
         return f"succeeded, but standard error has {result.stderr[-300:]!r}"
     changed = [path for path, data in before.items() if _content(path) != data]
     if changed:
         return f"changed its input {changed[0].name}"
     new = [path for path in _files(folder) if path not in before]
-    if result.exit_code and new:
+    if result.exit_code == 2 and new:
         return f"failed, and left {', '.join(str(path.relative_to(folder)) for path in new)}"
     hidden = [path for path in new if path.name.startswith(".")]
     return f"left {hidden[0].name}" if hidden else None
