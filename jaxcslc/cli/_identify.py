@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import typer
 
-from ..identification import Report, Settings, identify, load_prior
+from ..identification import EstimatorChoice, Report, Settings, identify, load_prior
 from ..identification.possible import Choice
 from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
 from ..manipulator import Manipulator
@@ -35,6 +35,7 @@ from ._common import (
 )
 from ._identify_options import (
     ChecksOption,
+    EstimatorOption,
     FoldsOption,
     LossOption,
     MemoryOption,
@@ -77,6 +78,7 @@ def identify_command(
     coupled: CoupledOption = None,
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
+    estimator: EstimatorOption = "least-squares",
     offsets: OffsetsOption = False,
     between: BetweenOption = None,
     every: EveryOption = None,
@@ -114,6 +116,7 @@ def identify_command(
                 recordings_of(train, lambda path: reading.read(path, network.robot)),
                 None if validate is None else reading.read(validate, network.robot),
                 _settings(settings, saved),
+                estimator=choice_of("--estimator", estimator, get_args(EstimatorChoice)),
                 offsets=offsets,
                 **_refitted(saved, reidentify),
                 options=without_none(torque_lag=torque_lag, loss=loss),

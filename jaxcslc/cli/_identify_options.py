@@ -11,6 +11,14 @@ TrainingArgument = Annotated[
 ValidationOption = Annotated[
     Path | None, typer.Option(help="Recording to judge the fit on; it is not fitted.")
 ]
+EstimatorOption = Annotated[
+    str,
+    typer.Option(
+        metavar="least-squares|maximum-likelihood|auto",
+        help="Regression on smoothed motion; or positions and coefficients estimated together,"
+        " without a smoothing; or the one that predicts motion that was not fitted better.",
+    ),
+]
 OffsetsOption = Annotated[
     bool,
     typer.Option("--offsets", help="Fit a constant torque of each joint in each recording along."),

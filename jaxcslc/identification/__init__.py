@@ -1,9 +1,11 @@
 from ._held_out import (
     HeldOut as HeldOut,
+    RelativeError as RelativeError,
     cross_validated_error as cross_validated_error,
     held_out_error as held_out_error,
 )
 from ._identify import identify as identify
+from ._identify_likelihood import EstimatorChoice as EstimatorChoice
 from ._identify_payload import identify_payload as identify_payload
 from ._offline import fit_payload as fit_payload
 from ._output_error import (
@@ -40,9 +42,11 @@ from .checks import (
     estimate_torque_lag as estimate_torque_lag,
     without_outliers as without_outliers,
 )
+from .estimators import Estimator as Estimator, EstimatorComparison as EstimatorComparison
 from .likelihood import (
     LikelihoodFit as LikelihoodFit,
     MaximumLikelihood as MaximumLikelihood,
+    Misfit as Misfit,
     TorqueSampling as TorqueSampling,
 )
 from .possible import (

@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
@@ -22,6 +22,12 @@ from .solver import (
 
 # One joint in a hundred is warned of for nothing.
 _CHANCE = 0.01
+# Below so much less error, coefficients that need more than others are no better.
+_LEAST_GAIN = 0.01
+
+
+Source = Literal["validation", "cross-validation", "left-out recording", "held-out stretch"]
+"""Of errors on motion that was not fitted."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +41,8 @@ class HeldOut:
       any.
     - `limit`: (n,) largest ratio of held-out to training error that noise explains, if the network
       models all else.
-    - `source`: of the held-out data, `"validation"`, `"cross-validation"` or, of several
+    - `source`: of the held-out data, `"validation"`, `"cross-validation"`, `"held-out stretch"`
+      (the last part of each recording, predicted by a fit of what is before it) or, of several
       recordings, each one left out of the fit in turn, `"left-out recording"`.
     - `units`: of each joint's torque; N m if omitted.
     - `names`: of the joints or equations; `"joint 1"` and so on if omitted.
@@ -53,7 +60,7 @@ lack a term
     training: Float[np.ndarray, " joints"]
     held_out: Float[np.ndarray, " joints"]
     limit: Float[np.ndarray, " joints"]
-    source: Literal["validation", "cross-validation", "left-out recording"] = "validation"
+    source: Source = "validation"
     units: tuple[str, ...] | None = None
     names: tuple[str, ...] | None = None
 
@@ -258,6 +265,66 @@ def judged_errors(
     degrees_of_freedom = np.maximum(training_worth * (1.0 - share), 1.0)
     chance = scipy.special.fdtri(np.maximum(held_out_worth, 1.0), degrees_of_freedom, 1.0 - _CHANCE)
     return HeldOut(training_error, held_out_rms, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
+
+
+@dataclasses.dataclass(frozen=True)
+class RelativeError:
+    """RMS errors of one set of coefficients over those of another, on the same parts of motion.
+
+    **Attributes**
+
+    - `change`: mean over parts and joints of the logarithm of the ratio; -0.1 is an error that is
+      a tenth smaller.
+    - `change_error`: its standard error, from its spread over the parts; infinite for one part.
+    - `parts`: how many.
+
+    >>> import numpy as np
+    >>> parts = [np.ones((50, 2)), 1.1 * np.ones((50, 2)), 0.9 * np.ones((50, 2))]
+    >>> masks = [np.ones((50, 2), bool)] * 3
+    >>> smaller = RelativeError.of([0.8 * errors for errors in parts], parts, masks)
+    >>> round(smaller.change, 3), smaller.beyond_chance
+    (-0.223, True)
+    """
+
+    change: float
+    change_error: float
+    parts: int
+
+    @classmethod
+    def of(
+        cls,
+        errors: Sequence[np.ndarray],
+        reference: Sequence[np.ndarray],
+        masks: Sequence[np.ndarray],
+    ) -> "RelativeError":
+        """From errors, those that they are compared with and what counts, (samples, n) a part."""
+        logarithms: list[float] = []
+        for error, other, mask in zip(errors, reference, masks, strict=True):
+            squares = (
+                np.sum(np.where(mask, values, 0.0) ** 2, axis=0) for values in (error, other)
+            )
+            ours, theirs = squares
+            both = (ours > 0.0) & (theirs > 0.0)  # a joint that was nowhere judged has neither
+            if both.any():
+                logarithms.append(float(np.mean(0.5 * np.log(ours[both] / theirs[both]))))
+        if len(logarithms) < 2:
+            return cls(0.0, np.inf, len(errors))
+        spread = float(np.std(logarithms, ddof=1) / np.sqrt(len(logarithms)))
+        return cls(float(np.mean(logarithms)), spread, len(errors))
+
+    @property
+    def beyond_chance(self) -> bool:
+        """Whether errors are smaller by 1 % at least, and by more than chance explains.
+
+        One such gain in twenty is chance (Student's t, one-sided).
+        """
+        if self.parts < 2:
+            return False
+        limit = self.change + scipy.special.stdtrit(self.parts - 1, 0.95) * self.change_error
+        return bool(limit < 0.0 and self.change < np.log1p(-_LEAST_GAIN))
+
+    def __str__(self) -> str:
+        return f"{100 * np.expm1(self.change):+.2g} % ± {100 * self.change_error:.2g} %"
 
 
 def _root_mean_square(

@@ -1,10 +1,10 @@
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, get_args
 
-from ..motion import Preparation, Recording
+from ..motion import Recording
 from ..network import CSLC
-from ._identify_one import identify_one, without_progress
+from ._identify_likelihood import EstimatorChoice, check_estimator, with_likelihood
+from ._identify_one import identify_one, without_lag, without_progress
 from ._identify_several import identify_several
 from ._settings import Settings
 from .checks import DataCheck, check
@@ -20,6 +20,7 @@ def identify(
     validation: Recording | None = None,
     settings: Settings | None = None,
     *,
+    estimator: EstimatorChoice = "least-squares",
     offsets: bool = False,
     previous: Previous | None = None,
     groups: Sequence[str] | None = None,
@@ -50,6 +51,10 @@ def identify(
       training recording. A validation recording that was sampled in another way (a coarser
       encoder, another rate, irregular time stamps) then gets a smoothing of its own; with
       settings set here it gets a warning.
+    - `estimator`: `"least-squares"` on smoothed motion; `"maximum-likelihood"`, which needs no
+      smoothing (`MaximumLikelihood`); `"auto"` fits both, and uses the latter where it predicts
+      motion that was not fitted better by more than chance: the validation recording or, without
+      one, the last quarter of each training recording. `report.estimators` compares them.
     - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
@@ -77,9 +82,9 @@ def identify(
 
     **Raises**
 
-    - `ValueError`: only one of `previous` and `groups`; groups or a previous identification that
-      are not the network's; a recording that cannot be used, named as training or validation
-      recording.
+    - `ValueError`: an unknown estimator, or one that cannot do what else is asked for; only one of
+      `previous` and `groups`; groups or a previous identification that are not the network's; a
+      recording that cannot be used, named as training or validation recording.
     - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`; with `possible="always"` also as
       of `physical_parameters`.
     - `ImportError`: with `possible="always"`, where the conic solver is needed and not installed.
@@ -95,6 +100,7 @@ def identify(
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
     _check_arguments(network, previous, groups, possible, prior)
+    check_estimator(estimator, previous=previous is not None, offsets=offsets)
     step = progress or without_progress
     by_name = (
         {"training recording": training} if isinstance(training, Recording) else _by_name(training)
@@ -107,7 +113,7 @@ def identify(
     if len(by_name) > 1:
         if previous is not None:
             raise ValueError("identify: previous is for one recording, got several")
-        return identify_several(
+        report = identify_several(
             network,
             by_name,
             validation,
@@ -122,25 +128,39 @@ def identify(
             data_check=data_check,
             step=step,
         )
-    (training,) = by_name.values()
-    if offsets:
-        raise ValueError(
-            "identify: offsets are of several recordings; for one use the friction term 'offset'"
+    else:
+        if offsets:
+            raise ValueError(
+                "identify: offsets are of several recordings; for one use the friction term"
+                " 'offset'"
+            )
+        report = identify_one(
+            network,
+            next(iter(by_name.values())),
+            validation,
+            settings,
+            previous=previous,
+            groups=groups,
+            options=options or {},
+            folds=folds,
+            systematic=systematic,
+            possible=possible,
+            prior=prior,
+            memory=memory,
+            data_check=data_check,
+            step=step,
         )
-    return identify_one(
+    if estimator == "least-squares":
+        return report
+    return with_likelihood(
+        report,
         network,
-        training,
+        by_name,
         validation,
-        settings,
-        previous=previous,
-        groups=groups,
-        options=options or {},
-        folds=folds,
-        systematic=systematic,
+        estimator=estimator,
         possible=possible,
         prior=prior,
         memory=memory,
-        data_check=data_check,
         step=step,
     )
 
@@ -177,7 +197,7 @@ def _checked(
 ) -> DataCheck:
     """The check of all recordings, torques so much earlier [s]."""
     listed = training if validation is None else {**training, "validation recording": validation}
-    on_time = [_without_lag(recording, lag) for recording in listed.values()]
+    on_time = [without_lag(recording, lag) for recording in listed.values()]
     return check(network, on_time, list(listed), progress=step)
 
 
@@ -191,9 +211,3 @@ def _by_name(training: Sequence[Recording] | Mapping[str, Recording]) -> dict[st
     if not named:
         raise ValueError("identify: got no recording; expected one or more")
     return named
-
-
-def _without_lag(recording: Recording, lag: float) -> Recording:
-    """The recording, its torques so much earlier [s]."""
-    torque = Preparation(torque_lag=lag).aligned(recording.time, recording.torque)
-    return dataclasses.replace(recording, torque=torque)

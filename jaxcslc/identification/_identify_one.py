@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..motion import Patterns, Recording, Sampling
+from ..motion import Patterns, Preparation, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._settings import Settings
@@ -270,6 +270,12 @@ def settings_for_another(
     except ValueError as error:  # too short, or too little motion to choose by
         return settings, [f"{warning}; no smoothing of its own: {error}"]
     return adapted, [f"{warning}; prepared by settings of its own: {adapted.preparation}"]
+
+
+def without_lag(recording: Recording, lag: float) -> Recording:
+    """The recording, its torques so much earlier [s]."""
+    torque = Preparation(torque_lag=lag).aligned(recording.time, recording.torque)
+    return dataclasses.replace(recording, torque=torque)
 
 
 @contextlib.contextmanager

@@ -1,6 +1,4 @@
-from ._maximum_likelihood import (
-    LikelihoodFit as LikelihoodFit,
-    MaximumLikelihood as MaximumLikelihood,
-)
+from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
+from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._readings import TorqueSampling as TorqueSampling
 from ._signs import runs as runs

@@ -2,8 +2,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import get_args
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -11,71 +9,15 @@ from ..._environment import require_float64
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
-from ..solver import RESULTS, Identification
-from ._band import Spectrum
+from ..solver import Identification
+from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
+from ._objective import Point
 from ._readings import TorqueSampling
-from ._search import Minimum, search
+from ._search import Problem, search
 from ._start import starting_point
 
 
 _FEWEST_SAMPLES = 10
-
-
-class LikelihoodFit(eqx.Module):
-    """Coefficients, positions and noise levels that make a recording most likely.
-
-    **Attributes**
-
-    - `network`: with the slopes that were fitted: `network.torque(fit.k, ...)` predicts.
-    - `fit`: its coefficients. `covariance` is the inverse of the information that positions,
-      slopes, encoder offsets and reversals leave: the Cramér-Rao bound for noise of the estimated
-      levels.
-    - `slopes`: (n,) of static friction [s/rad or s/m]; `slope_error`: their standard deviations.
-      Zeros for a network without static friction.
-    - `offset`: (recordings, n) of each encoder within a step [rad or m]; `offset_error`.
-    - `position`: (samples, n) estimated positions [rad or m], of one recording after the other.
-    - `torque_noise`: (recordings, n) [N m or N]; `position_noise`: (recordings, n) [rad or m]:
-      standard deviations.
-    - `reversals`: how many moments of reversals were estimated.
-    - `steps`: of the search; `converged`: whether it ended at a minimum.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(200)[:, None] * 0.01
-    >>> torque = 0.5 * -4 * np.sin(2 * t) + 0.2 * 2 * np.cos(2 * t)
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
-    >>> result = jc.MaximumLikelihood(torque_sampling="sampled").fit(network, recording)
-    >>> result.converged, result.position.shape, result.fit.names
-    (True, (200, 1), ('kB1', 'kv1'))
-    """
-
-    network: CSLC
-    fit: Identification
-    slopes: Float[np.ndarray, " joints"]
-    slope_error: Float[np.ndarray, " joints"]
-    offset: Float[np.ndarray, "recordings joints"]
-    offset_error: Float[np.ndarray, "recordings joints"]
-    position: Float[np.ndarray, "samples joints"]
-    torque_noise: Float[np.ndarray, "recordings joints"]
-    position_noise: Float[np.ndarray, "recordings joints"]
-    reversals: int = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
-    converged: bool = eqx.field(static=True)
-
-    @property
-    def k(self) -> Float[Array, " coefficients"]:
-        """The coefficients, (p,)."""
-        return self.fit.k
-
-    def __repr__(self) -> str:
-        noise = "; ".join(
-            ", ".join(f"{level:.2g}" for level in levels) for levels in self.torque_noise
-        )
-        ended = "converged" if self.converged else "did not converge"
-        return (
-            f"LikelihoodFit({ended} after {self.steps} steps; torque noise [{noise}]; {self.fit})"
-        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,8 +103,67 @@ class MaximumLikelihood:
         """
         require_float64()
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
+        problem, point, torque_noise, position_noise = self._start(network, recordings, start)
+        report = progress or (lambda words: None)
+        return likelihood_fit(network, search(problem, point, torque_noise, position_noise, report))
+
+    def misfit(
+        self,
+        network: CSLC,
+        recording: Recording | Sequence[Recording],
+        k: Float[Array | np.ndarray, " coefficients"],
+        torque_noise: Float[np.ndarray, " joints"],
+        position_noise: Float[np.ndarray, " joints"],
+    ) -> Misfit:
+        """How well coefficients agree with recordings, without a smoothing of these.
+
+        Torque errors of smoothed motion are least for coefficients that make up for what smoothing
+        does: true ones lose. Here positions are estimated, for coefficients, slopes and noise
+        levels as they are, and what is left of torques and readings is looked at.
+
+        **Arguments**
+
+        - `network`: n joints, p coefficients, with its slopes of static friction.
+        - `recording`: as of `fit`.
+        - `k`: (p,) coefficients.
+        - `torque_noise`: (n,) standard deviations [N m or N].
+        - `position_noise`: (n,) of joints without encoder steps [rad or m].
+
+        **Returns** a `Misfit`.
+
+        **Raises** as `fit`.
+        """
+        require_float64()
+        recordings = [recording] if isinstance(recording, Recording) else list(recording)
+        problem, point, residual, noise = self._start(network, recordings, None)
+        shared = len(point.k) + len(point.slopes)
+        scale = np.where(np.arange(len(problem.scale)) < shared, 0.0, problem.scale)
+        slopes = network.static_slopes
+        minimum = search(
+            dataclasses.replace(problem, scale=scale),
+            dataclasses.replace(
+                point,
+                k=np.asarray(k, float),
+                slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
+            ),
+            np.broadcast_to(torque_noise, residual.shape),
+            np.where(problem.fixed_noise, noise, position_noise),
+            lambda words: None,
+            level_stages=0,
+        )
+        part, left = problem.readings.part[1:-1], minimum.linear.residuals
+        error = np.hypot(
+            left.torque / minimum.torque_noise[part],
+            left.position[1:-1] / minimum.position_noise[part],
+        )
+        return Misfit(error, left.torque, minimum.counted)
+
+    def _start(
+        self, network: CSLC, recordings: Sequence[Recording], start: Identification | None
+    ) -> tuple[Problem, Point, np.ndarray, np.ndarray]:
+        """As `starting_point` returns them."""
         _check(network, recordings)
-        problem, point, torque_noise, position_noise = starting_point(
+        return starting_point(
             network,
             recordings,
             self.settings or Settings(),
@@ -170,8 +171,6 @@ class MaximumLikelihood:
             None if self.resolution is None else np.array(self.resolution),
             start,
         )
-        report = progress or (lambda words: None)
-        return _result(network, search(problem, point, torque_noise, position_noise, report))
 
 
 def _check(network: CSLC, recordings: Sequence[Recording]) -> None:
@@ -192,55 +191,3 @@ def _check(network: CSLC, recordings: Sequence[Recording]) -> None:
             raise ValueError(
                 f"{which} has {recording.samples} samples; expected at least {_FEWEST_SAMPLES}"
             )
-
-
-# A coefficient that shares this part of a unit null vector is not determined by itself.
-_SHARE = 1e-6
-
-
-def _result(network: CSLC, minimum: Minimum) -> LikelihoodFit:
-    point, p, n = minimum.point, network.size, network.joint_count
-    spectrum, border = Spectrum.of(minimum.information), minimum.objective.scale
-    covariance = spectrum.covariance * border[:, None] * border[None, :]
-    null = spectrum.undetermined[:, :p]
-    undetermined = np.zeros((p, p))
-    undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
-    determined = np.sqrt(np.sum(null**2, axis=0)) < _SHARE
-    error = np.sqrt(np.diag(covariance))
-    residual, used = minimum.linear.residuals.torque, minimum.counted
-    counts = used.sum(axis=0).astype(float)
-    squares = np.sum(np.where(used, residual, 0.0) ** 2, axis=0)
-    complete = len(null) == 0
-    fit = Identification(
-        k=jnp.asarray(point.k),
-        standard_error=jnp.asarray(np.where(determined, error[:p], np.inf)),
-        covariance=jnp.asarray(covariance[:p, :p]),
-        independent_covariance=jnp.asarray(covariance[:p, :p]),
-        torque_error=jnp.asarray(np.sqrt(squares / np.maximum(counts, 1.0))),
-        equations=jnp.asarray(counts),
-        effective_equations=jnp.asarray(counts),
-        degrees_of_freedom=jnp.asarray(max(float(counts.sum()) - p, 1.0)),
-        rank=jnp.asarray(p - len(null)),
-        condition=jnp.asarray(np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0])),
-        undetermined=jnp.asarray(undetermined),
-        determined=jnp.asarray(determined),
-        result=RESULTS.successful if complete else RESULTS.rank_deficient,
-        names=network.names,
-        errors="independent",
-    )
-    static = network.static_slopes is not None
-    slopes = np.exp(point.slopes) if static else np.zeros(n)
-    return LikelihoodFit(
-        network=network.with_static_slopes(slopes) if static else network,
-        fit=fit,
-        slopes=slopes,
-        slope_error=slopes * error[p : p + n],
-        offset=point.offset,
-        offset_error=error[p + n :].reshape(point.offset.shape),
-        position=point.q,
-        torque_noise=minimum.torque_noise,
-        position_noise=minimum.position_noise,
-        reversals=len(minimum.objective.signs.samples),
-        steps=minimum.steps,
-        converged=minimum.converged,
-    )

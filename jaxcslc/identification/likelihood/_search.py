@@ -16,7 +16,7 @@ from ._signs import LATEST_TURN, Signs, runs
 # reversals are moments to be estimated. Noise levels, estimated from one draw, are fixed after some
 # stages: they would go on to change by a tenth.
 _MARGINS = (4, 3, 2)
-_LEVEL_STAGES, _MOST_STAGES = 6, 10
+LEVEL_STAGES, _MOST_STAGES = 6, 10
 # A stage ends when a step reduces the sum of squares, in units of variances, by less than this.
 _STAGE_TOLERANCE, _LAST_TOLERANCE = 2.0, 0.02
 _MOST_STEPS, _MOST_TRIALS = 12, 8
@@ -97,8 +97,14 @@ def search(
     torque_noise: Float[np.ndarray, "recordings joints"],
     position_noise: Float[np.ndarray, "recordings joints"],
     progress: Callable[[str], None],
+    *,
+    level_stages: int = LEVEL_STAGES,
 ) -> Minimum:
-    """Minimises stage by stage: signs, weights and noise levels are fixed within each stage."""
+    """Minimises stage by stage: signs, weights and noise levels are fixed within each stage.
+
+    - `level_stages`: after how many stages noise levels and weights of outliers are fixed; 0 for
+      those of the start.
+    """
     readings = problem.readings
     samples, n = readings.position.shape
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
@@ -160,7 +166,7 @@ def search(
         counted = (extra == 0.0) & ~without
         linear = objective.linearised(point)
         factored = linear.factored(0.0)
-        if stage < _LEVEL_STAGES:
+        if stage < level_stages:
             torque_noise, position_noise = _noise_levels(
                 problem, linear, factored, counted, torque_noise, position_noise, least
             )

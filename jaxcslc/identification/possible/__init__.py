@@ -9,6 +9,7 @@ from ._physical_parameters import (
     fixed_bodies as fixed_bodies,
     in_file_frames as in_file_frames,
     physical_parameters as physical_parameters,
+    possible_coefficients as possible_coefficients,
 )
 from ._possible_fit import (
     Choice as Choice,

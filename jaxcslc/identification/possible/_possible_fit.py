@@ -5,14 +5,13 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Array, Bool, Float
 
 from ..._environment import MissingExtraError
 from ...inertia import LinkKnowledge
 from ...motion import Patterns
 from ...network import CSLC
-from .._held_out import HeldOut, judged_errors
+from .._held_out import HeldOut, RelativeError, Source, judged_errors
 from .._systematic import SystematicError
 from ..prior import Prior, with_knowledge
 from ..solver import FoldFit, Identification, LeastSquares, regressor_of
@@ -26,9 +25,6 @@ from ._physical_parameters import (
 
 
 Choice = Literal["auto", "always", "never"]
-# Possible bodies are used if at most one in twenty such gains is chance, and errors fall by
-# 1 % on average: below that, the fit without them is as good and simpler.
-_CHANCE, _LEAST_GAIN = 0.05, 0.01
 
 
 class Part(NamedTuple):
@@ -55,6 +51,19 @@ class Part(NamedTuple):
         return tuple(
             cls(regressor[rows], torque[rows], mask[rows], fit)
             for rows, fit in ((fold == number, fit) for number, fit in enumerate(fits))
+        )
+
+    @classmethod
+    def held_out(
+        cls, network: CSLC, patterns: Patterns, fit: Identification, count: int
+    ) -> tuple["Part", ...]:
+        """Stretches of equal length of motion that a fit was not made from."""
+        regressor = np.asarray(regressor_of(network, patterns))
+        torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
+        stretch = np.arange(patterns.samples) * count // patterns.samples
+        return tuple(
+            cls(regressor[rows], torque[rows], mask[rows], fit)
+            for rows in (stretch == number for number in range(count))
         )
 
     @classmethod
@@ -167,11 +176,10 @@ class PossibleFit:
 
     def __str__(self) -> str:
         ratio = self.held_out.held_out / self.free_held_out.held_out
-        change, error = 100 * np.expm1(self.change), 100 * self.change_error
+        relative = RelativeError(self.change, self.change_error, 0)
         lines = [
             f"possible bodies: {self.held_out.source} RMS over that of the free fit, joint by"
-            f" joint: {', '.join(f'{value:.3g}' for value in ratio)}; on average"
-            f" {change:+.2g} % ± {error:.2g} %, so"
+            f" joint: {', '.join(f'{value:.3g}' for value in ratio)}; on average {relative}, so"
             f" {'their' if self.used else 'the free'} coefficients are used",
             f"    {self.parameters.distance:.3g} standard errors (root mean square) from the free"
             " fit, by independent residuals",
@@ -185,7 +193,7 @@ def possible_fit(
     training: Patterns,
     parts: Sequence[Part],
     *,
-    source: Literal["cross-validation", "left-out recording"] = "cross-validation",
+    source: Source = "cross-validation",
     systematic: SystematicError | None = None,
     always: bool = False,
     knowledge: Sequence[LinkKnowledge] = (),
@@ -225,14 +233,15 @@ def possible_fit(
     # The weight of the whole fit's bodies, found once: searched for in each part, it would cost
     # four times as much.
     weight = parameters.prior_weight
-    errors = [
-        part.errors(possible_coefficients(network, part.fit, fixed, knowledge, weight))
-        for part in parts
-    ]
+    coefficients: dict[int, np.ndarray] = {}  # several parts may be of one fit
+    for part in parts:
+        if id(part.fit) not in coefficients:
+            coefficients[id(part.fit)] = possible_coefficients(
+                network, part.fit, fixed, knowledge, weight
+            )
+    errors = [part.errors(coefficients[id(part.fit)]) for part in parts]
     masks = [part.mask for part in parts]
-    change, change_error = _change(errors, free_errors, masks)
-    gain = change + scipy.special.stdtrit(len(parts) - 1, 1.0 - _CHANCE) * change_error
-    used = always or bool(gain < 0.0 and change < np.log1p(-_LEAST_GAIN))
+    relative = RelativeError.of(errors, free_errors, masks)
     held_out = _held_out(network, fit, parameters.k, parts, errors, source)
     free_held_out = _held_out(network, fit, fit.k, parts, free_errors, source)
     return PossibleFit(
@@ -240,9 +249,9 @@ def possible_fit(
         fit,
         held_out,
         free_held_out,
-        change,
-        change_error,
-        used,
+        relative.change,
+        relative.change_error,
+        always or relative.beyond_chance,
         movement_of(fit, parameters, systematic),
         moved_bodies(network, fit, parameters, systematic),
     )
@@ -256,7 +265,7 @@ def judged_bodies(
     *,
     choice: Choice,
     prior: Prior | None,
-    source: Literal["cross-validation", "left-out recording"] = "cross-validation",
+    source: Source = "cross-validation",
     systematic: SystematicError | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:
@@ -311,7 +320,7 @@ def _held_out(
     k: Float[Array | np.ndarray, " coefficients"],
     parts: Sequence[Part],
     errors: Sequence[np.ndarray],
-    source: Literal["cross-validation", "left-out recording"],
+    source: Source,
 ) -> HeldOut:
     """Of coefficients `k` for everything, and of errors of those that were fitted without."""
     mask = np.concatenate([part.mask for part in parts])
@@ -320,19 +329,3 @@ def _held_out(
     return dataclasses.replace(
         judged, source=source, units=network.output_units, names=network.output_names
     )
-
-
-def _change(
-    errors: Sequence[np.ndarray], free_errors: Sequence[np.ndarray], masks: Sequence[np.ndarray]
-) -> tuple[float, float]:
-    """The mean logarithm of the ratio of RMS errors, and its standard error over the parts."""
-    logarithms: list[float] = []
-    for error, free, mask in zip(errors, free_errors, masks, strict=True):
-        squares = (np.sum(np.where(mask, values, 0.0) ** 2, axis=0) for values in (error, free))
-        ours, theirs = squares
-        both = (ours > 0.0) & (theirs > 0.0)  # a joint that was nowhere judged has neither
-        if both.any():
-            logarithms.append(float(np.mean(0.5 * np.log(ours[both] / theirs[both]))))
-    if len(logarithms) < 2:
-        return 0.0, np.inf
-    return float(np.mean(logarithms)), float(np.std(logarithms, ddof=1) / np.sqrt(len(logarithms)))

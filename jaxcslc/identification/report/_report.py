@@ -13,6 +13,7 @@ from .._settings import Settings
 from .._slopes import SlopeFit
 from .._systematic import SystematicError
 from ..checks import DataCheck
+from ..estimators import EstimatorComparison
 from ..possible import PhysicalParameters, PossibleFit
 from ..prior import Prior
 from ..selection import Selection
@@ -60,6 +61,7 @@ class Report:
       judged on; None if that is all of it.
     - `data_check`: what was read, and what looks wrong with it; None if it was not checked.
     - `notes`: what readers of the robot and of the recordings decided, one sentence each.
+    - `estimators`: least squares and maximum likelihood beside each other; None unless asked for.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -94,6 +96,7 @@ class Report:
     data_check: DataCheck | None = None
     judged_part: str | None = None
     notes: tuple[str, ...] = ()
+    estimators: EstimatorComparison | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -162,6 +165,7 @@ class Report:
             possible=self.possible,
             several=self.several,
             judged_part=self.judged_part,
+            estimators=self.estimators,
             findings=[*findings, *self._findings],
             notes=self.notes,
             command=command,
@@ -199,6 +203,8 @@ class Report:
         for name, table in self.errors.items():
             yield [f"torque error, {name} recording", str(table)]
         yield held_out_lines(self.held_out)
+        if self.estimators is not None:
+            yield [str(self.estimators)]
         if self.possible is not None:
             yield [str(self.possible)]
         if self._findings:

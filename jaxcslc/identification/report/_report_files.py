@@ -122,6 +122,8 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         document["prior"] = report.prior.document()
     if report.possible is not None:
         document["possible"] = report.possible.document()
+    if report.estimators is not None:
+        document["estimators"] = report.estimators.document()
     if report.held_out is not None:
         document["held_out"] = _held_out(report.held_out)
     return document | {

@@ -10,6 +10,7 @@ from ....motion import Patterns
 from ....network import CSLC, AbstractLinearNetwork
 from ..._held_out import HeldOut
 from ..._settings import Settings, settings_document
+from ...estimators import EstimatorComparison
 from ...possible import PhysicalParameters, PossibleFit
 from ...selection import Selection
 from ...several import SeveralFit
@@ -66,6 +67,7 @@ def report_data(
     possible: PossibleFit | None = None,
     several: SeveralFit | None = None,
     judged_part: str | None = None,
+    estimators: EstimatorComparison | None = None,
     findings: Sequence[str] = (),
     notes: Sequence[str] = (),
     command: str | None = None,
@@ -80,6 +82,7 @@ def report_data(
     - `possible`: how they predict torque, beside the fit.
     - `several`: of several training recordings.
     - `judged_part`: of a long recording, in words.
+    - `estimators`: beside each other.
     - `findings`: about the recordings, a sentence each, beside the report's own warnings.
     - `notes`: what readers decided, a sentence each.
     - `command`: that repeats it.
@@ -133,6 +136,7 @@ def report_data(
         "friction": [],
         "bodies": None,
         "several": None if several is None else several.document(),
+        "estimators": None if estimators is None else estimators.document(),
         "versions": versions(),
         "judged_part": judged_part,
         "command": command,

@@ -21,6 +21,7 @@ from ....page import (
     Table,
 )
 from ._bodies import arm_chart
+from ._estimators import estimators_section
 from ._summary import VERDICT_TONES, counted, summary
 
 
@@ -45,6 +46,7 @@ def report_page(data: Mapping[str, Any], *, charts: bool = True) -> Page:
         _data_check(data),
         _errors(data),
         *([_curves(data)] if charts else []),
+        *([estimators_section(data)] if data["estimators"] else []),
         _coefficients(data),
         _excitation(data, charts=charts),
         *([_friction(data)] if charts and data["friction"] else []),

@@ -25,6 +25,14 @@ VERDICT_TONES: dict[str, Tone] = {
     "not determined": "bad",
 }
 
+# Motion that was not fitted, by the source of held-out errors.
+_MOTION = {
+    "validation": "the validation recording",
+    "cross-validation": "stretches of the training recording that were left out in turn",
+    "left-out recording": "training recordings that were left out in turn",
+    "held-out stretch": "the last part of the training recording, held out",
+}
+
 HEADLINES: dict[Tone, str] = {
     "good": "The identified model can be used.",
     "caution": "The identified model can be used with care: see the points marked !.",
@@ -93,11 +101,7 @@ def _held_out(data: Mapping[str, Any]) -> Iterator[Message]:
     if held_out is None:
         yield Message("Not judged on motion that was not fitted.", "caution")
         return
-    motion = (
-        "the validation recording"
-        if held_out["source"] == "validation"
-        else "stretches of the training recording that were left out in turn"
-    )
+    motion = _MOTION[held_out["source"]]
     beyond = [data["joints"][joint - 1] for joint in held_out["beyond_chance"]]
     if beyond:
         yield Message(

@@ -1,0 +1,372 @@
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal, NamedTuple, get_args
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..motion import Patterns, Recording, joined_patterns
+from ..network import CSLC
+from ._held_out import HeldOut, RelativeError, Source, held_out_error, judged_errors
+from ._identify_one import without_lag
+from ._slopes import SlopeFit
+from .estimators import Estimator, EstimatorComparison
+from .likelihood import LikelihoodFit, MaximumLikelihood
+from .possible import (
+    Choice,
+    Part,
+    PhysicalParameters,
+    PossibleFit,
+    fixed_bodies,
+    judged_bodies,
+    possible_coefficients,
+)
+from .prior import Known, Prior, with_knowledge
+from .report import Report, compare, fit_warnings
+from .solver import Identification, torque_of
+
+
+EstimatorChoice = Literal["least-squares", "maximum-likelihood", "auto"]
+"""An estimator, or whichever predicts motion that was not fitted better."""
+
+# Without a validation recording, estimators are judged on this part of each recording, its last;
+# in as many stretches, whose spread says what is chance.
+_HELD_OUT, _STRETCHES = 0.25, 8
+# Matrices of positions times coefficients that a fit keeps at a time.
+_MATRICES = 6
+# A recording of fewer samples is not divided.
+_FEWEST_SAMPLES = 400
+
+
+def with_likelihood(
+    report: Report,
+    network: CSLC,
+    training: Mapping[str, Recording],
+    validation: Recording | None,
+    *,
+    estimator: EstimatorChoice,
+    possible: Choice,
+    prior: Prior | None,
+    memory: float,
+    step: Callable[[str], None],
+) -> Report:
+    """A report of least squares with maximum likelihood beside it, and the better one's numbers.
+
+    **Arguments**
+
+    - `report`: of least squares.
+    - `network`: that the recordings are to be identified by, slopes not fitted yet.
+    - `training`: by name; `validation`: as of `identify`.
+    - `estimator`: `"maximum-likelihood"`, or `"auto"`: it is used where it predicts motion that was
+      not fitted better than least squares, by more than chance and by 1 %. They are judged by
+      `MaximumLikelihood.misfit`: torque errors of smoothed motion favour regression on such.
+    - `possible`, `prior`, `memory`, `step`: as of `identify`.
+
+    **Returns** the report; `report.estimators` compares the two.
+
+    **Raises**
+
+    - `ValueError`, `RuntimeError`: as `MaximumLikelihood.fit`, unless `"auto"`.
+    """
+    try:
+        _check_size(network, training, memory)
+        return _Judged(report, network, training, validation, possible, prior, step).report(
+            estimator
+        )
+    except (ValueError, RuntimeError) as error:
+        if estimator != "auto":
+            raise
+        warning = f"maximum likelihood failed, least squares is used: {error}"
+        return dataclasses.replace(report, warnings=(*report.warnings, warning))
+
+
+class _Unfitted(NamedTuple):
+    """Motion that was not fitted, and what estimators that have not seen it make of it.
+
+    - `source`: of the motion.
+    - `recordings`: as recorded; `patterns`: as the report's settings prepare them.
+    - `least_squares`: (p,) its coefficients, those of possible bodies where the report has them.
+    - `likelihood`: the other fit, as it is.
+    """
+
+    source: Source
+    recordings: Sequence[Recording]
+    patterns: Patterns
+    least_squares: np.ndarray
+    likelihood: LikelihoodFit
+
+
+@dataclasses.dataclass(frozen=True)
+class _Judged:
+    """Both estimators of the same recordings; fields as the arguments of `with_likelihood`."""
+
+    least_squares: Report
+    network: CSLC
+    training: Mapping[str, Recording]
+    validation: Recording | None
+    possible: Choice
+    prior: Prior | None
+    step: Callable[[str], None]
+
+    def report(self, estimator: EstimatorChoice) -> Report:
+        """The report of the estimator that is asked for, or better."""
+        base = self.least_squares
+        self.step("maximum likelihood")
+        likelihood = self._estimator.fit(
+            self.network, self._on_time(self.training.values()), self._first, self.step
+        )
+        unfitted = self._unfitted(likelihood)
+        parts = Part.held_out(
+            likelihood.network, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES
+        )
+        fit = with_knowledge(likelihood.fit, self._known)
+        bodies, _, sentences = judged_bodies(
+            likelihood.network,
+            fit,
+            base.patterns["training"],
+            lambda: parts,
+            choice=self.possible,
+            prior=self.prior,
+            source=unfitted.source,
+            step=self.step,
+        )
+        self.step("judging estimators")
+        predicted = self._predicted(unfitted.likelihood.fit, bodies)
+        torque, mask = np.asarray(unfitted.patterns.torque), np.asarray(unfitted.patterns.mask)
+        errors: dict[Estimator, np.ndarray] = {
+            "least-squares": torque
+            - torque_of(base.network, unfitted.patterns, unfitted.least_squares),
+            "maximum-likelihood": np.concatenate([part.errors(predicted) for part in parts]),
+        }
+        relative = self._relative(unfitted, predicted)
+        better: Estimator = (
+            "maximum-likelihood"
+            if estimator == "maximum-likelihood" or relative.beyond_chance
+            else "least-squares"
+        )
+        comparison = EstimatorComparison(
+            unfitted.source,
+            MappingProxyType({name: _rms(error, mask) for name, error in errors.items()}),
+            MappingProxyType(
+                {name: _rms(error, np.ones_like(mask)) for name, error in errors.items()}
+            ),
+            relative,
+            better,
+            likelihood,
+            base.network.output_units,
+        )
+        notes = (*base.notes, *_notes(self.training))
+        base = dataclasses.replace(base, estimators=comparison, notes=notes)
+        if better == "least-squares":
+            return base
+        fit = fit if bodies is None else bodies.fit
+        judged = errors["maximum-likelihood"], mask, unfitted.source
+        base = self._of_likelihood(base, likelihood, fit, bodies, judged)
+        return dataclasses.replace(base, warnings=(*sentences, *base.warnings))
+
+    @property
+    def _estimator(self) -> MaximumLikelihood:
+        settings = self.least_squares.settings
+        alignment = settings.preparation.torque_alignment
+        return MaximumLikelihood(
+            "sampled" if alignment == "sample" else "held", settings.with_options(torque_lag=0.0)
+        )
+
+    @property
+    def _first(self) -> Identification | None:
+        """The fit to start from: regression with static friction starts from other slopes."""
+        static = "static" in self.network.robot.friction_terms
+        return None if static else self.least_squares.fit
+
+    def _on_time(self, recordings: Iterable[Recording]) -> list[Recording]:
+        lag = self.least_squares.settings.preparation.torque_lag
+        return [without_lag(recording, lag) for recording in recordings]
+
+    def _unfitted(self, likelihood: LikelihoodFit) -> _Unfitted:
+        report = self.least_squares
+        if self.validation is not None:
+            return _Unfitted(
+                "validation",
+                self._on_time([self.validation]),
+                report.patterns["validation"],
+                np.asarray(report.fit.k),
+                likelihood,
+            )
+        shortest = min(recording.samples for recording in self.training.values())
+        if shortest < _FEWEST_SAMPLES:
+            raise ValueError(
+                f"{shortest} samples are too few to hold a stretch out; expected"
+                f" {_FEWEST_SAMPLES} or a validation recording"
+            )
+        on_time = report.settings.with_options(torque_lag=0.0)
+        early: list[Recording] = []
+        late: list[Recording] = []
+        fitted: list[Patterns] = []
+        unfitted: list[Patterns] = []
+        for recording in self._on_time(self.training.values()):
+            start, end = float(recording.time[0]), float(recording.time[-1])
+            split = end - _HELD_OUT * (end - start)
+            early.append(recording.between(0.0, split - start))
+            late.append(recording.between(split - start, end - start))
+            patterns = on_time.patterns(recording)
+            fitted.append(patterns.between(start, split))
+            unfitted.append(patterns.between(split, end))
+        fit = report.settings.solver.fit(report.network, joined_patterns(fitted))
+        fit = with_knowledge(fit, self._known)
+        k = np.asarray(fit.k)
+        if report.possible is not None and report.possible.used:
+            k = self._possible(report.network, fit, report.possible.parameters)
+        shorter = self._estimator.fit(self.network, early, self._first, self.step)
+        return _Unfitted("held-out stretch", late, joined_patterns(unfitted), k, shorter)
+
+    def _predicted(self, fit: Identification, bodies: PossibleFit | None) -> np.ndarray:
+        """The coefficients of maximum likelihood that unfitted motion is predicted by."""
+        fit = with_knowledge(fit, self._known)
+        if bodies is None or not bodies.used:
+            return np.asarray(fit.k)
+        return self._possible(self.network, fit, bodies.parameters)
+
+    def _possible(
+        self, network: CSLC, fit: Identification, bodies: PhysicalParameters
+    ) -> np.ndarray:
+        """Coefficients of the bodies nearest to a fit, with the prior's weight of other bodies."""
+        robot = network.robot
+        knowledge = () if self.prior is None else self.prior.link_values(robot)
+        return possible_coefficients(
+            network, fit, fixed_bodies(robot), knowledge, bodies.prior_weight
+        )
+
+    @property
+    def _known(self) -> Mapping[int, Known]:
+        return {} if self.prior is None else self.prior.coefficient_values(self.network)
+
+    def _relative(self, unfitted: _Unfitted, predicted: np.ndarray) -> RelativeError:
+        """Misfits of maximum likelihood over those of least squares."""
+        likelihood = unfitted.likelihood
+        levels = (
+            np.sqrt(np.mean(likelihood.torque_noise**2, axis=0)),
+            np.sqrt(np.mean(likelihood.position_noise**2, axis=0)),
+        )
+        ours, theirs = (
+            self._estimator.misfit(network, unfitted.recordings, k, *levels)
+            for network, k in (
+                (likelihood.network, predicted),
+                (self.least_squares.network, unfitted.least_squares),
+            )
+        )
+        stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)
+        return RelativeError.of(
+            *(
+                [values[rows] for rows in stretches]
+                for values in (ours.error, theirs.error, ours.mask & theirs.mask)
+            )
+        )
+
+    def _of_likelihood(
+        self,
+        base: Report,
+        likelihood: LikelihoodFit,
+        fit: Identification,
+        bodies: PossibleFit | None,
+        judged: tuple[np.ndarray, np.ndarray, Source],
+    ) -> Report:
+        """The report with the numbers of maximum likelihood."""
+        network = likelihood.network
+        vectors = {} if bodies is None else bodies.other_coefficients
+        self.step("computing errors")
+        errors = {
+            name: compare(network, patterns, {"fit": fit.k, **vectors})
+            for name, patterns in base.patterns.items()
+        }
+        held_out = self._held_out(base, network, fit, judged)
+        joined = base.patterns["training"]
+        recording = Recording(joined.time, joined.q, joined.torque)
+        warnings = [*held_out.warnings]
+        if not likelihood.converged:
+            warnings.append(
+                f"maximum likelihood: not converged after {likelihood.steps} steps; coefficients"
+                " may be off by more than their intervals"
+            )
+        warnings += fit_warnings(network, recording, fit, errors["training"])
+        return dataclasses.replace(
+            base,
+            network=network,
+            fit=fit,
+            errors=MappingProxyType(errors),
+            held_out=held_out,
+            slopes=_slopes(likelihood),
+            systematic=None,
+            warnings=tuple(warnings),
+            bodies=None if bodies is None else bodies.parameters,
+            possible=bodies,
+        )
+
+    def _held_out(
+        self,
+        base: Report,
+        network: CSLC,
+        fit: Identification,
+        judged: tuple[np.ndarray, np.ndarray, Source],
+    ) -> HeldOut:
+        training = base.patterns["training"]
+        error, mask, source = judged
+        if source == "validation":
+            return held_out_error(network, fit, training, base.patterns["validation"])
+        fitted = np.asarray(training.torque) - torque_of(network, training, fit.k)
+        result = judged_errors(fitted, np.asarray(training.mask), error, mask, int(fit.rank))
+        return dataclasses.replace(
+            result, source=source, units=network.output_units, names=network.output_names
+        )
+
+
+def check_estimator(estimator: str, *, previous: bool, offsets: bool) -> None:
+    """**Raises** `ValueError` for an unknown estimator, and what only least squares can do."""
+    if estimator not in get_args(EstimatorChoice):
+        raise ValueError(
+            f"estimator: expected {', '.join(get_args(EstimatorChoice))}, got {estimator!r}"
+        )
+    if estimator != "least-squares" and (previous or offsets):
+        option = "previous" if previous else "offsets"
+        raise ValueError(f"estimator {estimator!r}: not with {option}, which is of least-squares")
+
+
+def _check_size(network: CSLC, training: Mapping[str, Recording], memory: float) -> None:
+    """**Raises** `ValueError` if the matrices of a fit do not fit into memory [GB]."""
+    samples = sum(recording.samples for recording in training.values())
+    n = network.joint_count
+    numbers = samples * n * (network.size + 2 * n) * _MATRICES
+    if 8e-9 * numbers > memory:
+        most = int(memory / (8e-9 * numbers / samples))
+        raise ValueError(
+            f"maximum likelihood of {samples} samples needs {8e-9 * numbers:.2g} GB; expected at"
+            f" most {memory:g} GB, about {most} samples: thin the recording, or allow more memory"
+        )
+
+
+def _slopes(likelihood: LikelihoodFit) -> SlopeFit | None:
+    """Slopes of static friction as least squares reports them; None without static friction."""
+    network = likelihood.network
+    if network.static_slopes is None:
+        return None
+    return SlopeFit(
+        network,
+        likelihood.fit,
+        jnp.asarray(likelihood.slopes),
+        jnp.asarray(likelihood.slope_error),
+        jnp.asarray(likelihood.steps),
+        jnp.asarray(likelihood.converged),
+    )
+
+
+def _notes(training: Mapping[str, Recording]) -> list[str]:
+    return [
+        f"{name}: recorded velocities are not used by maximum likelihood"
+        for name, recording in training.items()
+        if recording.velocity is not None
+    ]
+
+
+def _rms(error: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    counts = np.maximum(mask.sum(axis=0), 1)
+    return np.sqrt(np.sum(np.where(mask, error, 0.0) ** 2, axis=0) / counts)

@@ -1,0 +1,4 @@
+from ._comparison import (
+    Estimator as Estimator,
+    EstimatorComparison as EstimatorComparison,
+)

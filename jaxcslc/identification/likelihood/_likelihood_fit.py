@@ -1,0 +1,137 @@
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...network import CSLC
+from ..solver import RESULTS, Identification
+from ._band import Spectrum
+from ._search import Minimum
+
+
+# A coefficient that shares this part of a unit null vector is not determined by itself.
+_SHARE = 1e-6
+
+
+class LikelihoodFit(eqx.Module):
+    """Coefficients, positions and noise levels that make a recording most likely.
+
+    **Attributes**
+
+    - `network`: with the slopes that were fitted: `network.torque(fit.k, ...)` predicts.
+    - `fit`: its coefficients. `covariance` is the inverse of the information that positions,
+      slopes, encoder offsets and reversals leave: the Cramér-Rao bound for noise of the estimated
+      levels.
+    - `slopes`: (n,) of static friction [s/rad or s/m]; `slope_error`: their standard deviations.
+      Zeros for a network without static friction.
+    - `offset`: (recordings, n) of each encoder within a step [rad or m]; `offset_error`.
+    - `position`: (samples, n) estimated positions [rad or m], of one recording after the other.
+    - `torque_noise`: (recordings, n) [N m or N]; `position_noise`: (recordings, n) [rad or m]:
+      standard deviations.
+    - `reversals`: how many moments of reversals were estimated.
+    - `steps`: of the search; `converged`: whether it ended at a minimum.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    >>> t = np.arange(200)[:, None] * 0.01
+    >>> torque = 0.5 * -4 * np.sin(2 * t) + 0.2 * 2 * np.cos(2 * t)
+    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> result = jc.MaximumLikelihood(torque_sampling="sampled").fit(network, recording)
+    >>> result.converged, result.position.shape, result.fit.names
+    (True, (200, 1), ('kB1', 'kv1'))
+    """
+
+    network: CSLC
+    fit: Identification
+    slopes: Float[np.ndarray, " joints"]
+    slope_error: Float[np.ndarray, " joints"]
+    offset: Float[np.ndarray, "recordings joints"]
+    offset_error: Float[np.ndarray, "recordings joints"]
+    position: Float[np.ndarray, "samples joints"]
+    torque_noise: Float[np.ndarray, "recordings joints"]
+    position_noise: Float[np.ndarray, "recordings joints"]
+    reversals: int = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+    converged: bool = eqx.field(static=True)
+
+    @property
+    def k(self) -> Float[Array, " coefficients"]:
+        """The coefficients, (p,)."""
+        return self.fit.k
+
+    def __repr__(self) -> str:
+        noise = "; ".join(
+            ", ".join(f"{level:.2g}" for level in levels) for levels in self.torque_noise
+        )
+        ended = "converged" if self.converged else "did not converge"
+        return (
+            f"LikelihoodFit({ended} after {self.steps} steps; torque noise [{noise}]; {self.fit})"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Misfit:
+    """What fixed coefficients leave of recordings when positions are estimated.
+
+    **Attributes**
+
+    - `error`: (equations, n), root of the squares of an equation's torque residual and of its
+      reading, each in standard deviations of its noise.
+    - `torque`: (equations, n) residuals [N m or N].
+    - `mask`: (equations, n), equations that count: neither next to a reversal nor at standstill.
+    """
+
+    error: Float[np.ndarray, "equations joints"]
+    torque: Float[np.ndarray, "equations joints"]
+    mask: Bool[np.ndarray, "equations joints"]
+
+
+def likelihood_fit(network: CSLC, minimum: Minimum) -> LikelihoodFit:
+    point, p, n = minimum.point, network.size, network.joint_count
+    spectrum, border = Spectrum.of(minimum.information), minimum.objective.scale
+    covariance = spectrum.covariance * border[:, None] * border[None, :]
+    null = spectrum.undetermined[:, :p]
+    undetermined = np.zeros((p, p))
+    undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
+    determined = np.sqrt(np.sum(null**2, axis=0)) < _SHARE
+    error = np.sqrt(np.diag(covariance))
+    residual, used = minimum.linear.residuals.torque, minimum.counted
+    counts = used.sum(axis=0).astype(float)
+    squares = np.sum(np.where(used, residual, 0.0) ** 2, axis=0)
+    complete = len(null) == 0
+    fit = Identification(
+        k=jnp.asarray(point.k),
+        standard_error=jnp.asarray(np.where(determined, error[:p], np.inf)),
+        covariance=jnp.asarray(covariance[:p, :p]),
+        independent_covariance=jnp.asarray(covariance[:p, :p]),
+        torque_error=jnp.asarray(np.sqrt(squares / np.maximum(counts, 1.0))),
+        equations=jnp.asarray(counts),
+        effective_equations=jnp.asarray(counts),
+        degrees_of_freedom=jnp.asarray(max(float(counts.sum()) - p, 1.0)),
+        rank=jnp.asarray(p - len(null)),
+        condition=jnp.asarray(np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0])),
+        undetermined=jnp.asarray(undetermined),
+        determined=jnp.asarray(determined),
+        result=RESULTS.successful if complete else RESULTS.rank_deficient,
+        names=network.names,
+        errors="independent",
+    )
+    static = network.static_slopes is not None
+    slopes = np.exp(point.slopes) if static else np.zeros(n)
+    return LikelihoodFit(
+        network=network.with_static_slopes(slopes) if static else network,
+        fit=fit,
+        slopes=slopes,
+        slope_error=slopes * error[p : p + n],
+        offset=point.offset,
+        offset_error=error[p + n :].reshape(point.offset.shape),
+        position=point.q,
+        torque_noise=minimum.torque_noise,
+        position_noise=minimum.position_noise,
+        reversals=len(minimum.objective.signs.samples),
+        steps=minimum.steps,
+        converged=minimum.converged,
+    )

@@ -1,0 +1,150 @@
+"""`identify` with least squares, with maximum likelihood, and with whichever predicts better."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.identification import Known, Prior
+
+
+K = np.array([0.5, 0.3, -0.1, 0.2, 0.4])  # inertia, two of gravity, viscous and dry friction
+STEP = 2e-3  # of the encoder [rad]
+
+
+@pytest.fixture(scope="module")
+def network() -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.derive(robot, lengths="numeric")
+
+
+def swing(
+    network: jc.CSLC, seed: int, *, step: float = STEP, samples: int = 600, noise: float = 0.02
+) -> jc.Recording:
+    """Fast motion of a pendulum, read by an encoder."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(samples)[:, None]
+    rate = np.array([3.0, 7.0, 11.0]) + 0.2 * rng.normal(size=3)
+    size = np.array([0.8, 0.3, 0.15])
+    phase = rate * t + rng.uniform(0, 2 * np.pi, 3)
+    q = np.sum(size * np.sin(phase), axis=1, keepdims=True)
+    qd = np.sum(size * rate * np.cos(phase), axis=1, keepdims=True)
+    qdd = np.sum(-size * rate**2 * np.sin(phase), axis=1, keepdims=True)
+    torque = np.asarray(network.torque(K, q, qd, qdd)) + noise * rng.normal(size=q.shape)
+    positions = q if step == 0.0 else step * np.round(q / step)
+    return jc.Recording(t[:, 0], positions, torque, velocity=qd)
+
+
+QUICK: dict[str, Any] = {
+    "settings": jc.Settings(),
+    "checks": False,
+    "systematic": False,
+    "possible": "never",
+}
+
+
+@pytest.fixture(scope="module")
+def coarse(network: jc.CSLC) -> jc.Report:
+    return jc.identify(network, swing(network, 0), swing(network, 1), estimator="auto", **QUICK)
+
+
+class TestAuto:
+    def test_the_better_one_on_validation_is_used(
+        self, network: jc.CSLC, coarse: jc.Report
+    ) -> None:
+        comparison = coarse.estimators
+        assert comparison is not None
+        assert (comparison.source, comparison.used) == ("validation", "maximum-likelihood")
+        assert comparison.relative.beyond_chance
+        assert_allclose(coarse.k, comparison.likelihood.k)
+        # Its errors are those that the report has of the same coefficients.
+        rms = coarse.errors["validation"].rms[0]
+        assert_allclose(rms, comparison.rms["maximum-likelihood"], rtol=1e-9)
+        before = jc.identify(network, swing(network, 0), swing(network, 1), **QUICK)
+        rms = before.errors["validation"].rms[0]
+        assert_allclose(rms, comparison.rms["least-squares"], rtol=1e-9)
+
+    def test_it_says_so(self, coarse: jc.Report, tmp_path: Path) -> None:
+        text = str(coarse)
+        assert "estimators, validation RMS" in text
+        assert "the coefficients are those of maximum-likelihood" in text
+        assert any("recorded velocities are not used" in note for note in coarse.notes)
+        coarse.save(tmp_path, pictures=False)
+        assert "those of maximum-likelihood" in (tmp_path / "index.html").read_text("utf-8")
+        saved = jc.load_report(tmp_path, coarse.network.robot)
+        assert_allclose(saved.fit.k, coarse.k)
+
+    def test_without_validation_the_last_part_decides(self, network: jc.CSLC) -> None:
+        report = jc.identify(network, swing(network, 0), estimator="auto", **QUICK)
+        assert report.estimators is not None and report.held_out is not None
+        assert report.estimators.source == report.held_out.source == "held-out stretch"
+        assert report.estimators.used == "maximum-likelihood"
+
+    def test_least_squares_if_there_is_no_difference(self, network: jc.CSLC) -> None:
+        slow = swing(network, 0, step=0.0, noise=1.0)
+        report = jc.identify(network, slow, estimator="auto", **QUICK)
+        assert report.estimators is not None
+        assert report.estimators.used == "least-squares"
+        assert not report.estimators.relative.beyond_chance
+        alone = jc.identify(network, slow, **QUICK)
+        assert_allclose(report.k, alone.k)
+
+    def test_least_squares_if_the_other_fails(self, network: jc.CSLC) -> None:
+        short = swing(network, 0, samples=200)
+        report = jc.identify(network, short, estimator="auto", **QUICK)
+        assert report.estimators is None
+        assert any("200 samples are too few to hold" in sentence for sentence in report.warnings)
+
+
+def test_the_misfit_of_smoothing_is_seen(network: jc.CSLC) -> None:
+    """Smoothed motion likes coefficients that make up for smoothing; estimated positions do not."""
+    estimator = jc.MaximumLikelihood("sampled")
+    unfitted = swing(network, 1, step=2e-4)
+    levels = np.array([0.02]), np.array([1e-4])
+    attenuated = K * np.array([1.01, 1.0, 1.0, 1.0, 1.0])
+    true, other = (estimator.misfit(network, unfitted, k, *levels) for k in (K, attenuated))
+    mask = true.mask & other.mask
+    assert np.mean(true.error[mask] ** 2) < 0.98 * np.mean(other.error[mask] ** 2)
+
+
+def test_several_recordings(network: jc.CSLC) -> None:
+    parts = {"first": swing(network, 0, samples=450), "second": swing(network, 1, samples=500)}
+    report = jc.identify(network, parts, estimator="maximum-likelihood", **QUICK)
+    assert report.estimators is not None
+    assert report.estimators.likelihood.torque_noise.shape == (2, 1)
+    assert_allclose(report.k, K, atol=0.02)
+
+
+def test_what_is_known_before_is_kept(network: jc.CSLC) -> None:
+    prior = Prior({"kv1": Known(0.25)})
+    report = jc.identify(
+        network, swing(network, 0), estimator="maximum-likelihood", prior=prior, **QUICK
+    )
+    assert dict(zip(network.names, np.asarray(report.k), strict=True))["kv1"] == 0.25
+
+
+class TestBadInput:
+    def test_unknown(self, network: jc.CSLC) -> None:
+        with pytest.raises((ValueError, TypeError), match="often"):
+            jc.identify(network, swing(network, 0), estimator="often")  # type: ignore[arg-type]
+
+    def test_a_re_identification(self, network: jc.CSLC) -> None:
+        with pytest.raises(ValueError, match="'auto': not with previous, which is of least-squ"):
+            jc.identify(*(network, swing(network, 0)), previous=K, groups=["dry"], estimator="auto")
+
+    def test_too_short_to_be_judged(self, network: jc.CSLC) -> None:
+        short = swing(network, 0, samples=200)
+        with pytest.raises(ValueError, match="200 samples are too few to hold a stretch out"):
+            jc.identify(network, short, estimator="maximum-likelihood", **QUICK)
+
+    def test_too_long_for_memory(self, network: jc.CSLC) -> None:
+        with pytest.raises(ValueError, match=r"about \d+ samples: thin the recording"):
+            jc.identify(
+                *(network, swing(network, 0)),
+                estimator="maximum-likelihood",
+                memory=1e-5,
+                **QUICK,
+            )
