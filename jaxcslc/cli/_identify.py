@@ -116,14 +116,13 @@ def identify_command(
                 recordings_of(train, lambda path: reading.read(path, network.robot)),
                 None if validate is None else reading.read(validate, network.robot),
                 _settings(settings, saved),
-                estimator=choice_of("--estimator", estimator, get_args(EstimatorChoice)),
                 offsets=offsets,
                 **_refitted(saved, reidentify),
                 options=without_none(torque_lag=torque_lag, loss=loss),
                 folds=folds,
                 checks=check,
                 systematic=systematic,
-                **_bodies(possible, prior),
+                **_choices(estimator, possible, prior),
                 memory=memory,
                 progress=step,
             )
@@ -152,9 +151,10 @@ def _refitted(saved: SavedReport | None, groups: str | None) -> dict[str, Any]:
     }
 
 
-def _bodies(possible: str, prior: Path | None) -> dict[str, Any]:
-    """What is asked and known of bodies, as arguments of `identify`."""
+def _choices(estimator: str, possible: str, prior: Path | None) -> dict[str, Any]:
+    """The estimator, and what is asked and known of bodies, as arguments of `identify`."""
     return {
+        "estimator": choice_of("--estimator", estimator, get_args(EstimatorChoice)),
         "possible": choice_of("--possible", possible, get_args(Choice)),
         "prior": None if prior is None else load_prior(prior),
     }

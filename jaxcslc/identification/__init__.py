@@ -5,7 +5,6 @@ from ._held_out import (
     held_out_error as held_out_error,
 )
 from ._identify import identify as identify
-from ._identify_likelihood import EstimatorChoice as EstimatorChoice
 from ._identify_payload import identify_payload as identify_payload
 from ._offline import fit_payload as fit_payload
 from ._output_error import (
@@ -42,8 +41,10 @@ from .checks import (
     estimate_torque_lag as estimate_torque_lag,
     without_outliers as without_outliers,
 )
-from .estimators import Estimator as Estimator, EstimatorComparison as EstimatorComparison
+from .estimators import EstimatorChoice as EstimatorChoice
 from .likelihood import (
+    Estimator as Estimator,
+    EstimatorComparison as EstimatorComparison,
     LikelihoodFit as LikelihoodFit,
     MaximumLikelihood as MaximumLikelihood,
     Misfit as Misfit,

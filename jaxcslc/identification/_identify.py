@@ -3,11 +3,11 @@ from typing import Any, get_args
 
 from ..motion import Recording
 from ..network import CSLC
-from ._identify_likelihood import EstimatorChoice, check_estimator, with_likelihood
 from ._identify_one import identify_one, without_lag, without_progress
 from ._identify_several import identify_several
 from ._settings import Settings
 from .checks import DataCheck, check
+from .estimators import EstimatorChoice, check_estimator, with_likelihood
 from .possible import Choice
 from .prior import Prior
 from .report import Report

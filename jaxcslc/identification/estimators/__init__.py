@@ -1,4 +1,5 @@
-from ._comparison import (
-    Estimator as Estimator,
-    EstimatorComparison as EstimatorComparison,
+from ._with_likelihood import (
+    EstimatorChoice as EstimatorChoice,
+    check_estimator as check_estimator,
+    with_likelihood as with_likelihood,
 )

@@ -1,3 +1,4 @@
+from ._comparison import Estimator as Estimator, EstimatorComparison as EstimatorComparison
 from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._readings import TorqueSampling as TorqueSampling

@@ -13,7 +13,7 @@ from .._settings import Settings
 from .._slopes import SlopeFit
 from .._systematic import SystematicError
 from ..checks import DataCheck
-from ..estimators import EstimatorComparison
+from ..likelihood import EstimatorComparison
 from ..possible import PhysicalParameters, PossibleFit
 from ..prior import Prior
 from ..selection import Selection

@@ -10,7 +10,7 @@ from ....motion import Patterns
 from ....network import CSLC, AbstractLinearNetwork
 from ..._held_out import HeldOut
 from ..._settings import Settings, settings_document
-from ...estimators import EstimatorComparison
+from ...likelihood import EstimatorComparison
 from ...possible import PhysicalParameters, PossibleFit
 from ...selection import Selection
 from ...several import SeveralFit

@@ -6,14 +6,13 @@ from typing import Literal, NamedTuple, get_args
 import jax.numpy as jnp
 import numpy as np
 
-from ..motion import Patterns, Recording, joined_patterns
-from ..network import CSLC
-from ._held_out import HeldOut, RelativeError, Source, held_out_error, judged_errors
-from ._identify_one import without_lag
-from ._slopes import SlopeFit
-from .estimators import Estimator, EstimatorComparison
-from .likelihood import LikelihoodFit, MaximumLikelihood
-from .possible import (
+from ...motion import Patterns, Recording, joined_patterns
+from ...network import CSLC
+from .._held_out import HeldOut, RelativeError, Source, held_out_error, judged_errors
+from .._identify_one import without_lag
+from .._slopes import SlopeFit
+from ..likelihood import Estimator, EstimatorComparison, LikelihoodFit, MaximumLikelihood
+from ..possible import (
     Choice,
     Part,
     PhysicalParameters,
@@ -22,9 +21,9 @@ from .possible import (
     judged_bodies,
     possible_coefficients,
 )
-from .prior import Known, Prior, with_knowledge
-from .report import Report, compare, fit_warnings
-from .solver import Identification, torque_of
+from ..prior import Known, Prior, with_knowledge
+from ..report import Report, compare, fit_warnings
+from ..solver import Identification, torque_of
 
 
 EstimatorChoice = Literal["least-squares", "maximum-likelihood", "auto"]

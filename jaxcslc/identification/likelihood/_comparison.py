@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._held_out import RelativeError, Source
-from ..likelihood import LikelihoodFit
+from ._likelihood_fit import LikelihoodFit
 
 
 Estimator = Literal["least-squares", "maximum-likelihood"]
