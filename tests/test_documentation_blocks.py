@@ -17,6 +17,8 @@ from jaxcslc.identification import settings_from
 DOCS = Path(__file__).parents[1] / "docs"
 # Blocks that take longer: that each defines and imports what it uses is checked without running it.
 SLOW = ("simulator.md", "recordings.md", "checks.md", "likelihood.md", "ultrasound.md", "peral.md")
+# Run in `test_readme.py`, which looks at what they print.
+PRINTING = ("networks.md", "friction.md", "payload.md", "control.md")
 PAGES = ("robots.md", "uncertainty.md", "export.md", "settings.md", "report.md")
 
 
@@ -43,7 +45,7 @@ def test_python(
 
 
 def test_names_are_defined_where_they_are_used(tmp_path: Path) -> None:
-    for page in (*PAGES, *SLOW):
+    for page in (*PAGES, *PRINTING, *SLOW):
         for number, example in enumerate(blocks(page, "python"), start=1):
             (tmp_path / f"{Path(page).stem}_{number}.py").write_text(example, encoding="utf-8")
     line = [sys.executable, "-m", "ruff", "check", "--isolated", "--no-cache", "--select", "F821"]
