@@ -34,7 +34,7 @@ $(stamp): pyproject.toml constraints.txt
 	@touch $@
 
 demo: $(stamp) ## perform the experiment of Chapter 7 on two simulated PUMA 560s, into build/demo
-	$(bin)/python scripts/studies/puma560/experiment.py -o build/demo $(ARGS)
+	$(bin)/python -m scripts.studies.puma560.experiment -o build/demo $(ARGS)
 
 test: $(stamp) ## run all tests and the examples in docstrings (one file: ARGS=tests/test_x.py)
 	$(bin)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
@@ -52,7 +52,7 @@ format: $(stamp) ## format the code and apply the linter's safe fixes
 	$(bin)/ruff format .
 
 bench: $(stamp) ## run the benchmarks
-	$(bin)/python scripts/benchmarks/run.py $(ARGS)
+	$(bin)/python -m scripts.benchmarks.run $(ARGS)
 
 clean: ## remove what the targets made, but for .venv
 	rm -rf build dist .cache .pytest_cache .ruff_cache .hypothesis

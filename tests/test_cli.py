@@ -11,6 +11,7 @@ from typer.testing import Result
 
 import jaxcslc as jc
 import sim
+from jaxcslc.identification import compare_reports
 from jaxcslc.manipulator import fixed_together
 
 from .conftest import run
@@ -190,6 +191,13 @@ class TestReidentify:
         np.testing.assert_allclose(after.standard_error[rigid], before.standard_error[rigid])
         assert np.all(np.abs(after.k[friction] / before.k[friction] - 1) < 0.1)
         assert not np.any(after.k[friction] == before.k[friction])
+        compared = compare_reports(identified[1], tmp_path / "out")
+        assert sum(row["standard_errors"] is not None for row in compared.rows) == 12
+        _, _, messages = compared.verdict
+        texts = [message.text for message in messages]
+        assert any("of 12 coefficients differ" in text for text in texts)
+        assert any(text.startswith("31 coefficients were not tested") for text in texts)
+        assert not any("cannot be compared" in text for text in texts)
 
     @pytest.mark.parametrize(
         ("options", "words"),

@@ -134,7 +134,7 @@ def prepare_folder(folder: Path) -> None:
         q, qd = 1.2 * np.sin(angle), 1.2 * RATES * np.cos(angle)
         qdd = -(RATES**2) * q
         body = jc.LinkParameters(mass, np.array([0.3, 0.0, 0.0]), np.zeros((3, 3)))
-        links = network.robot.links
+        links = network.robot.links or ()
         k = network.coefficients_from(links, payload=body, viscous=[0.5, 0.3], dry=[0.4, 0.2])
         torque = np.asarray(network.torque(k, q, qd, qdd)) + 0.01 * rng.standard_normal(q.shape)
         jc.save_recording(jc.Recording(time, q, torque), folder / f"{name}.csv")

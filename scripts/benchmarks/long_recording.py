@@ -1,6 +1,6 @@
 """Time and memory of `jaxcslc identify` on a long recording of a geared 7-joint arm.
 
-    python scripts/benchmarks/long_recording.py [--samples 600000] [--memory 2]
+    python -m scripts.benchmarks.long_recording [--samples 600000] [--memory 2]
 
 Pinocchio computes the torques of a motion of seven harmonics a joint at 500 Hz; motors, friction,
 encoder counts and 1 % of noise are added. The command then runs in a process of its own. A run of

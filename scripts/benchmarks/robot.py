@@ -1,6 +1,6 @@
 """Time from a URDF file to a regressor, and to coefficients.
 
-    python scripts/benchmarks/robot.py panda.urdf --tip panda_hand
+    python -m scripts.benchmarks.robot panda.urdf --tip panda_hand
 
 Whole processes, with nothing compiled beforehand and once more with the programs that the first one
 stored. The

@@ -3,8 +3,8 @@
 Prints named metrics with unit and direction; compile and run time apart. The weights of
 trainings side by side are compared with those of one training alone.
 
-    python scripts/benchmarks/training.py                        256 trainings, this machine
-    python scripts/benchmarks/training.py --trainings 4096       as for a GPU
+    python -m scripts.benchmarks.training                        256 trainings, this machine
+    python -m scripts.benchmarks.training --trainings 4096       as for a GPU
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Identifies a real Franka Emika Panda and judges the result beside the field's usual method.
 
-    python scripts/examples/franka_panda.py [FOLDER]
+    python -m scripts.examples.franka_panda [FOLDER]
 
 FOLDER holds `panda_exciting_traj1.csv` (21 s of joint positions and joint torques; Gaz, Cognetti,
 Oliva, Robuffo Giordano and De Luca, RA-L 2019). By default ../shared/data/franka_panda beside the

@@ -1,6 +1,6 @@
 """A real Panda's parameters made physically possible, judged on held-out data, beside Table III.
 
-    python scripts/examples/franka_panda_physical.py [FOLDER] [--choose]
+    python -m scripts.examples.franka_panda_physical [FOLDER] [--choose]
 
 The recording, its target and its division are those of `franka_panda.py`. Coefficients are fitted
 to the first two thirds; the nearest physically possible bodies follow from them; both are judged on

@@ -1,6 +1,6 @@
 """Identifies a real Stäubli TX40 and judges the result beside a peer's on rows held out.
 
-    python scripts/examples/staubli_tx40.py [FOLDER] [-o OUTPUT]
+    python -m scripts.examples.staubli_tx40 [FOLDER] [-o OUTPUT]
 
 FOLDER holds `pos_read_data.csv` and `curr_data.csv`: 9 s of motor positions in exact encoder
 counts and of motor torques, at 5 kHz, from the repository figaroh-examples. By default

@@ -48,10 +48,12 @@ torque = np.asarray(network.torque(np.linspace(0.5, 1.5, len(network.names)), q,
 jc.save_recording(jc.Recording(t[:, 0], q, torque), "log.csv")
 """
 RECORD = """
-import sys, sim
-machine, trajectory = sim.puma560(), sim.training()
-jobs = [sim.recording.Job(machine, trajectory, seed) for seed in range(6)]
+import sys
 try:
+    import sim
+
+    machine, trajectory = sim.puma560(), sim.training()
+    jobs = [sim.recording.Job(machine, trajectory, seed) for seed in range(6)]
     for i, result in sim.record_each(jobs, store="store", side_by_side=1):
         print(i, float(result.truth.position.sum()).hex())
 except KeyboardInterrupt:
@@ -86,15 +88,12 @@ class Program(NamedTuple):
     - `output`: files and folders that it writes, in its folder.
     - `starts`: whether its earlier output is there when it starts; else only its input is.
     - `contents`: what is compared of a file of its output.
-    - `quiet`: whether Ctrl-C must end it in one line at any moment. Scripts do so once they have
-      loaded what they need.
     """
 
     line: list[str]
     output: tuple[str, ...]
     starts: bool
     contents: Callable[[Path], Any]
-    quiet: bool = False
 
 
 def _numbers_of(path: Path) -> Any:
@@ -107,7 +106,7 @@ def _numbers_of(path: Path) -> Any:
 _COMMAND = "from jaxcslc.cli import main; main()"
 _IDENTIFY = ("identify", "arm.toml", "log.csv", "--settings", "settings.json", "-o", "results")
 PROGRAMS = {
-    "identify": Program(["-c", _COMMAND, *_IDENTIFY], ("results",), True, _numbers_of, quiet=True),
+    "identify": Program(["-c", _COMMAND, *_IDENTIFY], ("results",), True, _numbers_of),
     "record": Program(["-c", RECORD], ("store",), False, lambda path: path.read_bytes()),
     "study": Program(["-c", STUDY], ("rows.jsonl",), False, lambda path: path.read_bytes()),
 }
@@ -184,7 +183,7 @@ def _trial(
         _, errors = process.communicate()
     faults: list[str] = []
     ended = process.returncode == 0
-    if how == signal.SIGINT and not ended and program.quiet:
+    if how == signal.SIGINT and not ended:
         if process.returncode not in _CODE_AFTER_SIGINT:
             faults.append(f"exit code {process.returncode} after SIGINT")
         if "Traceback" in errors:

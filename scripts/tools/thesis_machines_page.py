@@ -1,6 +1,6 @@
 """Writes docs/puma_a_b.md: changes of the presets `puma_a` and `puma_b` to Appendix B, and why.
 
-    .venv/bin/python scripts/tools/thesis_machines_page.py
+    .venv/bin/python -m scripts.tools.thesis_machines_page
 
 Every figure of the page is computed here; a test fails when the page and the code disagree.
 """

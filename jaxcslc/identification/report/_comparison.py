@@ -95,7 +95,8 @@ class ReportComparison:
     - `rows`: one a coefficient of either: `name`, `unit`, `first`, `second`, `difference`
       (second less first) and `standard_errors`, the difference over the root of the sum of both
       variances, systematic errors included. None where only one has the coefficient, where it
-      stands for another combination of link parameters, or where one is not determined.
+      stands for another combination of link parameters, or where one is not determined or was
+      not fitted; `note` says which.
 
     >>> import tempfile, numpy as np, jaxcslc as jc
     >>> from jaxcslc.identification import compare_reports
@@ -199,12 +200,14 @@ def _values(result: SavedResult) -> dict[str, dict[str, Any]]:
     """By coefficient its value, uncertainty, unit and expression."""
     names = result.fit.names
     expressions = result.entry("expressions", [])
+    fixed = {str(name) for name in result.entry("fixed", [])}
     units = result.entry("units", [])
     k, determined = np.asarray(result.fit.k), np.asarray(result.fit.determined)
     return {
         name: {
             "value": float(k[i]),
             "uncertainty": float(result.uncertainty[i]) if determined[i] else float("inf"),
+            "fixed": name in fixed,
             "unit": str(units[i]) if len(units) == len(names) else "",
             "expression": str(expressions[i]) if len(expressions) == len(names) else None,
         }
@@ -225,12 +228,16 @@ def _row(
         "difference": None,
         "standard_errors": None,
         "note": "",
+        "fixed": any(some is not None and some["fixed"] for some in (a, b)),
     }
     if a is None or b is None:
         return row | {"note": f"only in the {'first' if b is None else 'second'}"}
     if None not in (a["expression"], b["expression"]) and a["expression"] != b["expression"]:
         return row | {"note": f"stands for {a['expression']}, and for {b['expression']}"}
     row["difference"] = b["value"] - a["value"]
+    if row["fixed"]:  # equal by construction, or as the identification before that it is of
+        which = [name for name, some in (("first", a), ("second", b)) if some["fixed"]]
+        return row | {"note": f"kept from a previous identification in the {' and '.join(which)}"}
     scale = float(np.hypot(a["uncertainty"], b["uncertainty"]))
     if not np.isfinite(scale):
         return row | {"note": "not determined by both"}
@@ -269,7 +276,16 @@ def _verdict(comparison: ReportComparison) -> tuple[Tone, str, tuple[Message, ..
                 "caution" if _size(worst) > largest else "plain",
             )
         )
-    apart = sum(bool(row["note"]) for row in comparison.rows)
+    kept = sum(row["fixed"] for row in comparison.rows)
+    if kept:
+        messages.append(
+            Message(
+                f"{kept} coefficients were not tested: they were not fitted, but kept from a"
+                " previous identification.",
+                "plain",
+            )
+        )
+    apart = sum(bool(row["note"]) and not row["fixed"] for row in comparison.rows)
     if apart:
         things = "coefficient" if apart == 1 else "coefficients"
         messages.append(Message(f"{apart} {things} cannot be compared.", "caution"))

@@ -212,11 +212,19 @@ class Report:
         yield [f"warning: {warning}" for warning in self.warnings]
         yield [f"note: {note}" for note in self.notes]
 
-    def _determination(self) -> list[str]:
-        fitted = sum(
-            self.groups is None or c.group in self.groups or c.name in self.groups
-            for c in self.network.coefficients
+    @property
+    def fixed_names(self) -> tuple[str, ...]:
+        """Coefficients that were not fitted, but kept from a previous identification."""
+        if self.groups is None:
+            return ()
+        return tuple(
+            coefficient.name
+            for coefficient in self.network.coefficients
+            if coefficient.group not in self.groups and coefficient.name not in self.groups
         )
+
+    def _determination(self) -> list[str]:
+        fitted = self.network.size - len(self.fixed_names)
         return determination_lines(self.fit, fitted, self.excitation, self.systematic)
 
 

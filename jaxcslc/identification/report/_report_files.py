@@ -110,6 +110,8 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         "unidentifiable": fit.unidentifiable,
         **fit.document(),
     }
+    if report.groups is not None:
+        document["fixed"] = list(report.fixed_names)
     if report.excitation is not None:
         document["least_determined"] = report.excitation.worst_combination
     if report.systematic is not None:

@@ -6,8 +6,8 @@ backpropagation by turns, one adapted rate for each of the five subnetworks (6.3
 reaches the least reduction in an epoch any more. The thesis ends at 0.001 N m; smaller ends show
 what is left to gain. Judged on the comparison recordings of the simulated PUMA A and B.
 
-    python scripts/studies/training/cslc.py
-    python scripts/studies/training/cslc.py --least 1e-3 1e-6 --without-velocity
+    python -m scripts.studies.training.cslc
+    python -m scripts.studies.training.cslc --least 1e-3 1e-6 --without-velocity
 """
 
 import argparse

@@ -119,6 +119,7 @@ def _line(draw: random.Random, templates: Path, folder: Path) -> Arguments:
         *NUMBERS,
         *WORDS,
         *("puma560", "panda", folder / "out", folder, "-", "--", "~", "/dev/null", "viscous,dry"),
+        *("always", "never", "0.1"),
         *("1,2", "1,2,-1", "inf,2", "1,1", "0,1", "0,9", "5,1", "numeric", "huber", "static"),
     )
     command = draw.choice(("derive", "check", "identify", "compare", "export", "payload"))
@@ -149,6 +150,7 @@ OPTIONS = (
     *("--columns", "--between", "--every", "--period", "--drop-stale", "--despike", "--loss"),
     *("--torque-lag", "--folds", "--validate", "--offsets", "--reidentify", "--previous", "--c"),
     *("--unloaded", "--mass", "--overwrite", "--help", "--version", "--nonsense"),
+    *("--memory", "--possible", "--prior", "--no-motors", "--measured", "--no-check"),
 )
 
 KINDS: dict[str, tuple[int, Callable[[random.Random, Path, Path], Arguments]]] = {

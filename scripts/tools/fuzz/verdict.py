@@ -66,7 +66,7 @@ def _fault(
     if seconds > MOST_SECONDS:
         return f"took {seconds:.1f} s: {' '.join(example.arguments)}"
     lines = [line for line in result.stderr.splitlines() if line.strip()]
-    usage = any(line.startswith(("Usage: ", "╭─ Error")) for line in lines)
+    usage = any(line.startswith(("Usage: ", "Error: ")) for line in lines)
     if result.exit_code == 2 and not usage:
         if len(lines) != 1 or not lines[0].startswith("jaxcslc: "):
             return f"expected one line, got {result.stderr[-500:]!r}"

@@ -1,8 +1,8 @@
 """Writes docs/experiment.md: what `make demo` measured, beside the thesis's Chapter 7.
 
     make demo
-    .venv/bin/python scripts/tools/thesis/page.py --collect build
-    .venv/bin/python scripts/tools/thesis/experiment_page.py
+    .venv/bin/python -m scripts.tools.thesis.page --collect build
+    .venv/bin/python -m scripts.tools.thesis.experiment_page
 
 Every number is from the tables in results/. A test fails when the page and the tables disagree.
 """

@@ -1,7 +1,7 @@
 """Writes docs/thesis.md: what carries over each section, equation, figure and number of the thesis.
 
-    .venv/bin/python scripts/tools/thesis/page.py
-    .venv/bin/python scripts/tools/thesis/page.py --collect build
+    .venv/bin/python -m scripts.tools.thesis.page
+    .venv/bin/python -m scripts.tools.thesis.page --collect build
 
 The entries are in the TOML files beside this one. Every reference is resolved, and every number of
 now is computed here or read from results/, where `--collect` copies the tables of long studies from
@@ -139,7 +139,7 @@ def _carried(entry: Entry) -> str:
         command, file = entry.drawn
         if command.endswith(".py"):
             link(command)
-            command = f"python {command}"
+            command = f"python -m {command.removesuffix('.py').replace('/', '.')}"
         parts.append(f"Now: `{file}` of `{command}`.")
     if entry.exposition:
         parts.append(f"*{entry.exposition}*")

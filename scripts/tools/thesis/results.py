@@ -33,7 +33,7 @@ STUDIES: dict[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "peral_study": (
-        "python scripts/studies/training/peral.py --seeds 30 --starts 30",
+        "python -m scripts.studies.training.peral --seeds 30 --starts 30",
         ("epochs.csv",),
     ),
 }

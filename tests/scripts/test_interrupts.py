@@ -1,0 +1,21 @@
+"""Ctrl-C ends programs of `scripts` in one line, from their first import on."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("program", "code", "words"),
+    [
+        ("import scripts; raise KeyboardInterrupt", -signal.SIGINT, "interrupted"),
+        ("import scripts; raise ValueError('what')", 1, "ValueError: what"),
+    ],
+)
+def test_what_a_program_prints(program: str, code: int, words: str) -> None:
+    """Errors other than an interruption keep their traceback."""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == code and words in done.stderr
+    assert ("Traceback" in done.stderr) == (code == 1)
