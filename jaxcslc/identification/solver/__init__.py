@@ -10,6 +10,7 @@ from ._factors import (
     JointFactors as JointFactors,
     Unknowns as Unknowns,
     factorise as factorise,
+    joined_factors as joined_factors,
     triangle_of as triangle_of,
 )
 from ._fixed import Fixed as Fixed, Previous as Previous
@@ -31,6 +32,7 @@ from ._minimum import (
     residual_weights as residual_weights,
     weighted_minimum as weighted_minimum,
 )
+from ._preconditioned import Preconditioner as Preconditioner, factors_of as factors_of
 from ._robust import robust_weights as robust_weights
 from ._rows import KeptRows as KeptRows
 from ._standard_errors import (

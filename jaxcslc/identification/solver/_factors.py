@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +19,8 @@ _BLOCK = 2048
 # the same rows as 112 of 128 x 54 took 0.01 s.
 _ROWS = 256
 _CELLS = 7000
+# Triangles that are stacked and factorised at once.
+_JOINED = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,12 +149,9 @@ def factorise(
     def step(
         triangles: tuple[Array, ...], block: tuple[Array, ...]
     ) -> tuple[tuple[Array, ...], None]:
-        q, qd, qdd, torque, weight = block
         joined = tuple(
-            join_rows(triangle, jnp.concatenate([rows, torque[j][None]]) * weight[j][None])
-            for j, (triangle, rows) in enumerate(
-                zip(triangles, network.columns(q, qd, qdd), strict=True)
-            )
+            join_rows(triangle, rows)
+            for triangle, rows in zip(triangles, weighted_rows(network, *block), strict=True)
         )
         return joined, None
 
@@ -162,6 +162,44 @@ def factorise(
         tuple(blocked(x) for x in (q, qd, qdd, torque, weight)),
     )
     return JointFactors(triangles, start.counts + jnp.sum(weight != 0, axis=0))
+
+
+def weighted_rows(
+    network: AbstractLinearNetwork,
+    q: Float[Array, "motion samples"],
+    qd: Float[Array, "motion samples"],
+    qdd: Float[Array, "motion samples"],
+    torque: Float[Array, "joints samples"],
+    weight: Float[Array, "joints samples"],
+) -> tuple[Float[Array, "_ samples"], ...]:
+    """For each joint its regressor columns and torque, (s + 1, samples), weighted."""
+    return tuple(
+        jnp.concatenate([rows, torque[j][None]]) * weight[j][None]
+        for j, rows in enumerate(network.columns(q, qd, qdd))
+    )
+
+
+def joined_factors(parts: Sequence[JointFactors]) -> JointFactors:
+    """The factors of several sets of patterns together; on the host, in a tree of joins.
+
+    **Raises** `ValueError` if there are none.
+    """
+    if not parts:
+        raise ValueError("there are no factors to join")
+    parts = [jax.tree.map(np.asarray, part) for part in parts]
+    while len(parts) > 1:
+        groups = [parts[start : start + _JOINED] for start in range(0, len(parts), _JOINED)]
+        parts = [
+            JointFactors.of_rows(
+                tuple(
+                    np.concatenate(triangles)
+                    for triangles in zip(*(part.triangles for part in group), strict=True)
+                ),
+                np.sum([part.counts for part in group], axis=0),
+            )
+            for group in groups
+        ]
+    return parts[0]
 
 
 def join_rows(triangle: Float[Array, "s s"], rows: Float[Array, "s samples"]) -> Array:

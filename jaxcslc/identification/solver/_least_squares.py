@@ -35,7 +35,7 @@ from ._standard_errors import (
     ordinary_residuals,
     with_errors,
 )
-from ._streaming import factors_of_stream
+from ._streaming import are_many, factors_of_patterns, factors_of_stream
 
 
 JointWeights = (
@@ -323,6 +323,8 @@ class LeastSquares:
         samples = len(patterns.q)
         weight = patterns.mask.astype(float)
         motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
+        if not self._passes_twice and not _traced(*motion) and are_many(patterns):
+            return self.fit_factors(network, factors_of_patterns(network, patterns), fixed, False)
         q, qd, qdd, torque, weight = (filled_up(x) for x in motion)
         factors = _factorise(network, q, qd, qdd, torque, weight)
         if self._passes_twice and (_traced(*motion) or patterns.q.size * network.size > _KEPT):

@@ -1,8 +1,10 @@
+import itertools
 import os
+from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,40 +12,87 @@ from jaxtyping import Array, Float
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ._factors import JointFactors, factorise
+from ._factors import JointFactors, joined_factors
+from ._preconditioned import Preconditioner, factors_of, sample_of
 
 
 # Patterns that one compiled call takes: large enough that its overhead vanishes.
-_CHUNK = 65_536
+_CPU_LENGTH, _GPU_LENGTH = 1 << 16, 1 << 21
+# Pieces of a GPU's that are on their way or in work at a time, so that transfers overlap with work.
+_GPU_WORKERS = 3
+# Patterns on a GPU from which on products are quicker than reflections.
+_FEWEST_ON_GPU = 1 << 12
+# Factors that are kept before they are joined.
+_MOST_PARTS = 64
+
+_Piece = tuple[Float[np.ndarray, "_ _"], ...]
 
 
 def factors_of_stream(
     network: AbstractLinearNetwork, chunks: Iterable[Patterns], workers: int | None
 ) -> JointFactors:
-    """The factors of all patterns of a stream.
+    """The factors of all patterns of a stream, whose pieces go to all devices in turn.
 
     **Raises** `ValueError` if there are none.
     """
-    workers = workers or os.cpu_count() or 1
-    total: JointFactors | None = None
+    devices = jax.local_devices()
+    on_cpu = devices[0].platform == "cpu"
+    workers = workers or ((os.cpu_count() or 1) if on_cpu else _GPU_WORKERS * len(devices))
+    parts: list[JointFactors] = []
+    preconditioner: Preconditioner | None = None
     with ThreadPoolExecutor(workers) as pool:
-        waiting: list[Future[JointFactors]] = []
-        for piece in _regular(network, chunks):
+        waiting: deque[Future[tuple[JointFactors, Preconditioner]]] = deque()
+        pieces = _regular(network, chunks, _CPU_LENGTH if on_cpu else _GPU_LENGTH)
+        for piece, device in zip(pieces, itertools.cycle(devices), strict=False):
+            if preconditioner is None:
+                preconditioner = sample_of(network, piece)
             if len(waiting) >= 2 * workers:
-                total = _joined(total, waiting.pop(0).result())
-            waiting.append(pool.submit(_factors_of, network, piece))
-        for future in waiting:
-            total = _joined(total, future.result())
-    if total is None:
+                part, preconditioner = waiting.popleft().result()
+                parts.append(part)
+            if len(parts) >= _MOST_PARTS:
+                parts = [joined_factors(parts)]
+            waiting.append(pool.submit(_factors_on, device, network, piece, preconditioner))
+        parts += [future.result()[0] for future in waiting]
+    if not parts:
         raise ValueError("there are no patterns in the stream")
-    return total
+    return joined_factors(parts)
 
 
-_Piece = tuple[Float[np.ndarray, "samples _"], ...]
+def are_many(patterns: Patterns) -> bool:
+    """Whether `factors_of_patterns` pays: it computes products where `factorise` reflects."""
+    return len(patterns.q) >= (2 * _CPU_LENGTH if _on_cpu(patterns.q) else _FEWEST_ON_GPU)
 
 
-def _regular(network: AbstractLinearNetwork, chunks: Iterable[Patterns]) -> Iterator[_Piece]:
-    """The same patterns in pieces of one size, so that one compiled function serves all.
+def factors_of_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
+    """The factors of patterns that are in memory: on the host, where all cores share them in
+    pieces, or on a device."""
+    many_on_host = isinstance(patterns.q, np.ndarray) and len(patterns.q) > _GPU_LENGTH
+    if many_on_host or _on_cpu(patterns.q):
+        return factors_of_stream(network, [patterns], None)
+    weight = jnp.asarray(patterns.mask).astype(float)
+    motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
+    return factors_of(network, jax.device_put(motion))[0]
+
+
+def _on_cpu(x: Array | np.ndarray) -> bool:
+    if isinstance(x, np.ndarray):
+        return jax.default_backend() == "cpu"
+    return all(device.platform == "cpu" for device in x.devices())
+
+
+def _factors_on(
+    device: Any,
+    network: AbstractLinearNetwork,
+    piece: _Piece,
+    preconditioner: Preconditioner,
+) -> tuple[JointFactors, Preconditioner]:
+    return factors_of(network, jax.device_put(piece, device), preconditioner)
+
+
+def _regular(
+    network: AbstractLinearNetwork, chunks: Iterable[Patterns], length: int
+) -> Iterator[_Piece]:
+    """The same patterns in pieces of one length, so that one compiled function serves all.
 
     The last piece is filled up with patterns of weight zero.
     """
@@ -58,31 +107,16 @@ def _regular(network: AbstractLinearNetwork, chunks: Iterable[Patterns]) -> Iter
         arrays = (chunk.q, chunk.qd, chunk.qdd, chunk.torque)
         waiting.append((*(np.asarray(x) for x in arrays), weight))
         size += len(weight)
-        while size >= _CHUNK:
-            joined = tuple(np.concatenate(parts) for parts in zip(*waiting, strict=True))
-            yield tuple(x[:_CHUNK] for x in joined)
-            waiting = [tuple(x[_CHUNK:] for x in joined)]
-            size -= _CHUNK
+        while size >= length:
+            joined = _concatenated(waiting)
+            yield tuple(x[:length] for x in joined)
+            size -= length
+            waiting = [tuple(x[length:] for x in joined)] if size else []
     if size:
-        joined = tuple(np.concatenate(parts) for parts in zip(*waiting, strict=True))
-        yield tuple(np.pad(x, ((0, _CHUNK - size), (0, 0))) for x in joined)
+        yield tuple(np.pad(x, ((0, length - size), (0, 0))) for x in _concatenated(waiting))
 
 
-def _factors_of(network: AbstractLinearNetwork, piece: _Piece) -> JointFactors:
-    return jax.block_until_ready(_factorise(network, *(jnp.asarray(x) for x in piece)))
-
-
-@eqx.filter_jit
-def _factorise(
-    network: AbstractLinearNetwork, q: Array, qd: Array, qdd: Array, torque: Array, weight: Array
-):
-    return factorise(network, q, qd, qdd, torque, weight)
-
-
-@eqx.filter_jit
-def _join(one: JointFactors, other: JointFactors) -> JointFactors:
-    return one.joined(other)
-
-
-def _joined(total: JointFactors | None, more: JointFactors) -> JointFactors:
-    return more if total is None else _join(total, more)
+def _concatenated(pieces: list[_Piece]) -> _Piece:
+    if len(pieces) == 1:
+        return pieces[0]
+    return tuple(np.concatenate(parts) for parts in zip(*pieces, strict=True))
