@@ -39,8 +39,18 @@ LAYERS = {
     "systems": {"identification"},
     "control": {"network"},
     "export": {"identification"},
+    "excitation": {"identification"},
     "payload": {"identification", "control"},
-    "cli": {"assessment", "training", "control", "export", "payload", "plotting", "systems"},
+    "cli": {
+        "assessment",
+        "training",
+        "control",
+        "excitation",
+        "export",
+        "payload",
+        "plotting",
+        "systems",
+    },
 }
 
 

@@ -1,2 +1,2 @@
 from ._prior import Known as Known, Prior as Prior, load_prior as load_prior
-from ._update import with_knowledge as with_knowledge
+from ._update import information_rows as information_rows, with_knowledge as with_knowledge

@@ -54,7 +54,7 @@ def with_knowledge(
     fixed = np.array([i for i, entry in known.items() if entry.fixed], int)
     free = np.setdiff1d(np.arange(len(k)), fixed)
     values = np.array([known[i].value for i in fixed], float)
-    white = _equations_of(fit, k)
+    white = information_rows(fit, k)
     soft = [(i, entry) for i, entry in known.items() if entry.error > 0.0]
     rows = np.zeros((len(soft), len(k)))
     target = np.zeros(len(soft))
@@ -111,11 +111,15 @@ def with_knowledge(
     )
 
 
-def _equations_of(
+def information_rows(
     fit: Identification | FoldFit, k: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "rank coefficients"]:
     """Rows whose product with a change of the coefficients is that of the fit's equations, up to a
     rotation, in units of the residual.
+
+    **Arguments**
+
+    - `fit`: an `Identification` or a fit without a fold; `k`: (p,) its coefficients.
 
     A change is one within the covariance's range and one that the fit leaves open. The former
     counts by the inverse of the covariance, the latter not at all. Neither rank is guessed.

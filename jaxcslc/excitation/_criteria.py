@@ -1,0 +1,115 @@
+from collections.abc import Sequence
+from typing import Any, Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..network import CSLC
+from ._information import Moments, Square, error_covariance
+
+
+Criterion = Literal["error", "worst", "A", "D", "E", "torque", "condition", "scaled_condition"]
+CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
+EXPLANATIONS: dict[str, str] = {
+    "error": "mean standard error over size",
+    "worst": "largest standard error over size, as a norm of eighth order",
+    "A": "root mean square standard error over size",
+    "D": "geometric mean of the principal standard errors over size",
+    "E": "largest principal standard error over size",
+    "torque": "standard deviation of predicted torque on the task, over the noise",
+    "condition": "condition number of the regressor in SI units",
+    "scaled_condition": "condition number of the regressor with columns of unit length",
+}
+
+
+def log_criterion(
+    criterion: str,
+    moments: Moments,
+    prior: Any,
+    wanted: Int[Array | np.ndarray, " wanted"],
+    task: Any,
+) -> Any:
+    """The natural logarithm of what a design minimises, differentiable.
+
+    Standard errors are those after the motion, with what was known before: every coefficient to
+    about its own size, which keeps those that no motion determines from governing the sum.
+
+    **Arguments**
+
+    - `criterion`: one of `CRITERIA`; `EXPLANATIONS` says what they are.
+    - `moments`: of the motion.
+    - `prior`: (p, p) information before it, in units of the coefficients' sizes.
+    - `wanted`: indices of the coefficients that matter; others may have any error.
+    - `task`: (p, p) mean squared torque of coefficients' errors, in the same units, for `"torque"`.
+    """
+    if criterion in ("condition", "scaled_condition"):
+        products = moments.plain[jnp.ix_(wanted, wanted)]
+        if criterion == "scaled_condition":
+            length = jnp.sqrt(jnp.diagonal(products)) + 1e-12
+            products = products / (length[:, None] * length[None])
+        values = jnp.linalg.eigvalsh(products)
+        least = values[-1] * 1e-14
+        return 0.5 * (jnp.log(values[-1]) - jnp.log(jnp.maximum(values[0], least)))
+    covariance = error_covariance(moments, prior)
+    if criterion == "torque":
+        return 0.5 * jnp.log(jnp.sum(covariance * task))
+    part = covariance[jnp.ix_(wanted, wanted)]
+    variance = jnp.maximum(jnp.diagonal(part), 1e-30)
+    if criterion == "error":
+        return jnp.log(jnp.mean(jnp.sqrt(variance)))
+    if criterion == "worst":
+        return 0.125 * jax.scipy.special.logsumexp(4.0 * jnp.log(variance))
+    if criterion == "A":
+        return 0.5 * jnp.log(jnp.mean(variance))
+    if criterion == "D":
+        unit = jnp.sqrt(variance)
+        return 0.5 * jnp.mean(
+            jnp.log(jnp.maximum(jnp.linalg.eigvalsh(part / (unit[:, None] * unit[None])), 1e-30))
+        ) + jnp.mean(jnp.log(unit))
+    return 0.5 * jnp.log(jnp.linalg.eigvalsh(part)[-1])
+
+
+def wanted_indices(network: CSLC, names: Sequence[str] | None) -> Int[np.ndarray, " wanted"]:
+    """Indices of coefficients by name, group or kind of term; of all if None.
+
+    **Raises**
+
+    - `ValueError`: a name that is none of these.
+
+    >>> import jaxcslc as jc
+    >>> wanted_indices(jc.derive(jc.puma560()), ["viscous", "kd5"]).tolist()
+    [31, 32, 33, 34, 35, 36, 41]
+    """
+    if names is None:
+        return np.arange(network.size)
+    indices: set[int] = set()
+    layout = network.layout
+    for name in names:
+        if name in layout.names:
+            indices.add(layout.names.index(name))
+        elif name in layout.kinds:
+            indices |= set(range(*layout.of(name).indices(layout.size)))
+        elif name in layout.groups:
+            indices |= {i for i, x in enumerate(layout.coefficients) if x.group == name}
+        else:
+            expected = ", ".join(dict.fromkeys((*layout.groups, *layout.kinds)))
+            raise ValueError(
+                f"{name!r} is no coefficient or group of {network.name!r}; expected names or some"
+                f" of {expected}"
+            )
+    return np.array(sorted(indices), int)
+
+
+def prior_information(
+    size: Float[np.ndarray, " coefficients"],
+    information: Square | None,
+    weak: float = 1.0,
+) -> Square:
+    """What is known before a motion, in units of coefficients' sizes: earlier recordings'
+    information, and each coefficient to about `weak` times its size."""
+    total = np.eye(len(size)) / weak**2
+    if information is not None:
+        total = total + information * np.outer(size, size)
+    return total

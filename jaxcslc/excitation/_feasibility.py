@@ -1,0 +1,213 @@
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..network import CSLC
+from ._families import AbstractFamily, Parameters, sample_times
+from ._limits import QUANTITIES, Joints, Limits
+
+
+# Friction terms that do not jump where a joint reverses.
+_SMOOTH = ("viscous", "quadratic", "offset")
+_BISECTIONS = 14
+# Of a limit: so little is left of it at the end, for rounding.
+_ROUNDING = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Use:
+    """How much of each limit a motion uses, between samples included: 1 is all of it.
+
+    **Attributes**
+
+    - `joints`: by name of the limit, (n,).
+    - `distance`: least distance of bodies less the clearance [m]; None where none is kept.
+    - `nearest`: which bodies these are.
+    """
+
+    joints: dict[str, Joints]
+    distance: float | None = None
+    nearest: str = ""
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all limits are kept."""
+        within = all(np.all(values <= 1.0 - _ROUNDING) for values in self.joints.values())
+        return within and (self.distance is None or self.distance >= 0.0)
+
+    @property
+    def worst(self) -> str:
+        """The limit of which most is used, in words."""
+        if self.distance is not None and self.distance < 0.0:
+            return f"clearance of {self.nearest} ({1e3 * self.distance:.3g} mm short)"
+        name, values = max(self.joints.items(), key=lambda item: float(item[1].max()))
+        joint = int(values.argmax())
+        return f"{name} of joint {joint + 1} ({100 * values[joint]:.4g} % of its limit)"
+
+    def margins(self) -> list[dict[str, Any]]:
+        """One row a limit: what is left of it at the joint that uses most, as a part."""
+        rows: list[dict[str, Any]] = [
+            {"limit": name, "joint": int(x.argmax()) + 1, "margin": float(1.0 - x.max())}
+            for name, x in self.joints.items()
+        ]
+        if self.distance is not None:
+            rows.append(
+                {"limit": f"clearance, {self.nearest}", "joint": 0, "margin": self.distance}
+            )
+        return rows
+
+    def __str__(self) -> str:
+        parts = [
+            f"{row['limit']} {100 * row['margin']:.2g} % (joint {row['joint']})"
+            for row in self.margins()
+            if row["joint"]
+        ]
+        if self.distance is not None:
+            parts.append(f"{self.nearest} {1e3 * self.distance:.3g} mm beyond the clearance")
+        return "margins: " + ", ".join(parts)
+
+
+class DenseCheck:
+    """Whether a motion keeps all limits, at all times.
+
+    Positions and derivatives are sampled, and what a derivative of higher order allows between
+    samples is added; that is a bound, not an estimate. Torque is the prior model's; between
+    samples, half the largest second difference of what does not jump is added.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.excitation import BSplines, DenseCheck, Limits
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> limits = Limits.of(arm, {"position": [-1, 1], "velocity": 2, "torque": 5})
+    >>> family = BSplines(2.0, 4)
+    >>> check = DenseCheck(network, np.array([0.5, 0.1, 0.1]), limits, family)
+    >>> use = check.use(np.linspace(0.0, 1.2, family.size)[:, None])
+    >>> use.feasible, use.worst.partition(" (")[0]
+    (False, 'position of joint 1')
+    """
+
+    def __init__(
+        self,
+        network: CSLC,
+        k: Float[np.ndarray, " coefficients"] | None,
+        limits: Limits,
+        family: AbstractFamily,
+        *,
+        rate: float = 500.0,
+        distance: Callable[[AbstractFamily, Parameters], tuple[float, str]] | None = None,
+    ) -> None:
+        """**Arguments**
+
+        - `k`: (p,) the prior model; None to check no torques.
+        - `rate`: of the samples [Hz].
+        - `distance`: least distance of bodies less the clearance [m] of a motion, and which.
+        """
+        self.family, self.limits, self._network, self._k = family, limits, network, k
+        self._time = sample_times(family.duration, rate)
+        self._interval = float(self._time[1])
+        self._basis = [family.basis(self._time, order) for order in range(4)]
+        self._distance = distance
+        if k is not None:
+            self._smooth = np.array(k, float)
+            layout = network.layout
+            for kind in layout.kinds:
+                part = layout.of(kind)
+                friction = np.isin(np.arange(layout.size)[part], layout.friction).any()
+                if friction and kind not in _SMOOTH:
+                    self._smooth[part] = 0.0
+
+    def use(self, parameters: Parameters, *, bodies: bool = True) -> Use:
+        """How much of each limit a motion uses; `bodies`: look for collisions too."""
+        parameters = np.asarray(parameters, float)
+        joints: dict[str, Joints] = {}
+        derivatives = [basis @ parameters for basis in self._basis]
+        for order, name in enumerate(QUANTITIES):
+            middle, half = self.limits.symmetric(order)
+            reached = np.abs(derivatives[order] - middle).max(0)
+            between = self.family.between_samples(parameters, order, self._interval)
+            if order:
+                # The family's bound holds at all times, and may be the smaller.
+                bound = self.family.bound(parameters, order)
+                reached = np.minimum(reached + between, bound)
+            else:
+                reached = reached + between
+            joints[name] = reached / half
+        if self._k is not None:
+            joints |= self._torques(derivatives)
+        if self._distance is None or not bodies:
+            return Use(joints)
+        return Use(joints, *self._distance(self.family, parameters))
+
+    def _torques(self, derivatives: list[np.ndarray]) -> dict[str, Joints]:
+        q, qd, qdd = (jnp.asarray(x) for x in derivatives[:3])
+        both = _torque(self._network, jnp.asarray(self._k), jnp.asarray(self._smooth), q, qd, qdd)
+        torque, smooth = (np.asarray(x) for x in both)
+        second = np.abs(np.diff(smooth, 2, axis=0)).max(0) / 2
+        uses = {"torque": (np.abs(torque).max(0) + second) / self.limits.usable_torque}
+        if np.isfinite(self.limits.power).any():
+            power = (np.abs(torque) + second) * np.abs(derivatives[1])
+            uses["power"] = power.max(0) / self.limits.usable_power
+        return uses
+
+    def scaled(self, parameters: Parameters) -> tuple[Parameters, Use, float]:
+        """The largest motion about the same start that keeps all limits.
+
+        **Returns** its parameters, how much of the limits it uses, and by which factor it was
+        shrunk.
+
+        **Raises**
+
+        - `ValueError`: resting at the start exceeds a limit; names it.
+        """
+        use = self.use(parameters)
+        if use.feasible:
+            return parameters, use, 1.0
+        resting = self.family.scaled(parameters, 0.0)
+        at_rest = self.use(resting)
+        if not at_rest.feasible:
+            raise ValueError(
+                f"no motion from this start keeps the limits: at rest there, {at_rest.worst}"
+            )
+        low, best, high = 0.0, (resting, at_rest), 1.0
+        for _ in range(_BISECTIONS):
+            factor = (low + high) / 2
+            trial = self.family.scaled(parameters, factor)
+            use = self.use(trial, bodies=False)
+            if use.feasible and self._distance is not None:
+                use = self.use(trial)
+            if use.feasible:
+                low, best = factor, (trial, use)
+            else:
+                high = factor
+        return *best, low
+
+    def within_kinematic_limits(self, parameters: Parameters, part: float = 1.0) -> Parameters:
+        """Each joint's motion shrunk until it keeps a part of its limits of position and
+        derivatives: these are linear in the parameters."""
+        parameters = np.array(parameters, float)
+        start = parameters[0].copy()
+        derivatives = [basis @ parameters for basis in self._basis]
+        factor = np.ones(len(start))
+        for order in range(4):
+            middle, half = self.limits.symmetric(order)
+            change = derivatives[order] - (start if order == 0 else 0.0)
+            above = part * half - (start - middle if order == 0 else 0.0)
+            below = part * half + (start - middle if order == 0 else 0.0)
+            for largest, room in ((change.max(0), above), (-change.min(0), below)):
+                factor = np.minimum(factor, np.where(largest > 0, room / largest.clip(1e-12), 1.0))
+        parameters[1:] *= np.clip(factor, 0.0, 1.0)
+        return parameters
+
+
+@eqx.filter_jit
+def _torque(
+    network: CSLC, k: Any, smooth: Any, q: jax.Array, qd: jax.Array, qdd: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    regressor = network.regressor(q, qd, qdd)
+    return regressor @ k, regressor @ smooth

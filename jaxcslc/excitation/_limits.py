@@ -1,0 +1,286 @@
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..manipulator import Manipulator
+
+
+Joints = Float[np.ndarray, " joints"]
+
+# Limits of derivatives that nobody states: this long to full speed, and to full acceleration [s].
+_TO_SPEED, _TO_ACCELERATION = 0.2, 0.05
+_NAMES = ("position", "velocity", "acceleration", "jerk", "torque", "power", "torque_margin")
+_ROBOTS = Path(__file__).parent / "robots"
+QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Limits:
+    """What joints must not exceed.
+
+    **Attributes**
+
+    - `low`, `high`: positions, (n,) [rad or m].
+    - `velocity`, `acceleration`, `jerk`: absolute values, (n,) [rad/s or m/s], and so on.
+    - `torque`: absolute, (n,) [N m or N]; `power`: of each joint, torque times velocity, (n,) [W].
+      Infinite where there is none.
+    - `torque_margin`: the part of torque and power that is kept back for errors of the model.
+    - `notes`: sentences about limits that nobody stated.
+
+    **Raises**
+
+    - `ValueError`: a limit that is not above zero, or a range that is none; names the joint.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.excitation import Limits
+    >>> limits = Limits.of(jc.puma560(), {"velocity": 1.0})
+    >>> limits.velocity.tolist(), limits.torque[0].item()
+    ([1.0, 1.0, 1.0, 1.0, 1.0, 1.0], 97.6)
+    """
+
+    low: Joints
+    high: Joints
+    velocity: Joints
+    acceleration: Joints
+    jerk: Joints
+    torque: Joints
+    power: Joints
+    torque_margin: float = 0.1
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in (*QUANTITIES[1:], "torque", "power"):
+            wrong = np.flatnonzero(~(getattr(self, name) > 0.0))
+            if wrong.size:
+                value = getattr(self, name)[wrong[0]]
+                raise ValueError(
+                    f"limit of {name} of joint {wrong[0] + 1} is {value:g}; expected more than 0"
+                )
+        wrong = np.flatnonzero(~((self.low < self.high) & np.isfinite(self.high - self.low)))
+        if wrong.size:
+            i = wrong[0]
+            raise ValueError(
+                f"limits of position of joint {i + 1} are {self.low[i]:g} and {self.high[i]:g};"
+                " expected the lower before the higher one, both finite"
+            )
+        if not 0.0 <= self.torque_margin < 1.0:
+            raise ValueError(f"torque_margin is {self.torque_margin}; expected from 0 to below 1")
+
+    @classmethod
+    def of(cls, robot: Manipulator, stated: Mapping[str, Any] | None = None) -> "Limits":
+        """Limits of a robot: those of its file, and what is stated beside them.
+
+        **Arguments**
+
+        - `robot`: whose file may state ranges, speeds and efforts; `puma560` and `panda` have
+          limits of their own.
+        - `stated`: by name, as the attributes and `"position"`, pairs of lowest and highest; one
+          number (or pair) for all joints, or one each.
+
+        **Raises**
+
+        - `ValueError`: a limit of position or velocity that is missing, an unknown name, a wrong
+          number of values.
+        """
+        n = robot.joint_count
+        known: dict[str, Any] = {}
+        file = _ROBOTS / f"{''.join(robot.name.lower().split())}.toml"
+        if (robot.source is None or robot.source.format == "toml") and file.exists():
+            known = tomllib.loads(file.read_text(encoding="utf-8"))["joints"]
+        else:
+            known = _of_file(robot)
+        known |= stated or {}
+        if unknown := sorted(known.keys() - set(_NAMES)):
+            raise ValueError(f"limits: unknown entry {unknown[0]!r}; expected {', '.join(_NAMES)}")
+        position = _pairs(known.get("position"), n)
+        values = {
+            name: _numbers(name, known.get(name, math.inf), n)
+            for name in ("velocity", "acceleration", "jerk", "torque", "power")
+        }
+        missing = ~np.isfinite(values["velocity"])
+        if missing.any():
+            joint = int(np.argmax(missing)) + 1
+            raise ValueError(
+                f"limits: no velocity limit of joint {joint} of {robot.name!r}; expected one in the"
+                " robot's file or in a file of limits"
+            )
+        notes: list[str] = []
+        for name, before, time in (
+            ("acceleration", "velocity", _TO_SPEED),
+            ("jerk", "acceleration", _TO_ACCELERATION),
+        ):
+            if not np.isfinite(values[name]).all():
+                values[name] = np.minimum(values[name], values[before] / time)
+                notes.append(f"{name}: not stated; the limit of {before} within {time:g} s")
+        if not np.isfinite(values["torque"]).all():
+            notes.append("torque: some joints have no limit")
+        return cls(
+            position[:, 0],
+            position[:, 1],
+            **values,
+            torque_margin=_margin(known.get("torque_margin", 0.1)),
+            notes=tuple(notes),
+        )
+
+    @property
+    def middle(self) -> Joints:
+        """The middle of each joint's range [rad or m]."""
+        return (self.low + self.high) / 2
+
+    def symmetric(self, order: int) -> tuple[Joints, Joints]:
+        """Middle and half width of the range of a derivative of that order, (n,) each."""
+        if order == 0:
+            return self.middle, (self.high - self.low) / 2
+        return np.zeros(len(self.low)), getattr(self, QUANTITIES[order])
+
+    @property
+    def usable_torque(self) -> Joints:
+        """The limit of torque without the margin."""
+        return self.torque * (1.0 - self.torque_margin)
+
+    @property
+    def usable_power(self) -> Joints:
+        """The limit of power without the margin."""
+        return self.power * (1.0 - self.torque_margin)
+
+
+@dataclasses.dataclass(frozen=True)
+class Surroundings:
+    """What bodies must keep away from.
+
+    **Attributes**
+
+    - `clearance`: the least distance of bodies from others and from obstacles [m].
+    - `self_collision`: whether the robot's bodies keep away from each other.
+    - `floor`: the height of a floor in the base frame [m]; None without one.
+    - `workspace`: corners (low, high) of a box in the base frame that no body leaves [m].
+    - `boxes`: obstacles as (centre, full size), `spheres` as (centre, radius) [m].
+    - `radius`: of a capsule along each link [m], for robots whose file has no shapes; None for
+      those of the file.
+    - `ignore`: pairs of bodies' names that may touch.
+    """
+
+    clearance: float = 0.02
+    self_collision: bool = True
+    floor: float | None = None
+    workspace: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    boxes: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] = ()
+    spheres: tuple[tuple[tuple[float, ...], float], ...] = ()
+    radius: float | tuple[float, ...] | None = None
+    ignore: tuple[tuple[str, str], ...] = ()
+
+
+def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundings | None]:
+    """Reads limits from a TOML file.
+
+    Tables `[joints]` with `position`, `velocity`, `acceleration`, `jerk`, `torque`, `power` and
+    `torque_margin`, which replace those of the robot's file; and `[surroundings]` with the
+    attributes of `Surroundings`. Without the latter no collision is looked for.
+
+    **Raises**
+
+    - `ValueError`: in one line, naming file and entry.
+
+    >>> import tempfile
+    >>> import jaxcslc as jc
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "limits.toml"
+    ...     _ = path.write_text("[joints]\\nvelocity = 1.5\\n[surroundings]\\nfloor = -0.6\\n")
+    ...     limits, surroundings = load_limits(path, jc.puma560())
+    >>> limits.velocity[0].item(), surroundings.floor
+    (1.5, -0.6)
+    """
+    path = Path(path)
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file of limits") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"{path}: not valid TOML: {error}") from None
+    if unknown := sorted(document.keys() - {"joints", "surroundings"}):
+        raise ValueError(f"{path}: unknown entry {unknown[0]!r}; expected joints or surroundings")
+    for name, table in document.items():
+        if not isinstance(table, dict):
+            raise ValueError(f"{path}, {name}: expected a table, got {table!r}")
+    try:
+        limits = Limits.of(robot, document.get("joints"))
+        table = document.get("surroundings")
+        return limits, None if table is None else _surroundings(table)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _surroundings(table: Mapping[str, Any]) -> Surroundings:
+    names = {field.name for field in dataclasses.fields(Surroundings)}
+    if unknown := sorted(table.keys() - names):
+        raise ValueError(
+            f"surroundings: unknown entry {unknown[0]!r}; expected {', '.join(sorted(names))}"
+        )
+    for name in ("clearance", "floor", "radius"):
+        values = np.atleast_1d(np.asarray(table.get(name, 0.0)))
+        if not np.issubdtype(values.dtype, np.number) or not np.isfinite(values).all():
+            raise ValueError(f"surroundings, {name}: expected numbers in m, got {table[name]!r}")
+    for name, lengths in (("workspace", (3, 3)), ("boxes", (3, 3)), ("spheres", (3, 1))):
+        entries = table.get(name, [])
+        for entry in [entries] if name == "workspace" and entries else entries:
+            sizes = tuple(np.size(part) for part in entry) if isinstance(entry, list) else ()
+            if sizes != lengths:
+                raise ValueError(
+                    f"surroundings, {name}: expected {lengths[0]} and {lengths[1]} numbers in m,"
+                    f" got {entry!r}"
+                )
+    return Surroundings(**{name: _frozen(value) for name, value in table.items()})
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(part) for part in value) if isinstance(value, list) else value
+
+
+def _of_file(robot: Manipulator) -> dict[str, Any]:
+    """What the robot's file states."""
+    limits = robot.joint_limits
+    continuous = [robot.kinds[i] == "R" and math.isinf(x.low) for i, x in enumerate(limits)]
+    return {
+        "position": [
+            [-math.pi, math.pi] if free else [limit.low, limit.high]
+            for limit, free in zip(limits, continuous, strict=True)
+        ],
+        "velocity": [limit.speed for limit in limits],
+        "torque": [limit.torque for limit in limits],
+    }
+
+
+def _numbers(name: str, value: Any, joints: int) -> Joints:
+    numbers = np.atleast_1d(np.asarray(value))
+    if not np.issubdtype(numbers.dtype, np.number) or numbers.shape not in ((1,), (joints,)):
+        raise ValueError(f"limits, {name}: expected one number or {joints}, got {value!r}")
+    return np.broadcast_to(numbers.astype(float), (joints,)).copy()
+
+
+def _pairs(value: Any, joints: int) -> Float[np.ndarray, "joints 2"]:
+    try:
+        pairs = np.asarray(value, float)
+    except (TypeError, ValueError):
+        pairs = np.zeros(0)
+    if pairs.shape not in ((2,), (joints, 2)):
+        raise ValueError(
+            f"limits, position: expected one pair of lowest and highest or {joints}, got {value!r}"
+        )
+    return np.broadcast_to(pairs, (joints, 2)).copy()
+
+
+def _margin(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"limits, torque_margin: expected a number, got {value!r}")
+    return float(value)
+
+
+def margins_text(margins: Sequence[tuple[str, float]]) -> str:
+    """The least margins, as in "velocity of joint 2: 3.1 %"."""
+    return ", ".join(f"{name} {100 * margin:.2g} %" for name, margin in margins)

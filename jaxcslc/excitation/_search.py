@@ -1,0 +1,283 @@
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy
+from jaxtyping import Float, Int
+
+from ._criteria import log_criterion
+from ._families import AbstractFamily, Parameters, Times
+from ._information import MotionInformation, Spectra
+from ._limits import Limits
+
+
+# Of limits: what is kept back during the search, for what happens between samples.
+_INSIDE = 0.996
+_FIRST_PENALTY, _PENALTY_GROWTH, _LARGEST_PENALTY = 3.0, 4.0, 3e3
+
+
+class Contacts(NamedTuple):
+    """Distances of bodies, linear in positions about a motion: d + J (q(t) - q0(t)) ≥ clearance.
+
+    **Attributes**
+
+    - `sample`: (c,) of the grid; `distance`: (c,) beyond the clearance there [m].
+    - `jacobian`: (c, n) of the distance [m/rad]; `position`: (c, n) q0.
+    """
+
+    sample: Int[np.ndarray, " contacts"]
+    distance: Float[np.ndarray, " contacts"]
+    jacobian: Float[np.ndarray, "contacts joints"]
+    position: Float[np.ndarray, "contacts joints"]
+
+
+class Multipliers(NamedTuple):
+    """Lagrange multipliers of the constraints, sample by sample."""
+
+    kinematic: Any  # (4, samples, n)
+    torque: Any  # (samples, n)
+    power: Any  # (samples, n)
+    contacts: Any  # (contacts,)
+
+
+_CONTACTS = 1024  # a fixed number, so that programs are compiled once
+_LENGTH = 0.02  # what distances are measured in [m]
+
+
+class Problem(eqx.Module):
+    """What a search minimises, and what it must keep.
+
+    **Attributes**
+
+    - `information`: of motions; `prior`, `wanted`, `task`, `criterion`: as of `log_criterion`.
+    - `basis`: (4, samples, m) of the family on the grid, with derivatives up to jerk.
+    - `middle`, `half`: (4, n) of the ranges of positions and derivatives.
+    - `torque`, `power`: (n,) limits.
+    - `unit`: (m, n) of the parameters that the search varies, `start` their fixed part: where
+      `unit` is zero, parameters keep the value of `start`.
+    """
+
+    information: MotionInformation
+    prior: Any
+    wanted: Any
+    task: Any
+    basis: Any
+    middle: Any
+    half: Any
+    torque: Any
+    power: Any
+    unit: Any
+    start: Any
+    criterion: str = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        information: MotionInformation,
+        family: AbstractFamily,
+        time: Times,
+        limits: Limits,
+        *,
+        prior: Any,
+        wanted: Int[np.ndarray, " wanted"],
+        task: Any,
+        criterion: str,
+        start: Float[np.ndarray, " joints"] | None,
+    ) -> "Problem":
+        """On a grid of times; `start`: the pose that motions start from, any if None."""
+        ranges = [limits.symmetric(order) for order in range(4)]
+        half = np.stack([half for _, half in ranges])
+        unit = np.tile(half[0] / 2, (family.size, 1))
+        fixed = np.zeros_like(unit)
+        if start is not None:
+            unit[0], fixed[0] = 0.0, start
+        return cls(
+            information,
+            jnp.asarray(prior),
+            jnp.asarray(wanted),
+            jnp.asarray(task),
+            jnp.asarray(np.stack([family.basis(time, order) for order in range(4)])),
+            jnp.asarray(np.stack([middle for middle, _ in ranges])),
+            jnp.asarray(_INSIDE * half),
+            jnp.asarray(_INSIDE * limits.usable_torque),
+            jnp.asarray(_INSIDE * limits.usable_power),
+            jnp.asarray(unit),
+            jnp.asarray(fixed),
+            criterion,
+        )
+
+    def parameters(self, x: Any) -> Any:
+        """(m, n) from what the search varies."""
+        return self.start + self.unit * x.reshape(self.unit.shape)
+
+    def variables(self, parameters: Parameters) -> Float[np.ndarray, " variables"]:
+        """What the search varies, of parameters."""
+        unit = np.asarray(self.unit)
+        return np.where(unit > 0, np.asarray(parameters) / np.where(unit > 0, unit, 1), 0).ravel()
+
+    def constraints(self, x: Any, contacts: Contacts) -> tuple[Any, Multipliers, Any]:
+        """Motion, constraints (kept where not above zero), and the regressor."""
+        derivatives = jnp.einsum("otm,mn->otn", self.basis, self.parameters(x))
+        q, qd, qdd, _ = derivatives
+        kinematic = jnp.abs(derivatives - self.middle[:, None]) / self.half[:, None] - 1.0
+        regressor = self.information.network.regressor(q, qd, qdd)
+        torque = regressor @ jnp.asarray(self.information.k)
+        change = q[contacts.sample] - contacts.position
+        distance = contacts.distance + jnp.sum(contacts.jacobian * change, axis=-1)
+        values = Multipliers(
+            kinematic,
+            jnp.abs(torque) / self.torque[None] - 1.0,
+            jnp.abs(torque * qd) / self.power[None] - 1.0,
+            -distance / _LENGTH,
+        )
+        return (q, qd, qdd), values, regressor
+
+    def lagrangian(
+        self, x: Any, spectra: Spectra, multipliers: Multipliers, penalty: Any, contacts: Contacts
+    ) -> Any:
+        """The augmented Lagrangian of Powell, Hestenes and Rockafellar, the logarithm of the
+        criterion beside it."""
+        motion, values, regressor = self.constraints(x, contacts)
+        moments = self.information.moments(motion, spectra, regressor)
+        objective = log_criterion(self.criterion, moments, self.prior, self.wanted, self.task)
+        terms = jax.tree.map(
+            lambda value, multiplier: (
+                jnp.sum(jnp.maximum(multiplier + penalty * value, 0.0) ** 2 - multiplier**2)
+                / (2.0 * penalty)
+            ),
+            values,
+            multipliers,
+        )
+        return objective + sum(terms), objective
+
+
+@eqx.filter_jit
+def _lagrangian(
+    problem: Problem,
+    x: Any,
+    spectra: Spectra,
+    multipliers: Multipliers,
+    penalty: Any,
+    contacts: Any,
+) -> Any:
+    def value(x: Any) -> Any:
+        total, objective = problem.lagrangian(x, spectra, multipliers, penalty, contacts)
+        return total, objective
+
+    (total, objective), gradient = jax.value_and_grad(value, has_aux=True)(x)
+    return total, gradient, objective
+
+
+@eqx.filter_jit
+def _updated(
+    problem: Problem, x: Any, multipliers: Multipliers, penalty: Any, contacts: Contacts
+) -> tuple[Multipliers, Any]:
+    """Multipliers after a minimisation, and the largest violation."""
+    _, values, _ = problem.constraints(x, contacts)
+    new = jax.tree.map(lambda v, m: jnp.maximum(m + penalty * v, 0.0), values, multipliers)
+    return new, jnp.stack([jnp.max(v) for v in values]).max()
+
+
+@dataclasses.dataclass
+class Search:
+    """A search by an augmented Lagrangian, whose steps are SciPy's L-BFGS.
+
+    **Attributes**
+
+    - `problem`: to be minimised.
+    - `contacts`: distances about a motion `q` (samples, n), or None where no bodies are watched.
+    - `progress`: is called with a few words.
+    - `best`: the variables that the search has reached, after an interruption too.
+    """
+
+    problem: Problem
+    contacts: Callable[[Float[np.ndarray, "samples joints"]], Contacts] | None = None
+    progress: Callable[[str], None] | None = None
+    best: Float[np.ndarray, " variables"] | None = None
+
+    def run(
+        self,
+        x: Float[np.ndarray, " variables"],
+        rounds: int,
+        steps: int,
+        penalty: float = _FIRST_PENALTY,
+    ) -> float:
+        """Minimises from `x`; so many rounds of multipliers with so many steps each, with a penalty
+        that grows from round to round.
+
+        **Returns** the logarithm of the criterion at the end, which limits may still not allow.
+        """
+        problem = self.problem
+        _, samples, n = problem.basis.shape[0], problem.basis.shape[1], problem.unit.shape[1]
+        multipliers = Multipliers(
+            jnp.zeros((4, samples, n)),
+            jnp.zeros((samples, n)),
+            jnp.zeros((samples, n)),
+            jnp.zeros(_CONTACTS),
+        )
+        objective, violation = np.inf, np.inf
+        self.best = np.array(x)
+        for number in range(rounds):
+            q = np.asarray(problem.basis[0] @ problem.parameters(jnp.asarray(self.best)))
+            spectra = problem.information.spectra(q)
+            contacts = self.contacts(q) if self.contacts else _no_contacts(n)
+            # Contacts are others in each round, and so are their multipliers.
+            multipliers = multipliers._replace(contacts=jnp.zeros(_CONTACTS))
+            arguments = (spectra, multipliers, jnp.asarray(penalty), contacts)
+
+            def value(x: np.ndarray, arguments: Any = arguments) -> tuple[float, np.ndarray]:
+                nonlocal objective
+                total, gradient, criterion = _lagrangian(problem, jnp.asarray(x), *arguments)
+                objective = float(criterion)
+                total = float(total)
+                gradient = np.asarray(gradient, float)
+                if not (np.isfinite(total) and np.isfinite(gradient).all()):
+                    return 1e10, np.zeros_like(gradient)
+                return total, gradient
+
+            def keep(x: np.ndarray) -> None:
+                self.best = np.array(x)
+
+            result: Any = scipy.optimize.minimize(
+                value,
+                self.best,
+                jac=True,
+                method="L-BFGS-B",
+                callback=keep,
+                options={"maxiter": steps, "maxcor": 20, "maxfun": 2 * steps},
+            )
+            self.best = np.asarray(result.x)
+            multipliers, worst = _updated(
+                problem, jnp.asarray(self.best), multipliers, jnp.asarray(penalty), contacts
+            )
+            violation = float(worst)
+            if self.progress:
+                self.progress(
+                    f"round {number + 1} of {rounds}: criterion {np.exp(objective):.4g}, limits"
+                    f" exceeded by {100 * max(violation, 0.0):.2g} %"
+                )
+            penalty = min(penalty * _PENALTY_GROWTH, _LARGEST_PENALTY)
+        return objective
+
+
+def _no_contacts(joints: int) -> Contacts:
+    return padded_contacts(
+        Contacts(np.zeros(0, int), np.zeros(0), np.zeros((0, joints)), np.zeros((0, joints)))
+    )
+
+
+def padded_contacts(contacts: Contacts) -> Contacts:
+    """The nearest of contacts, with as many far away ones as make the fixed number."""
+    order = np.argsort(contacts.distance)[:_CONTACTS]
+    missing = _CONTACTS - len(order)
+    sample, distance, jacobian, position = (x[order] for x in contacts)
+    return Contacts(
+        np.pad(sample, (0, missing)),
+        np.pad(distance, (0, missing), constant_values=1e3),
+        np.pad(jacobian, ((0, missing), (0, 0))),
+        np.pad(position, ((0, missing), (0, 0))),
+    )

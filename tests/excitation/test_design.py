@@ -1,0 +1,191 @@
+"""Designs: limits hold at all times, gradients are those of differences, seeds repeat."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcslc as jc
+from jaxcslc.excitation import (
+    CRITERIA,
+    BSplines,
+    DenseCheck,
+    Design,
+    Knowledge,
+    Limits,
+    Noise,
+    Planner,
+    design_motion,
+    family_named,
+    random_parameters,
+)
+from jaxcslc.excitation._criteria import log_criterion
+from jaxcslc.excitation._search import Multipliers, _no_contacts
+
+
+def test_all_limits_hold_on_a_much_finer_grid(pendulum_design: Design) -> None:
+    family, limits = pendulum_design.family, pendulum_design.limits
+    time = np.linspace(0.0, family.duration, 60001)
+    q, qd, qdd = family.motion(pendulum_design.parameters, time)
+    jerk = family.derivative(pendulum_design.parameters, time, 3)
+    assert np.all((q >= limits.low) & (q <= limits.high))
+    for values, limit in ((qd, limits.velocity), (qdd, limits.acceleration), (jerk, limits.jerk)):
+        assert np.all(np.abs(values) <= limit)
+    torque = pendulum_design.network.torque(pendulum_design.prediction.k, q, qd, qdd)
+    assert np.all(np.abs(torque) <= limits.torque)
+
+
+def test_it_is_better_than_random_motions(
+    pendulum_planner: Planner, pendulum_design: Design
+) -> None:
+    random = []
+    for seed in range(5):
+        draw = random_parameters(pendulum_planner.check, np.zeros(1), np.random.default_rng(seed))
+        random.append(pendulum_planner.criterion_of(pendulum_planner.check.scaled(draw)[0]))
+    assert pendulum_design.value < 0.8 * min(random)
+
+
+def test_the_same_seed_gives_the_same_design(
+    pendulum_planner: Planner, pendulum_design: Design
+) -> None:
+    again = pendulum_planner.design(0, 1, 3, 15, lambda _: None)
+    np.testing.assert_array_equal(again.parameters, pendulum_design.parameters)
+
+
+def test_an_interrupted_search_returns_the_best_so_far(pendulum_planner: Planner) -> None:
+    def interrupt(text: str) -> None:
+        if text.startswith("refining, round 1"):
+            raise KeyboardInterrupt
+
+    design = pendulum_planner.design(0, 1, 3, 15, interrupt)
+    assert design.use.feasible
+    assert "interrupted" in design.notes[-1]
+
+
+def test_gradient_of_the_lagrangian(pendulum_planner: Planner, rng: np.random.Generator) -> None:
+    problem = pendulum_planner.problem
+    x = jnp.asarray(rng.normal(size=problem.unit.size))
+    q = np.asarray(problem.basis[0] @ problem.parameters(x))
+    spectra = problem.information.spectra(q)
+    samples, joints = q.shape
+    multipliers = Multipliers(
+        jnp.full((4, samples, joints), 0.1),
+        jnp.zeros((samples, joints)),
+        jnp.zeros((samples, joints)),
+        jnp.zeros(1024),
+    )
+
+    @jax.jit
+    def value(x: jax.Array) -> jax.Array:
+        return problem.lagrangian(x, spectra, multipliers, jnp.asarray(5.0), _no_contacts(joints))[
+            0
+        ]
+
+    direction = jnp.asarray(rng.normal(size=x.size))
+    step = 1e-6
+    numeric = (value(x + step * direction) - value(x - step * direction)) / (2 * step)
+    # The threshold of slow pairs follows the top speed, which the gradient takes as fixed.
+    np.testing.assert_allclose(jax.grad(value)(x) @ direction, numeric, rtol=1e-3)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_criteria_follow_their_definitions(
+    pendulum_planner: Planner, pendulum_design: Design, criterion: str
+) -> None:
+    problem, time = pendulum_planner.problem, pendulum_planner.time
+    moments = pendulum_planner.moments(
+        pendulum_design.family.motion(pendulum_design.parameters, time)
+    )
+    size = problem.information.size
+    prior, wanted, task = np.eye(5), np.array([0, 2, 3]), np.diag([1.0, 0, 2, 0, 0])
+    covariance = np.linalg.inv(np.asarray(moments.normal) + prior)
+    part = covariance[np.ix_(wanted, wanted)]
+    error = np.sqrt(np.diag(part))
+    plain = np.asarray(moments.plain)[np.ix_(wanted, wanted)]
+    length = np.sqrt(np.diag(plain))
+    expected = {
+        "error": error.mean(),
+        "worst": np.sum(error**8) ** 0.125,
+        "A": np.sqrt(np.mean(error**2)),
+        "D": np.linalg.det(part) ** (1 / 6),
+        "E": np.sqrt(np.linalg.eigvalsh(part)[-1]),
+        "torque": np.sqrt(np.trace(covariance @ task)),
+        "condition": np.sqrt(np.linalg.cond(plain)),
+        "scaled_condition": np.sqrt(np.linalg.cond(plain / np.outer(length, length))),
+    }
+    value = np.exp(
+        log_criterion(
+            criterion, moments, jnp.asarray(prior), jnp.asarray(wanted), jnp.asarray(task)
+        )
+    )
+    np.testing.assert_allclose(value, expected[criterion], rtol=1e-6)
+    assert size.shape == (5,)
+
+
+def test_an_infeasible_wish_names_the_limit() -> None:
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
+    knowledge = Knowledge(np.array([0.5, 2.0, 3.0, 0.2]), None, np.full(4, np.inf))
+    limits = Limits.of(arm, {"position": [-0.1, 0.1], "velocity": 3, "torque": 1})
+    with pytest.raises(ValueError, match="at rest in any of 200 poses, torque of joint 1"):
+        design_motion(network, limits, Noise(0.1), duration=1.0, knowledge=knowledge)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"criterion": "other"}, "criterion: expected error, "),
+        ({"criterion": "torque"}, "criterion 'torque' and a task: expected both or neither"),
+        ({"wanted": ["kd9"]}, "'kd9' is no coefficient or group"),
+        ({"family": "other"}, "family: expected splines, fourier, periodic, moves, got 'other'"),
+        ({"start": np.zeros(2)}, "start: expected 1 positions"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_named(
+    pendulum_planner: Planner, arguments: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        design_motion(
+            pendulum_planner.problem.information.network,
+            pendulum_planner.limits,
+            Noise(0.1),
+            **arguments,
+        )
+
+
+@pytest.mark.parametrize(
+    ("stated", "message"),
+    [
+        ({"velocity": -1, "position": [0, 1]}, "limit of velocity of joint 1 is -1"),
+        ({"position": [0, 1]}, "no velocity limit of joint 1"),
+        ({"velocity": 1, "position": [1, 0]}, "limits of position of joint 1 are 1 and 0"),
+        ({"velocity": [1, 2], "position": [0, 1]}, "velocity: expected one number or 1"),
+        ({"speed": 1}, "unknown entry 'speed'"),
+    ],
+)
+def test_wrong_limits_are_named(stated: dict[str, Any], message: str) -> None:
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)])
+    with pytest.raises(ValueError, match=message):
+        Limits.of(arm, stated)
+
+
+def test_torque_between_samples_counts() -> None:
+    """A check at few samples says at least what one at many samples finds."""
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(arm, lengths="numeric")
+    k = np.array([0.5, 2.0, 0.1, 0.2, 0.3])
+    limits = Limits.of(arm, {"position": [-2, 2], "velocity": 3, "torque": 30, "power": 40})
+    family = BSplines(2.0, 8)
+    parameters = np.random.default_rng(0).normal(size=(family.size, 1))
+    coarse, fine = (
+        DenseCheck(network, k, limits, family, rate=rate).use(parameters).joints
+        for rate in (20.0, 5000.0)
+    )
+    for name, values in fine.items():
+        assert np.all(coarse[name] >= values * (1 - 1e-6)), name
+
+
+def test_families_by_name() -> None:
+    assert [family_named(name, 6.0).duration for name in ("splines", "moves")] == [6.0, 6.0]
