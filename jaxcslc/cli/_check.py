@@ -4,7 +4,6 @@ from typing import Annotated
 import typer
 
 from ..identification import check
-from ..manipulator import Manipulator
 from ._common import (
     BaseOption,
     ColumnsOption,
@@ -54,7 +53,9 @@ def check_command(
         options = RecordingOptions(columns, between, every, period, drop_stale, despike)
         read = [options.read(path, manipulator) for path in recordings]
         step("deriving")
-        network = network_of(manipulator, _lengths(manipulator), friction)
+        network = network_of(
+            manipulator, "numeric" if manipulator.has_all_lengths else "symbolic", friction
+        )
         names = [str(path) for path in recordings]
         page = check(network, read, names, progress=step)
         notes = robot_notes(manipulator) + [
@@ -65,10 +66,3 @@ def check_command(
     typer.echo("\n".join([str(page), *notes]))
     if page.findings:
         raise typer.Exit(1)
-
-
-def _lengths(robot: Manipulator) -> str:
-    """Numeric lengths where all are known: the fewest coefficients, which a wrong column
-    contradicts soonest."""
-    lengths = (length for joint in robot.joints for _, _, length in joint.lengths)
-    return "numeric" if all(length.value is not None for length in lengths) else "symbolic"

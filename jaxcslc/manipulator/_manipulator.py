@@ -145,6 +145,12 @@ class Manipulator:
         return self.joint_names != tuple(f"joint {i}" for i in range(1, self.joint_count + 1))
 
     @property
+    def has_all_lengths(self) -> bool:
+        """Whether every length has a value, as numeric lengths need."""
+        lengths = (length for joint in self.joints for _, _, length in joint.lengths)
+        return all(length.value is not None for length in lengths)
+
+    @property
     def torque_units(self) -> tuple[str, ...]:
         """`"N m"` for each revolute joint, `"N"` for each prismatic one."""
         return tuple("N m" if kind == "R" else "N" for kind in self.kinds)

@@ -109,8 +109,12 @@ def test_columns_of_the_table(arm: jc.CSLC, rng: np.random.Generator) -> None:
     ends = [[float(row["low"]), float(row["high"])] for row in rows]
     assert_allclose(ends, fit.confidence_interval(0.9))
     assert all(float(row["variance_inflation"]) >= 1.0 for row in rows)
-    header = coefficient_text(rows).splitlines()[0]
-    assert all(name in header for name in ("low", "high", "verdict", "reason"))
+    table, *reasons = coefficient_text(rows).split("\n\n")
+    header = table.splitlines()[0]
+    assert all(name in header for name in ("low", "high", "verdict"))
+    doubtful = [str(row["name"]) for row in rows if row["verdict"] != "well determined"]
+    assert doubtful and reasons[0].splitlines()[0] == "not well determined:"
+    assert [line.split(":")[0].strip() for line in reasons[0].splitlines()[1:]] == doubtful
 
 
 def test_a_fit_of_another_network(

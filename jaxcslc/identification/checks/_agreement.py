@@ -122,7 +122,7 @@ def _cause(
             "friction",
             joints,
             f"{text}; other friction explains {100 * parts[best]:.0f} % of the difference",
-            "another temperature or state of the gears",
+            "another temperature or state of the gears, or torques that the motors did not deliver",
             f"--reidentify {','.join(friction)} with the identification of {names[0]}",
             names[1],
         )

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...motion import MINIMUM_SAMPLES, Recording, stale_rows
-from ...network import CSLC
+from ...network import CSLC, derive
 from ._agreement import agreement_findings, rate_findings
 from ._clock_findings import clock_findings, time_unit
 from ._evidence import Evidence
@@ -113,6 +113,7 @@ def check(
     if len(labels) != len(listed):
         raise ValueError(f"{len(labels)} names for {len(listed)} recordings; expected one each")
     step = progress or (lambda text: None)
+    network = _with_fewest_coefficients(network)
     findings: list[Finding] = []
     summaries: list[RecordingSummary] = []
     evidence: list[Evidence | None] = []
@@ -137,6 +138,14 @@ def check(
             kept, kept_labels = zip(*usable, strict=True)
             findings += agreement_findings(network, kept, kept_labels)
     return DataCheck(tuple(summaries), tuple(findings))
+
+
+def _with_fewest_coefficients(network: CSLC) -> CSLC:
+    """The network with numeric lengths, where all of them have values."""
+    if network.algebra.lengths == "numeric" or not network.robot.has_all_lengths:
+        return network
+    numeric = derive(network.robot, lengths="numeric")
+    return CSLC(numeric.algebra, (numeric.rigid_body, *network.terms[1:]))
 
 
 class _Check:

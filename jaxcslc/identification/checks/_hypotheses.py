@@ -7,11 +7,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...motion import Patterns, Recording
+from ..solver import LeastSquares
 from ._evidence import Evidence
 
 
 # Motion in degrees covers more than this.
 _LEAST_DEGREES = 5.0
+# Friction drives a joint if it feeds this part of its torque's power into the motion, and more than
+# so many standard errors: joints that move alike share friction in any proportion.
+_DRIVING_POWER, _SIGNIFICANT = 0.02, 3.0
 # What a joint that its own friction drives adds to that mean.
 _DRIVEN = 0.3
 
@@ -52,17 +56,23 @@ def _driven_joints(
 ) -> list[int]:
     network = evidence.network
     kinds = network.robot.friction_per_joint
-    k = evidence.coefficients(patterns, regressor)
-    qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
+    qd, torque = np.asarray(patterns.qd), np.asarray(patterns.torque)
+    mask = np.asarray(patterns.mask)
     friction = regressor.copy()
     friction[:, :, network.layout.inertial] = 0.0
-    torque = np.asarray(patterns.torque)
-    power = np.where(mask, qd * (friction @ k), 0.0).sum(axis=0)
+    # Power is linear in the coefficients, and so has a standard error.
+    power_rows = np.where(mask[..., None], qd[..., None] * friction, 0.0).sum(axis=0)
     size = np.sqrt(
         np.where(mask, qd**2, 0.0).sum(axis=0) * np.where(mask, torque**2, 0.0).sum(axis=0)
     )
-    share = power / np.where(size > 0, size, 1.0)
-    return [j for j, part in enumerate(share) if part < -0.02 and kinds[j]]
+    power = power_rows @ evidence.coefficients(patterns, regressor)
+    suspects = [j for j in np.flatnonzero(power < -_DRIVING_POWER * size).tolist() if kinds[j]]
+    if not suspects:
+        return []
+    fit = LeastSquares().fit(network, patterns, throw=False)
+    covariance = np.asarray(fit.covariance)
+    variance = np.einsum("jp,pq,jq->j", power_rows, covariance, power_rows)
+    return [j for j in suspects if power[j] < -_SIGNIFICANT * np.sqrt(variance[j])]
 
 
 def sign_and_order(joints: int, names: Sequence[str]) -> Iterator[Hypothesis]:

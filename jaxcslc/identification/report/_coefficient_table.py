@@ -11,7 +11,10 @@ from ._excitation import Excitation
 from ._verdicts import verdicts
 
 
-_LONGEST_EXPRESSION = 60
+# What a line has room for: alone, and beside a value with its errors, interval and verdict.
+_LONGEST_EXPRESSION, _LONGEST_BESIDE_VALUE = 60, 30
+_GOOD = "well determined"
+_HEADERS = {"standard_error": "std error", "systematic_error": "systematic"}
 
 
 def coefficient_rows(
@@ -96,6 +99,8 @@ def coefficient_rows(
 def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     """Coefficient rows as a table to read; long expressions are cut.
 
+    Reasons of verdicts follow the table, for coefficients that are not well determined.
+
     >>> import jaxcslc as jc
     >>> from jaxcslc.identification import coefficient_rows, coefficient_text
     >>> pendulum = jc.Manipulator.from_modified_dh(
@@ -107,17 +112,20 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     kB2   kg m   m1*rx1
     kB3   kg m   m1*ry1
     """
-    hidden = ("group", "positive", "relative_error", "variance_inflation")
+    hidden = ("group", "positive", "relative_error", "variance_inflation", "reason")
     shown = [name for name in rows[0] if name not in hidden]
-    cells = [[_cell(name, row[name]) for name in shown] for row in rows]
-    return text_table(shown, cells, left=("unit", "verdict", "reason", "expression"))
+    longest = _LONGEST_BESIDE_VALUE if "value" in rows[0] else _LONGEST_EXPRESSION
+    cells = [[_cell(row[name], longest * (name == "expression")) for name in shown] for row in rows]
+    header = [_HEADERS.get(name, name) for name in shown]
+    table = text_table(header, cells, left=("unit", "verdict", "expression"))
+    doubtful = [row for row in rows if row.get("verdict", _GOOD) != _GOOD]
+    reasons = [f"  {row['name']}: {row['reason']}" for row in doubtful]
+    return "\n".join([table, *(["", "not well determined:", *reasons] if reasons else [])])
 
 
-def _cell(name: str, value: str | float | bool) -> str:
+def _cell(value: str | float | bool, longest: int) -> str:
+    """The text of a cell, cut where it has more than `longest` characters; 0 for any number."""
     if isinstance(value, float):
         return f"{value:.4g}"
     text = str(value)
-    if name == "expression":
-        cut = len(text) > _LONGEST_EXPRESSION
-        return text[: _LONGEST_EXPRESSION - 2] + " …" if cut else text
-    return text
+    return text[: longest - 2] + " …" if 0 < longest < len(text) else text
