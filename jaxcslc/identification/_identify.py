@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, get_args
 
