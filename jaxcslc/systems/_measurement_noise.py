@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from ._system import System
 
 
+# A positive estimate of the noise of a column is good to about this part.
+LEVEL_ERROR = 0.05
+
+
 def measurement_noise(system: "System", recording: SystemRecording) -> dict[str, float]:
     """Standard deviation of the white noise in each column of a recording.
 

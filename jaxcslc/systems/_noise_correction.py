@@ -1,31 +1,33 @@
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Array, Float
 
 from ..identification import Identification, Settings
-from ..identification.solver import Equations, Unknowns, WeightedEquations
-from ..motion import Patterns
-from ._measurement_noise import check_noise, measurement_noise, with_simulated_noise
+from ..identification.solver import WeightedEquations
+from ..motion import Derivatives, Patterns
+from ._measurement_noise import LEVEL_ERROR, check_noise, measurement_noise, with_simulated_noise
 from ._network import SystemNetwork
+from ._noise_errors import (
+    FilteredErrors,
+    OfEquations,
+    error_ratio,
+    judged_ratio,
+    lasting_errors,
+    unexplained,
+)
 from ._patterns import system_derivatives
 from ._recording import SystemRecording
+from ._smoothing_bias import SmoothingBias, motion_of, with_motion
 from ._system import System
 
 
-# A positive estimate of the noise of a column is good to about this part.
-_LEVEL_ERROR = 0.05
-# Chance by which a fit of equations that hold, with white noise, is said to have other errors.
-_CHANCE = 0.001
 # Errors of all equations that are so many times those that noise makes are not looked into further.
 _NEGLIGIBLE = 30.0
-# Draws whose motion is in memory at a time, in numbers.
-_AT_ONCE = 1 << 22
 
 
 class EquationsUndefined(ValueError):
@@ -44,6 +46,8 @@ class NoiseCorrection:
 
     - `noise`: standard deviation of the noise of each column, measured or assumed.
     - `bias`: (p,) what noise adds to each coefficient on average; taken off those of `fit`.
+    - `smoothing_bias`: (p,) what smoothing takes out of the motion adds to each; taken off, too.
+    - `smoothing_remainder`: (p,) by how much that may be off; part of the standard errors of `fit`.
     - `standard_error`: (p,) that the simulated noise makes.
     - `ratio`: (n,) root mean square of each equation's error over that which noise makes.
     - `explained`: whether noise explains the errors of the equations. Otherwise standard errors of
@@ -55,6 +59,8 @@ class NoiseCorrection:
 
     noise: Mapping[str, float]
     bias: Float[np.ndarray, " coefficients"]
+    smoothing_bias: Float[np.ndarray, " coefficients"]
+    smoothing_remainder: Float[np.ndarray, " coefficients"]
     standard_error: Float[np.ndarray, " coefficients"]
     ratio: Float[np.ndarray, " equations"]
     explained: bool
@@ -66,11 +72,15 @@ class NoiseCorrection:
         noise = ", ".join(f"{name} {value:.3g}" for name, value in self.noise.items())
         error = np.asarray(self.fit.standard_error)
         known = (error > 0.0) & (error < np.inf)
-        share = float(np.max(np.abs(self.bias[known] / error[known]), initial=0.0))
+        of_noise, of_smoothing = (
+            float(np.max(np.abs(bias[known] / error[known]), initial=0.0))
+            for bias in (self.bias, self.smoothing_bias)
+        )
         source = f"{self.draws} draws of this noise" if self.explained else "the residuals"
         return (
-            f"noise of the columns: {noise}\nits bias is taken off: up to {share:.2g} standard"
-            f" errors; standard errors from {source}"
+            f"noise of the columns: {noise}\nits bias is taken off: up to {of_noise:.2g} standard"
+            f" errors; that of smoothing, too: up to {of_smoothing:.2g}; standard errors from"
+            f" {source}"
         )
 
 
@@ -86,7 +96,7 @@ def correct_for_noise(
     pairs: int = 6,
     seed: int = 0,
 ) -> NoiseCorrection:
-    """Takes the bias of measurement noise off the coefficients of a system.
+    """Takes the bias of measurement noise and of smoothing off the coefficients of a system.
 
     Noise of states is in the regressor, squared and multiplied with itself, so that least squares
     is off by a part that no amount of data averages out: coefficients of noisy derivatives shrink,
@@ -104,6 +114,12 @@ def correct_for_noise(
     equations (their size, or what they would do to the coefficients, beyond a chance of one in a
     thousand): noise that is not white, or a term that is missing. Then the standard errors of the
     residuals remain, and a warning says so.
+
+    Smoothing takes out the same part of the motion in every recording. Motion that is smoothed once
+    more shows what: the difference of the coefficients that fit it is taken off, too, as it is of
+    every draw above, so that its noise is in the standard errors. By how much a third smoothing
+    changes the difference is added to their squares. (Least-squares splines change what they have
+    made less than they changed the true motion: of their bias a part remains, which this shows.)
 
     **Arguments**
 
@@ -152,83 +168,171 @@ def correct_for_noise(
             f"draws is {draws}, pairs is {pairs}; expected two draws or more, and one pair or more"
             " but no more than draws"
         )
-    network, solver, k = system.network, settings.solver, np.asarray(fit.k)
+    solver, k = settings.solver, np.asarray(fit.k)
     levels = measurement_noise(system, recording) if noise == "estimated" else dict(noise or {})
     check_noise(system, levels)
-    equations = solver.equations(network, patterns)
-    problem = WeightedEquations.of(equations, k, solver)
-    bias, parts = np.zeros(network.size), _Parts(network, patterns, solver.cutoff)
-    motion = _motion(patterns)
-    left = equations.errors(k)
-    for number, noisy in enumerate(with_simulated_noise(recording, levels, draws, seed)):
-        # Noise that is next to nothing of the errors needs no standard errors of its own.
-        if number == pairs and np.all(_ratio(left, parts.filtered()) > _NEGLIGIBLE):
-            draws = pairs
-            break
-        change = _change(system, noisy, settings, patterns)
-        error = np.asarray(_odd_error(network, k, motion, change))
-        if not np.all(np.isfinite(error[np.asarray(patterns.mask)])):
+    problem = WeightedEquations.of(solver.equations(system.network, patterns), k, solver)
+    trim = (recording.samples - patterns.samples) // 2
+    smoothing = SmoothingBias.of(system, settings, patterns, fit, trim)
+    bias = (np.zeros_like(k),) * 2 if smoothing is None else smoothing.estimate()
+    through = _Simulation(system, settings, patterns, smoothing, problem, k)
+    noisy = lambda count: with_simulated_noise(recording, levels, count, seed)
+    simulation = _simulated(through, noisy(draws), pairs)
+    ratio, factor = judged_ratio(problem, fit, simulation.errors)
+    warnings = unexplained(system.network, ratio, factor)
+    if not warnings:
+        of_fit = np.sqrt(np.mean(problem.shifts(simulation.errors) ** 2, axis=1))
+        refitted = lambda count: map(through.refitted, noisy(count))
+        warnings = lasting_errors(system.network, fit, of_fit, simulation.count, refitted)
+    if np.any(ratio * factor < 1.0):  # noise that is too strong
+        simulation = dataclasses.replace(simulation, even=np.zeros_like(simulation.even))
+    level_error = LEVEL_ERROR if noise == "estimated" else 0.0
+    determined = np.asarray(fit.determined)
+    of_noise, of_smoothing, remainder = taken = [
+        np.where(determined, x, 0.0) for x in (np.mean(simulation.even, axis=0), *bias)
+    ]
+    return NoiseCorrection(
+        levels,
+        of_noise,
+        of_smoothing,
+        remainder,
+        np.sqrt(np.diag(simulation.covariance)),
+        ratio,
+        not warnings,
+        simulation.count,
+        _corrected(fit, problem, taken, None if warnings else simulation, level_error),
+        tuple(warnings),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Simulation:
+    """What draws of noise are sent through.
+
+    - `smoothing`: whose bias is taken off.
+    - `problem`: the equations of the patterns, with the weights of the fit.
+    - `k`: of the fit.
+    """
+
+    system: System
+    settings: Settings
+    patterns: Patterns
+    smoothing: SmoothingBias | None
+    problem: WeightedEquations
+    k: Float[np.ndarray, " coefficients"]
+
+    def again(self, motion: Derivatives) -> Derivatives:
+        """Motion smoothed once more, if smoothing's bias is taken off."""
+        return motion if self.smoothing is None else self.smoothing.again(motion)
+
+    def corrected(self, once: Derivatives, twice: Derivatives) -> np.ndarray:
+        """Coefficients of motion smoothed once, without the bias of smoothing."""
+        network = self.system.network
+        patterns = with_motion(network, self.patterns, once)
+        k = self.problem.solution(self.settings.solver.equations(network, patterns)).k
+        if self.smoothing is None:
+            return k
+        return k - (self.smoothing.solution(twice) - self.smoothing.solution(once))
+
+    def noisy(self, recording: SystemRecording) -> Derivatives:
+        """The motion of a recording with further noise, at the samples of the patterns."""
+        trim = (recording.samples - self.patterns.samples) // 2
+        inside = slice(trim, recording.samples - trim)
+        q, qd, qdd = system_derivatives(self.system, recording, self.settings.preparation)
+        return q[inside], qd[inside], qdd[inside]
+
+    def refitted(self, recording: SystemRecording) -> Identification:
+        """A fit whose errors are the linear part of further noise alone."""
+        motion = motion_of(self.patterns)
+        error = self.odd_error(motion, _less(self.noisy(recording), motion))
+        output = self.system.network.torque(self.k, *motion)
+        patterns = dataclasses.replace(self.patterns, torque=np.asarray(output) + error)
+        return self.settings.solver.fit(self.system.network, patterns)
+
+    def odd_error(self, motion: Derivatives, change: Derivatives) -> np.ndarray:
+        """What changes its sign with a change of the motion, of the errors of the equations."""
+        error = np.asarray(_odd_error(self.system.network, self.k, motion, change))
+        if not np.all(np.isfinite(error[np.asarray(self.patterns.mask)])):
             raise EquationsUndefined(
-                f"{system.name}: further noise like the recording's takes it out of what the"
+                f"{self.system.name}: further noise like the recording's takes it out of what the"
                 " equations allow, as a root of a level near zero"
             )
-        for sign in (1.0, -1.0) if number < pairs else ():
-            moved = _with_motion(network, patterns, motion, change, sign)
-            bias += (problem.solution(solver.equations(network, moved)).k - k) / (2 * pairs)
-        parts.add(error)
-    filtered = parts.filtered()
-    shifts = problem.shifts(filtered)
-    return _corrected(
-        network,
-        fit,
-        levels,
-        np.where(np.asarray(fit.determined), bias, 0.0),
-        shifts @ shifts.T / draws,
-        _ratio(left, filtered),
-        problem,
-        draws,
-    )
+        return error
 
 
-Motion = tuple[Array | np.ndarray, Array | np.ndarray, Array | np.ndarray]
+@dataclasses.dataclass(frozen=True)
+class _Draws:
+    """What simulated noise does to the coefficients.
+
+    - `count`: of draws.
+    - `errors`: of the equations, that the noise makes draw by draw; its linear part.
+    - `linear`: (p, draws) changes of the corrected coefficients by the linear part.
+    - `even`: (pairs, p) changes of the corrected coefficients that both signs of a draw share.
+    """
+
+    count: int
+    errors: OfEquations
+    linear: Float[np.ndarray, "coefficients draws"]
+    even: Float[np.ndarray, "pairs coefficients"]
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
+        """Of the corrected coefficients: of the linear part, of the part of second order about its
+        mean, and of that mean over the pairs, which is taken off."""
+        covariance = self.linear @ self.linear.T / self.count
+        pairs = len(self.even)
+        if pairs > 1:
+            about = self.even - np.mean(self.even, axis=0)
+            covariance = covariance + about.T @ about / (pairs - 1) * (1.0 + 1.0 / pairs)
+        return covariance
 
 
-def _motion(patterns: Patterns) -> Motion:
-    return patterns.q, patterns.qd, patterns.qdd
+def _simulated(through: _Simulation, noisy: Iterator[SystemRecording], pairs: int) -> _Draws:
+    """Sends draws of noise through smoothing, smoothing once more, and the fit."""
+    network, cutoff = through.system.network, through.settings.solver.cutoff
+    smoothing = through.smoothing
+    errors = FilteredErrors(network, through.patterns, cutoff)
+    further = None if smoothing is None else FilteredErrors(network, smoothing.patterns, cutoff)
+    once = motion_of(through.patterns)
+    twice = through.again(once)
+    before = through.corrected(once, twice)
+    left = through.problem.equations.errors(through.k)
+    even: list[np.ndarray] = []
+    count = 0
+    for recording in noisy:
+        # Noise that is next to nothing of the errors needs no standard errors of its own.
+        if count == pairs and np.all(error_ratio(left, errors.filtered()) > _NEGLIGIBLE):
+            break
+        moved = through.noisy(recording)
+        change, again = _less(moved, once), _less(through.again(moved), twice)
+        errors.add(error := through.odd_error(once, change))
+        if further is not None:
+            further.add(through.odd_error(twice, again) - error)
+        if count < pairs:
+            both = [
+                through.corrected(_plus(once, sign, change), _plus(twice, sign, again))
+                for sign in (1.0, -1.0)
+            ]
+            even.append(np.mean(both, axis=0) - before)
+        count += 1
+    linear = through.problem.shifts(errors.filtered())
+    if smoothing is not None and further is not None:
+        linear = linear - smoothing.problem.shifts(further.filtered())
+    return _Draws(count, errors.filtered(), linear, np.array(even))
 
 
-def _change(
-    system: System, noisy: SystemRecording, settings: Settings, patterns: Patterns
-) -> Motion:
-    """What further noise changes the motion of patterns by."""
-    trim = (noisy.samples - patterns.samples) // 2
-    inside = slice(trim, noisy.samples - trim)
-    derivatives = system_derivatives(system, noisy, settings.preparation)
-    q, qd, qdd = (
-        values[inside] - np.asarray(before)
-        for values, before in zip(derivatives, _motion(patterns), strict=True)
-    )
+def _less(motion: Derivatives, other: Derivatives) -> Derivatives:
+    q, qd, qdd = (x - y for x, y in zip(motion, other, strict=True))
     return q, qd, qdd
 
 
-def _with_motion(
-    network: SystemNetwork, patterns: Patterns, motion: Motion, change: Motion, sign: float
-) -> Patterns:
-    """The same samples with another motion, and the known sides that go with it."""
-    q, qd, qdd = (
-        np.asarray(x) + sign * np.asarray(dx) for x, dx in zip(motion, change, strict=True)
-    )
-    known = np.asarray(_known(network, q, qd, qdd))
-    return dataclasses.replace(patterns, q=q, qd=qd, qdd=qdd, torque=known)
+def _plus(motion: Derivatives, sign: float, change: Derivatives) -> Derivatives:
+    q, qd, qdd = (x + sign * dx for x, dx in zip(motion, change, strict=True))
+    return q, qd, qdd
 
 
 @eqx.filter_jit
-def _known(network: SystemNetwork, q: Any, qd: Any, qdd: Any) -> Array:
-    return network.known(q, qd, qdd)
-
-
-@eqx.filter_jit
-def _odd_error(network: SystemNetwork, k: Any, motion: Motion, change: Motion) -> Array:
+def _odd_error(network: SystemNetwork, k: Any, motion: Any, change: Any) -> Array:
     """The part of the equations' error that changes its sign with the noise, (samples, n)."""
     plus, minus = (
         network.residual(k, *(x + sign * dx for x, dx in zip(motion, change, strict=True)))
@@ -237,119 +341,33 @@ def _odd_error(network: SystemNetwork, k: Any, motion: Motion, change: Motion) -
     return (plus - minus) / 2.0
 
 
-class _Parts:
-    """Errors of equations draw by draw, filtered as the equations are, some draws at a time."""
-
-    def __init__(self, network: SystemNetwork, patterns: Patterns, cutoff: float | None) -> None:
-        self.patterns, self.cutoff = patterns, cutoff
-        self.joints = network.joint_count
-        self.waiting: list[np.ndarray] = []
-        self.done: list[tuple[np.ndarray, ...]] = []
-
-    def add(self, error: Float[np.ndarray, "samples equations"]) -> None:
-        """Errors of one draw."""
-        self.waiting.append(error)
-        if error.size * len(self.waiting) > _AT_ONCE:
-            self._filter()
-
-    def filtered(self) -> list[Float[np.ndarray, "_ draws"]]:
-        """For each equation of the system (rows, draws)."""
-        self._filter()
-        return [np.concatenate(parts, axis=1) for parts in zip(*self.done, strict=True)]
-
-    def _filter(self) -> None:
-        if not self.waiting:
-            return
-        names = tuple(f"draw {number + 1}" for number in range(len(self.waiting)))
-        patterns = self.patterns
-        equations = Equations.of(
-            Unknowns(names, (tuple(range(len(names))),) * self.joints),
-            np.stack(self.waiting, axis=-1),
-            np.zeros(patterns.torque.shape),
-            np.asarray(patterns.mask),
-            time=np.asarray(patterns.time),
-            cutoff=self.cutoff,
-        )
-        self.done.append(tuple(rows[:, :-1] for rows in equations.rows))
-        self.waiting = []
-
-
-def _ratio(
-    left: list[Float[np.ndarray, " _"]], made: list[Float[np.ndarray, "_ draws"]]
-) -> Float[np.ndarray, " equations"]:
-    """Root mean square of what is left of equations over that of what noise makes."""
-    size = lambda x: float(np.sqrt(np.mean(x**2))) if x.size else 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.array([size(e) for e in left]) / np.array([size(part) for part in made])
-    return np.where(np.isnan(ratio), 1.0, ratio)
-
-
 def _corrected(
-    network: SystemNetwork,
     fit: Identification,
-    levels: Mapping[str, float],
-    bias: Float[np.ndarray, " coefficients"],
-    covariance: Float[np.ndarray, "coefficients coefficients"],
-    ratio: Float[np.ndarray, " equations"],
     problem: WeightedEquations,
-    draws: int,
-) -> NoiseCorrection:
-    """The correction, as far as noise explains what is left of the equations."""
-    chance = scipy.special.ndtri(1.0 - _CHANCE / (2 * len(ratio)))
-    effective = np.maximum(np.asarray(fit.effective_equations), 1.0)
-    limit = chance * np.sqrt(0.5 / effective + _LEVEL_ERROR**2)
-    simulated = np.sqrt(np.diag(covariance))
-    residual = np.asarray(fit.standard_error)
-    determined = np.asarray(fit.determined)
-    largest = scipy.special.fdtri(
-        float(fit.degrees_of_freedom), draws, 1.0 - _CHANCE / max(int(np.sum(determined)), 1)
-    )
-    # Standard errors for independent errors do not know how long smoothing makes them last.
-    further = determined & (fit.errors == "correlated") & (residual**2 > largest * simulated**2)
-    warnings: list[str] = []
-    for name, value, most in zip(network.output_names, ratio, limit, strict=True):
-        if value < 1.0 - most:
-            warnings.append(
-                f"{name}: its errors are {value:.2g} times those that the noise of the columns"
-                " would make: no bias is taken off; expected noise that is white, or `noise` in"
-                " its right strength"
-            )
-        elif value > 1.0 + most:
-            warnings.append(
-                f"{name}: its errors are {value:.3g} times those that the noise of the columns"
-                " makes: a term may be missing, or smoothing takes out motion"
-            )
-    if not warnings and np.any(further):
-        larger = residual[further] / np.maximum(simulated[further], np.finfo(float).tiny)
-        name = np.array(network.names)[further][np.argmax(larger)]
-        warnings.append(
-            f"{name}: errors of the equations that last longer than white noise make its standard"
-            f" error {np.max(larger):.2g} times larger: a term may be missing, or noise is"
-            " correlated in time"
-        )
-    too_strong = bool(np.any(ratio < 1.0 - limit))
-    if too_strong:
-        bias = np.zeros_like(bias)
-    k = np.asarray(fit.k) - bias
+    taken: Sequence[Float[np.ndarray, " coefficients"]],
+    simulation: _Draws | None,
+    level_error: float,
+) -> Identification:
+    """The fit with other coefficients and standard errors.
+
+    - `taken`: the bias of noise, that of smoothing, and what of that remains unknown.
+    - `simulation`: whose standard errors are used; those of the residuals if None.
+    - `level_error`: relative standard error of the noise that was simulated.
+    """
+    bias, smoothing, remainder = taken
+    k = np.asarray(fit.k) - bias - smoothing
+    covariance = np.asarray(fit.covariance) if simulation is None else simulation.covariance
+    covariance = covariance + np.outer(remainder, remainder)
+    error = np.where(np.asarray(fit.determined), np.sqrt(np.diag(covariance)), np.inf)
     factors = problem.equations.factors()
     changed: dict[str, Any] = {
         "k": jnp.asarray(k),
         "torque_error": jnp.asarray(factors.root_mean_squares(problem.equations.unknowns, k)),
+        "covariance": jnp.asarray(covariance),
+        "standard_error": jnp.asarray(error),
     }
-    if not warnings:
-        changed |= {
-            "standard_error": jnp.asarray(np.where(determined, simulated, np.inf)),
-            "covariance": jnp.asarray(covariance),
-            "degrees_of_freedom": jnp.asarray(float(draws)),
-            "errors": "simulated",
-        }
-    return NoiseCorrection(
-        levels,
-        bias,
-        simulated,
-        ratio,
-        not warnings,
-        draws,
-        dataclasses.replace(fit, **changed),
-        tuple(warnings),
-    )
+    if simulation is not None:
+        # Variances scatter by twice as much as standard errors, draws by Student's t.
+        relative = 1.0 / simulation.count + 2.0 * level_error**2
+        changed |= {"degrees_of_freedom": jnp.asarray(1.0 / relative), "errors": "simulated"}
+    return dataclasses.replace(fit, **changed)

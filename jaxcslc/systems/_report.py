@@ -55,7 +55,7 @@ class SystemReport:
       a validation recording by cross-validation.
     - `warnings`: one sentence each.
     - `search`: of the constants that enter nonlinearly; None without any.
-    - `correction`: of the bias of measurement noise, already in `fit`; None without any.
+    - `correction`: of the bias of measurement noise and smoothing, already in `fit`; None without any.
     - `constants`: that follow from the coefficients, see `constants_from`.
     - `simulation`: of the identified system from the first sample of the validation recording, or
       why it cannot be simulated; None without a validation recording.
@@ -255,6 +255,8 @@ def _correction_document(correction: NoiseCorrection | None) -> dict[str, Any] |
     return {
         "deviation": dict(correction.noise),
         "bias": correction.bias.tolist(),
+        "smoothing_bias": correction.smoothing_bias.tolist(),
+        "smoothing_remainder": correction.smoothing_remainder.tolist(),
         "equation_error_ratio": correction.ratio.tolist(),
         "explained": correction.explained,
         "draws": correction.draws,

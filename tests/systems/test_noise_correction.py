@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.motion import AbstractSmoothing
 from jaxcslc.systems import (
     Constant,
     NoiseCorrection,
@@ -61,6 +62,22 @@ def line() -> System:
         {"Ohm": sympy.Eq(voltage, resistance * current)},
         (Variable(current, "A"), Variable(voltage, "V")),
         (Constant(resistance, "Ohm"),),
+    )
+
+
+@pytest.fixture(scope="module")
+def tank() -> System:
+    """A tank that only fills."""
+    import sympy
+    from sympy.physics.mechanics import dynamicsymbols
+
+    level, inflow = dynamicsymbols("level inflow")
+    area = sympy.Symbol("area")
+    return System(
+        "tank",
+        {"volume": sympy.Eq(inflow, area * level.diff())},
+        (Variable(level, "m"), Variable(inflow, "m³/s")),
+        (Constant(area, "m²"),),
     )
 
 
@@ -298,3 +315,71 @@ def test_searched_constants_are_refused() -> None:
     recording = SystemRecording(time, {"x": time, "y": np.sqrt(time)})
     with pytest.raises(ValueError, match="power law: constants are searched"):
         corrected(power, recording, jc.Settings())
+
+
+class TestSmoothing:
+    """What smoothing takes out of motion without noise, from the motion smoothed once more."""
+
+    @pytest.mark.parametrize("smoothing", [jc.SavitzkyGolay(41, 3), jc.Butterworth(0.5)])
+    def test_one_frequency_is_damped_by_the_same_part_each_time(
+        self, tank: System, smoothing: AbstractSmoothing
+    ) -> None:
+        """With a gain of G for the rate, fits of motion smoothed once and twice are A/G, A/G²."""
+        time = np.arange(2000) * 0.05
+        recording = SystemRecording(time, {"level": np.sin(time), "inflow": 2.0 * np.cos(time)})
+        settings = jc.Settings(jc.Preparation(smoothing, trim=150))  # away from the ends
+        fit, correction = corrected(tank, recording, settings, noise={})
+        once = float(fit.k[0])
+        assert abs(once - 2.0) > 1e-6
+        assert correction.smoothing_bias[0] == pytest.approx(once**2 / 2.0 - once, rel=0.01)
+        assert abs(float(correction.fit.k[0]) - 2.0) < 0.1 * abs(once - 2.0)
+
+    def test_what_remains_is_of_second_order(self, tank: System) -> None:
+        time = np.arange(2000) * 0.05
+        recording = SystemRecording(time, {"level": np.sin(time), "inflow": 2.0 * np.cos(time)})
+        settings = jc.Settings(jc.Preparation(jc.SavitzkyGolay(81, 3), trim=120))
+        fit, correction = corrected(tank, recording, settings, noise={})
+        part = float(fit.k[0]) / 2.0
+        expected = 2.0 * part * (part - 1.0) * (2.0 - part - 1.0)
+        assert correction.smoothing_remainder[0] == pytest.approx(expected, rel=0.05)
+
+    def test_polynomials_and_inputs_lose_nothing(self, tank: System) -> None:
+        time = np.arange(400) * 0.05
+        recording = SystemRecording(time, {"level": time**2, "inflow": 4.0 * time})
+        _, correction = corrected(tank, recording, SETTINGS, noise={})
+        np.testing.assert_allclose(correction.smoothing_bias, 0.0, atol=1e-9)
+
+    def test_a_cart_with_dry_friction_keeps_its_reversals_out(self, cart: System) -> None:
+        """Nor does the jump of acceleration spread further when smoothed once more."""
+        recording = cart_motion(0.3)
+        preparation = jc.Preparation(jc.SavitzkyGolay(15, 5), thresholds=0.1, reversal_margin=8)
+        fit, correction = corrected(cart, recording, jc.Settings(preparation), noise={})
+        truth = np.array([TRUE_CART[name] for name in cart.network.names])
+        off = np.asarray(fit.k) - truth
+        assert np.max(np.abs(off / truth)) > 1e-5
+        np.testing.assert_allclose(correction.fit.k, truth, atol=0.35 * np.max(np.abs(off)))
+
+    def test_measured_rates_are_smoothed_as_they_were(self) -> None:
+        import sympy
+        from sympy.physics.mechanics import dynamicsymbols
+
+        angle, torque = dynamicsymbols("angle torque")
+        inertia, damping = sympy.symbols("inertia damping")
+        equation = sympy.Eq(torque, inertia * angle.diff().diff() + damping * angle.diff())
+        wheel = System(
+            "wheel",
+            {"axis": equation},
+            (Variable(angle, "rad", rate="speed"), Variable(torque, "N m")),
+            (Constant(inertia), Constant(damping)),
+        )
+        time = np.arange(2000) * 0.05
+        columns = {
+            "angle": np.sin(time),
+            "speed": np.cos(time),
+            "torque": -3.0 * np.sin(time) + 0.5 * np.cos(time),
+        }
+        settings = jc.Settings(jc.Preparation(jc.SavitzkyGolay(31, 3)))
+        fit, correction = corrected(wheel, SystemRecording(time, columns), settings, noise={})
+        truth = np.array([{"inertia": 3.0, "damping": 0.5}[n] for n in wheel.network.names])
+        before, after = (np.abs(np.asarray(x.k) - truth) for x in (fit, correction.fit))
+        assert np.all(before > 1e-5) and np.all(after < 0.25 * before), (before, after)

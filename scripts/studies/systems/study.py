@@ -7,8 +7,11 @@ identified, and the identified system is simulated from the first sample of a va
 with its inputs. A line a system:
 
 - **within 2 errors**: of all coefficients of all recordings, those that are within two standard
-  errors of the truth, corrected for noise as `identify_system` does; **least squares**: without
-  that; **in interval**: those within the interval of 95 % by Student's t;
+  errors of the truth, corrected for noise and smoothing as `identify_system` does; **least
+  squares**: without that; **in interval**: those within the interval of 95 % by Student's t;
+- **errors / standard errors**: root mean square of all; **standard error / spread**: of a
+  coefficient, the median standard error over the standard deviation of its values (median over
+  coefficients);
 - **least coefficient**: the smallest share of a single one; **bias**: the largest mean of a
   coefficient's error over its standard error, with and without correction;
 - **square error**: mean square error of a coefficient over that of least squares, mean over
@@ -80,6 +83,7 @@ def row_of(
         "example": example.name,
         "seed": seed,
         "explained": correction.explained,
+        "smoothing_bias": correction.smoothing_bias.tolist(),
         **{name: judged(example, some) for name, some in (("plain", plain), ("corrected", fit))},
     }
     if validation is not None:
@@ -93,6 +97,7 @@ def judged(example: Example, fit: Identification) -> dict[str, Any]:
     truth, k = example.coefficients, np.asarray(fit.k)
     return {
         "k": k.tolist(),
+        "standard_error": np.asarray(fit.standard_error).tolist(),
         "z": ((k - truth) / np.asarray(fit.standard_error)).tolist(),
         "in_interval": ((low <= truth) & (truth <= high)).tolist(),
     }
@@ -127,15 +132,20 @@ def equation_error(example: Example, fit: Identification, patterns: Patterns) ->
     return np.sqrt(np.sum(residual**2 * mask, axis=0) / np.sum(mask, axis=0))
 
 
+def seeds_of(options: argparse.Namespace) -> range:
+    """Of the recordings of each system."""
+    return range(options.first, options.first + options.recordings)
+
+
 def compute(options: argparse.Namespace, rows: Rows) -> None:
     """Adds the rows that are missing."""
     for name in options.examples:
         example = EXAMPLES[name]
-        missing = [s for s in range(options.recordings) if (name, s) not in rows]
+        missing = [s for s in seeds_of(options) if (name, s) not in rows]
         if not missing:
             continue
         training = example.recordings(missing, motions=options.motions)
-        simulated = [seed for seed in missing if seed < options.simulations]
+        simulated = [seed for seed in missing if seed - options.first < options.simulations]
         validation = dict(
             zip(simulated, example.recordings(simulated, validation=True), strict=True)
             if simulated
@@ -148,22 +158,23 @@ def compute(options: argparse.Namespace, rows: Rows) -> None:
             rows.add(row_of(example, seed, recording, validation.get(seed)))
 
 
-def table(rows: Sequence[dict[str, Any]], way: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients, errors over standard errors, and whether the truth is in the interval.
+def table(rows: Sequence[dict[str, Any]], way: str, name: str) -> np.ndarray:
+    """What a column says of all coefficients, (recordings, coefficients).
 
     - `way`: `"plain"` or `"corrected"`.
+    - `name`: `"k"`, `"standard_error"`, `"z"`, errors over standard errors, or `"in_interval"`.
     """
-    columns = (np.array([row[way][name] for row in rows]) for name in ("k", "z", "in_interval"))
-    k, z, inside = columns
-    return k, z, inside
+    return np.array([row[way][name] for row in rows])
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     """The line of one example."""
     example = EXAMPLES[rows[0]["example"]]
     names, truth = example.system.network.names, example.coefficients
-    k, z, inside = table(rows, "corrected")
-    plain_k, plain_z, _ = table(rows, "plain")
+    k, z, inside, errors = (
+        table(rows, "corrected", name) for name in ("k", "z", "in_interval", "standard_error")
+    )
+    plain_k, plain_z = (table(rows, "plain", name) for name in ("k", "z"))
     within = np.abs(z) <= 2.0
     least = int(np.argmin(np.mean(within, axis=0)))
     squares = np.mean((k - truth) ** 2, axis=0) / np.mean((plain_k - truth) ** 2, axis=0)
@@ -175,6 +186,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
         f"{100 * np.mean(within):.1f} %",
         f"{100 * np.mean(np.abs(plain_z) <= 2.0):.1f} %",
         f"{100 * np.mean(inside):.1f} %",
+        f"{np.sqrt(np.mean(z**2)):.2f}",
+        f"{np.median(np.median(errors, axis=0) / spread(k)):.2f}",
         f"{100 * np.mean(within[:, least]):.1f} % ({names[least]})",
         f"{largest_mean(z):.2f} / {largest_mean(plain_z):.2f}",
         f"{np.mean(squares):.2f} ({np.max(squares):.2f})",
@@ -192,6 +205,11 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
+def spread(k: np.ndarray) -> np.ndarray:
+    """Standard deviation of each coefficient over the recordings."""
+    return np.std(k, axis=0, ddof=1) if len(k) > 1 else np.full(k.shape[1], np.nan)
+
+
 def largest_mean(z: np.ndarray) -> float:
     """Of errors over standard errors, the largest modulus of a coefficient's mean."""
     return float(np.max(np.abs(np.mean(z, axis=0))))
@@ -200,7 +218,10 @@ def largest_mean(z: np.ndarray) -> float:
 def coefficient_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """A row for each coefficient of one example."""
     example = EXAMPLES[rows[0]["example"]]
-    (k, z, inside), (plain_k, plain_z, _) = table(rows, "corrected"), table(rows, "plain")
+    k, z, inside, errors = (
+        table(rows, "corrected", name) for name in ("k", "z", "in_interval", "standard_error")
+    )
+    plain_k, plain_z = (table(rows, "plain", name) for name in ("k", "z"))
     truth = example.coefficients
     squares = np.mean((k - truth) ** 2, axis=0) / np.mean((plain_k - truth) ** 2, axis=0)
     return [
@@ -211,7 +232,9 @@ def coefficient_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             "unit": coefficient.unit,
             "true value": truth[i],
             "mean": np.mean(k[:, i]),
-            "standard deviation": np.std(k[:, i], ddof=1) if len(k) > 1 else np.nan,
+            "standard deviation": spread(k)[i],
+            "median standard error": np.median(errors[:, i]),
+            "root mean square error / standard error": np.sqrt(np.mean(z[:, i] ** 2)),
             "within two standard errors": np.mean(np.abs(z[:, i]) <= 2.0),
             "least squares, within two": np.mean(np.abs(plain_z[:, i]) <= 2.0),
             "in interval": np.mean(inside[:, i]),
@@ -228,12 +251,11 @@ def study(options: argparse.Namespace) -> int:
     path = options.output / "rows.jsonl"
     rows = Rows(path, ("example", "seed"), made_of({"motions": options.motions}, CODE))
     compute(options, rows)
-    by_example = [
-        [rows[name, seed] for seed in range(options.recordings)] for name in options.examples
-    ]
+    by_example = [[rows[name, seed] for seed in seeds_of(options)] for name in options.examples]
     header = [
         *("system", "recordings x coefficients", "within 2 errors", "least squares"),
-        *("in interval", "least coefficient", "bias, corrected / least squares"),
+        *("in interval", "errors / standard errors", "standard error / spread"),
+        *("least coefficient", "bias, corrected / least squares"),
         *("square error", "explained", "equation error, validation / training"),
         *("simulation error, identified / true", "follows for [s], identified / true"),
     ]
@@ -252,10 +274,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--recordings", type=int, default=200, help="of each system")
     parser.add_argument("--motions", type=int, default=20, help="different ones of each system")
     parser.add_argument("--simulations", type=int, default=20, help="validation recordings of each")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first recording")
     parser.add_argument("--examples", nargs="+", default=list(EXAMPLES), metavar="NAME")
     quick = {"examples": ["cart-pole", "vehicle", "tanks", "lorenz"], "recordings": 2}
     options = command.parse(parser, argv, motions=2, simulations=1, **quick)
-    command.require_least(parser, options, recordings=1, motions=1, simulations=0)
+    command.require_least(parser, options, recordings=1, motions=1, simulations=0, first=0)
     command.require_some_of(parser, "example", options.examples, tuple(EXAMPLES))
     return command.run(
         parser,
