@@ -58,8 +58,8 @@ def identify_system(
       recording.
     - `noise`: standard deviation of the white noise of columns, by name, 0 for those left out;
       by default it is estimated from the recording. Its bias and that of smoothing are taken off
-      the coefficients, and standard errors follow from it: see `correct_for_noise`. None leaves the fit as it is; so do
-      constants that are searched.
+      the coefficients, and standard errors follow from it: see `correct_for_noise`. None
+      leaves the fit as it is; so do constants that are searched.
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** a `SystemReport`.

@@ -55,7 +55,7 @@ class SystemReport:
       a validation recording by cross-validation.
     - `warnings`: one sentence each.
     - `search`: of the constants that enter nonlinearly; None without any.
-    - `correction`: of the bias of measurement noise and smoothing, already in `fit`; None without any.
+    - `correction`: of the bias of noise and smoothing, already in `fit`; None without noise.
     - `constants`: that follow from the coefficients, see `constants_from`.
     - `simulation`: of the identified system from the first sample of the validation recording, or
       why it cannot be simulated; None without a validation recording.
