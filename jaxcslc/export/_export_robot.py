@@ -39,15 +39,19 @@ class RobotExport:
     def __str__(self) -> str:
         written, parameters = self.written, self.parameters
         units = self.network.robot.torque_units
+        names = self.network.output_names
         rows = [
-            [str(j + 1), f"{parameters.torque_distance[j]:.3g}", f"{written.rms[j]:.1e}", units[j]]
+            [names[j], f"{parameters.torque_distance[j]:.3g}", f"{written.rms[j]:.1e}", units[j]]
             for j in range(len(units))
         ]
+        table = parameters.to_pandas()
+        table.columns = [f"{name} [{_unit(name)}]" for name in table.columns]
         states = "the recording's motion" if self.measured else "random states"
         header = ["joint", "cost of being possible", "file against parameters", "unit"]
         lines = [
             f"{self.network}\n",
-            f"{parameters.to_pandas().to_string(float_format=lambda x: f'{x:.5g}')}\n",
+            f"{table.to_string(float_format=lambda x: f'{x:.5g}')}\n",
+            "in the frames of the robot's file; rx, ry, rz: centre of gravity; I..: about it\n",
             f"possible parameters are {parameters.distance:.3g} standard errors from the identified"
             " coefficients (root mean square)",
             f"\nRMS difference of torque over {states}",
@@ -66,6 +70,11 @@ class RobotExport:
             f" {np.max(written.largest):.1e} {' or '.join(dict.fromkeys(units))}"
         )
         return "\n".join(lines)
+
+
+def _unit(column: str) -> str:
+    """Of a column of `PhysicalParameters.to_pandas`."""
+    return {"m": "kg", "r": "m"}.get(column[0], "kg m²") if column != "motor_inertia" else "kg m²"
 
 
 def export_robot(

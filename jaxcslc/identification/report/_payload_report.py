@@ -99,8 +99,12 @@ class PayloadReport:
                 f"possible, in the file's frame of {name}: {float(body.mass):.4g} kg at"
                 f" [{centre}] m; Ixx, Iyy, Izz, Ixy, Ixz, Iyz there {moments} kg m²"
             )
+        units = dict.fromkeys(self.network.output_units)
         loaded, unloaded = (", ".join(f"{x:.3g}" for x in row.tolist()) for row in self.errors.rms)
-        lines.append(f"torque error over the loaded recording, joint by joint: {loaded}")
+        lines.append(
+            f"RMS torque error [{' or '.join(units)}] over the loaded recording, joint by joint:"
+            f" {loaded}"
+        )
         lines.append(f"  without the payload's part: {unloaded}")
         return "\n".join(lines)
 

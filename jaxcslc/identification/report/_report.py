@@ -23,7 +23,7 @@ from ._coefficient_table import coefficient_rows, coefficient_text
 from ._errors import ErrorTable
 from ._excitation import Excitation
 from ._report_files import report_document, save_report
-from ._report_text import determination_lines, held_out_lines, joint_lines
+from ._report_text import determination_lines, expression_text, held_out_lines, joint_lines
 from .page import report_data
 
 
@@ -225,7 +225,8 @@ class Report:
 
     def _determination(self) -> list[str]:
         fitted = self.network.size - len(self.fixed_names)
-        return determination_lines(self.fit, fitted, self.excitation, self.systematic)
+        lines = determination_lines(self.fit, fitted, self.excitation, self.systematic)
+        return [expression_text(self.network), *lines]
 
 
 def _slopes(fit: SlopeFit) -> str:

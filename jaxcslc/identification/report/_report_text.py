@@ -16,6 +16,37 @@ def joint_lines(network: CSLC) -> list[str]:
     return [fill(f"joints: {joints}", 96, subsequent_indent="    ", break_on_hyphens=False)]
 
 
+def expression_legend(network: CSLC) -> str:
+    """What symbols in the expressions of a robot's coefficients mean, and in which frames.
+
+    >>> import jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> expression_legend(jc.derive(pendulum, lengths="numeric"))[:58]
+    'kB: base parameters. Of link i: mi mass, rxi ryi rzi centr'
+    """
+    groups = {
+        "mass": "kM: of the mass matrix",
+        "gravity": "kG: of gravity",
+        "base": "kB: base parameters",
+    }
+    present = dict.fromkeys(c.group for c in network.coefficients)
+    names = "; ".join(text for group, text in groups.items() if group in present)
+    forms = {inertia.form for inertia in network.robot.inertia}
+    about = "the origin" if forms == {"full"} else "the centre of gravity"
+    if len(forms) > 1:
+        about = "the origin (principal moments: the centre of gravity)"
+    return (
+        f"{names}. Of link i: mi mass, rxi ryi rzi centre of gravity, Ixxi to Iyzi moments of"
+        f" inertia about {about}, Imi motor inertia, in the link's modified Denavit-Hartenberg"
+        " frame: z along the axis of joint i, x along the common normal to the next axis"
+    )
+
+
+def expression_text(network: CSLC) -> str:
+    """`expression_legend` in lines to print."""
+    return fill(expression_legend(network), 96, subsequent_indent="    ")
+
+
 def determination_lines(
     fit: Identification,
     fitted: int,

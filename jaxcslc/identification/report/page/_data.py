@@ -17,6 +17,7 @@ from ...several import SeveralFit
 from ...solver import Identification
 from .._errors import ErrorTable, predicted_torque
 from .._excitation import Excitation
+from .._report_text import expression_legend
 from ._bodies import arm_document
 from ._curves import friction_points, torque_curves
 from ._quality import fit_quality
@@ -117,6 +118,7 @@ def report_data(
         "units": list(network.output_units),
         "recordings": recordings,
         "coefficients": report.rows(),
+        "legend": expression_legend(network) if isinstance(network, CSLC) else None,
         "degrees_of_freedom": float(fit.degrees_of_freedom),
         "errors_of_fit": fit.errors,
         "rank": int(fit.rank),

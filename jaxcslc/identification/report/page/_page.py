@@ -218,13 +218,14 @@ def _coefficients(data: Mapping[str, Any]) -> Section:
         name="coefficients-table",
     )
     undetermined = tuple(Message(text, "bad") for text in data["unidentifiable"])
+    legend = [] if data["legend"] is None else [Paragraph(data["legend"] + ".")]
     return Section(
         "Coefficients",
         "Low and high are the ends of 95 % intervals, for"
         f" {data['errors_of_fit']} errors with {data['degrees_of_freedom']:.0f} degrees of freedom."
         " Well determined: standard error at most a tenth of the value; systematic error: more data"
         " of this motion would not help, another model or smoothing would.",
-        [*([Messages(undetermined)] if undetermined else []), table],
+        [*([Messages(undetermined)] if undetermined else []), *legend, table],
     )
 
 
