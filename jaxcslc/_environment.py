@@ -1,7 +1,9 @@
 import importlib
 from types import ModuleType
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -39,6 +41,19 @@ def require(module: str, extra: str) -> ModuleType:
         raise MissingExtraError(
             f"{module} is not installed: pip install 'jaxcslc[{extra}]'", name=error.name
         ) from None
+
+
+def array_namespace(*arrays: Any) -> ModuleType:
+    """NumPy if all are its arrays or numbers, JAX's NumPy otherwise.
+
+    One formula, written with the functions of this namespace, computes small sets on the host,
+    where nothing is compiled, and large ones in a program that JAX compiles.
+
+    >>> import jax.numpy as jnp, numpy as np
+    >>> array_namespace(np.ones(2), 0.5).__name__, array_namespace(np.ones(2), jnp.ones(2)).__name__
+    ('numpy', 'jax.numpy')
+    """
+    return np if all(isinstance(x, np.ndarray | np.generic | float | int) for x in arrays) else jnp
 
 
 def require_float64(*arrays: jax.Array | np.ndarray) -> None:

@@ -1,19 +1,14 @@
-from types import ModuleType
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+
+from ._environment import array_namespace
 
 
 # Rounding of a factorisation grows with its size; the factor 10 is a heuristic that keeps columns
 # that are proportional in exact arithmetic from counting as two.
 _ROUNDINGS = 10.0
-
-
-def array_namespace(x: Any) -> ModuleType:
-    """NumPy for its arrays and for numbers, JAX's NumPy for all others."""
-    return np if isinstance(x, np.ndarray | np.floating | float) else jnp
 
 
 def rank_tolerance(columns: int, rows: Any, rcond: float | None = None) -> Any:

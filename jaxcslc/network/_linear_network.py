@@ -3,10 +3,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .._environment import array_namespace
 from ..derivation import Coefficient
 from ._layout import Layout, layout_of
 from .terms import AbstractTerm
@@ -14,6 +17,8 @@ from .terms import AbstractTerm
 
 Vector = Float[Array | np.ndarray, " coefficients"]
 Motion = Float[Array | np.ndarray, "... motion"]
+MotionRows = Float[Array | np.ndarray, "motion samples"]
+Columns = tuple[Float[Array | np.ndarray, "_ samples"], ...]
 
 
 class AbstractLinearNetwork(eqx.Module):
@@ -129,19 +134,27 @@ class AbstractLinearNetwork(eqx.Module):
             for joint in range(self.joint_count)
         )
 
-    def columns(
-        self,
-        q: Float[Array, "motion samples"],
-        qd: Float[Array, "motion samples"],
-        qdd: Float[Array, "motion samples"],
-    ) -> tuple[Float[Array, "_ samples"], ...]:
+    @property
+    def has_host_columns(self) -> bool:
+        """Whether `columns` computes NumPy's arrays by NumPy, so that nothing is compiled.
+
+        False where a term cannot, and while JAX traces the network's own numbers.
+        """
+        traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self))
+        return not traced and all(term.has_host_columns for term in self.terms)
+
+    def columns(self, q: MotionRows, qd: MotionRows, qdd: MotionRows) -> Columns:
         """The regressor without what is always zero: for each output, (its support, samples).
 
         Outputs first and samples last, unlike `regressor`: the layout to factorise many patterns
         in (a PUMA 560 has 100 such rows where the regressor has 6 x 43).
+
+        - `q`, `qd`, `qdd`: (m, samples), JAX's arrays, or NumPy's if the network
+          `has_host_columns`.
         """
         columns = [term.columns(q, qd, qdd) for term in self.terms]
-        return tuple(jnp.concatenate(rows) for rows in zip(*columns, strict=True))
+        xp = array_namespace(*(rows for of_term in columns for rows in of_term))
+        return tuple(xp.concatenate(rows) for rows in zip(*columns, strict=True))
 
     def _sum(
         self,

@@ -69,6 +69,17 @@ def test_columns_are_the_regressor_without_its_zeros(case: Any, rng: np.random.G
     assert_equal(rebuilt, full)
 
 
+def test_host_and_compiled_columns_agree(case: Any, rng: np.random.Generator) -> None:
+    network = case.network
+    assert network.has_host_columns
+    motion = [x.T for x in case.states(rng)]
+    on_host = network.columns(*motion)
+    compiled = network.columns(*map(jnp.asarray, motion))
+    for host, other in zip(on_host, compiled, strict=True):
+        assert isinstance(host, np.ndarray)
+        assert_equal(host, np.asarray(other), of=np.concatenate(on_host))
+
+
 def test_terms_add_up(case: Any, rng: np.random.Generator) -> None:
     network, k = case.network, case.k
     q, qd, qdd = case.states(rng)

@@ -1,3 +1,5 @@
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -5,6 +7,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ..._environment import array_namespace
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 
@@ -12,6 +15,8 @@ from ...network import AbstractLinearNetwork
 # Tracing a network takes longer than computing this many patterns with it.
 _FEWEST_ROWS = 4096
 _DOUBLED = 1 << 16
+# More samples are worth a compiled program.
+_HOST_SAMPLES = 1 << 16
 # Entries of a regressor that are computed at once, and of how many one is split.
 _ENTRIES, _MOST_ENTRIES = 1 << 23, 1 << 25
 
@@ -34,14 +39,42 @@ def filled_up(
     return jax.device_put(np.pad(x, widths)) if isinstance(x, np.ndarray) else jnp.pad(x, widths)
 
 
+def computed_on_host(network: AbstractLinearNetwork, *motion: Any) -> bool:
+    """Whether the regressor of motion, arrays (samples, columns), is computed by NumPy.
+
+    Compiling a network takes seconds, in which NumPy computes some hundred thousand patterns. A
+    compiled regressor of a long recording is twice as fast on one core, and runs on all of them.
+    """
+    on_host = all(isinstance(x, np.ndarray) and len(x) <= _HOST_SAMPLES for x in motion)
+    return on_host and network.has_host_columns
+
+
+def traced(tree: Any) -> bool:
+    """Whether JAX traces some of the arrays."""
+    return any(isinstance(x, Tracer) for x in jax.tree.leaves(tree))
+
+
+def untraced(tree: Any) -> Any:
+    """The same with NumPy's arrays, unless JAX traces some of them."""
+    return tree if traced(tree) else jax.tree.map(np.asarray, tree)
+
+
+def on_host(tree: Any) -> bool:
+    """Whether all arrays are NumPy's, so that nothing needs to be compiled."""
+    return array_namespace(*jax.tree.leaves(tree)) is np
+
+
 def regressor_of(
     network: AbstractLinearNetwork, patterns: Patterns, least: int = 0
 ) -> Float[Array | np.ndarray, "samples joints coefficients"]:
-    """The regressor of patterns; compiled once for all recordings of similar lengths.
+    """The regressor of patterns: by NumPy, or compiled once for all recordings of similar lengths.
 
     - `least`: rows that are compiled for.
     """
-    q, qd, qdd = (filled_up(x, least) for x in (patterns.q, patterns.qd, patterns.qdd))
+    motion = (patterns.q, patterns.qd, patterns.qdd)
+    if computed_on_host(network, *motion):
+        return _host_regressor(network, *(np.asarray(x) for x in motion))
+    q, qd, qdd = (filled_up(x, least) for x in motion)
     filled = _regressor(network, q, qd, qdd)
     # NumPy's slice shares the memory; JAX's is a program to compile for each number of samples.
     rows = filled if isinstance(filled, Tracer) else np.asarray(filled)
@@ -91,6 +124,17 @@ def rows_of(patterns: Patterns, rows: slice) -> Patterns:
             )
         )
     )
+
+
+def _host_regressor(
+    network: AbstractLinearNetwork, *motion: Float[np.ndarray, "samples motion"]
+) -> Float[np.ndarray, "samples joints coefficients"]:
+    q, qd, qdd = (np.ascontiguousarray(x.T) for x in motion)
+    regressor = np.zeros((len(motion[0]), network.joint_count, network.size))
+    columns = network.columns(q, qd, qdd)
+    for joint, (support, rows) in enumerate(zip(network.support, columns, strict=True)):
+        regressor[:, joint, list(support)] = rows.T
+    return regressor
 
 
 @eqx.filter_jit

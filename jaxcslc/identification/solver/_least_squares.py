@@ -6,13 +6,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from ..._environment import require_float64
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ._compiled import filled_up, regressor_of
+from ._compiled import (
+    computed_on_host,
+    filled_up,
+    on_host,
+    regressor_of,
+    traced,
+    untraced,
+)
 from ._equations import Equations, equations_of
 from ._factors import JointFactors, Unknowns, factorise
 from ._fixed import Fixed
@@ -196,7 +202,7 @@ class LeastSquares:
         """The ordinary fit of factorised patterns, its errors for independent noise."""
         unknowns = Unknowns.of(network)
         solution, _ = self._minimum(unknowns, factors, fixed)
-        return checked(_independent_errors(unknowns, factors, solution, fixed), throw)
+        return checked(_independent(unknowns, *untraced((factors, solution, fixed))), throw)
 
     def fit_equations(
         self, equations: Equations, samples: int, fixed: Fixed | None = None, throw: bool = True
@@ -315,19 +321,18 @@ class LeastSquares:
         self, network: AbstractLinearNetwork, patterns: Patterns, fixed: Fixed | None
     ) -> Identification:
         check_patterns(network, patterns)
-        if self.cutoff is not None:
-            return self.fit_equations(
-                equations_of(network, patterns, self.cutoff), len(patterns.q), fixed, throw=False
-            )
         rows: AbstractRows | None = None
         samples = len(patterns.q)
         weight = patterns.mask.astype(float)
         motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
-        if not self._passes_twice and not _traced(*motion) and are_many(patterns):
+        if self.cutoff is not None or computed_on_host(network, *motion):
+            equations = equations_of(network, patterns, self.cutoff)
+            return self.fit_equations(equations, samples, fixed, throw=False)
+        if not self._passes_twice and not traced(motion) and are_many(patterns):
             return self.fit_factors(network, factors_of_patterns(network, patterns), fixed, False)
         q, qd, qdd, torque, weight = (filled_up(x) for x in motion)
         factors = _factorise(network, q, qd, qdd, torque, weight)
-        if self._passes_twice and (_traced(*motion) or patterns.q.size * network.size > _KEPT):
+        if self._passes_twice and (traced(motion) or patterns.q.size * network.size > _KEPT):
             phase = (jnp.arange(len(q)) + 0.5) / samples
             rows = PatternRows(
                 network=network, q=q, qd=qd, qdd=qdd, torque=torque, counts=weight, phase=phase
@@ -344,9 +349,14 @@ class LeastSquares:
         fixed: Fixed | None,
     ) -> Identification:
         """The fit of equations, with a second pass if there are `rows`."""
+        factors, fixed = untraced((factors, fixed))
         solution, weights = self._minimum(unknowns, factors, fixed)
         if rows is None:
-            return _independent_errors(unknowns, factors, solution, fixed)
+            return _independent(unknowns, factors, solution, fixed)
+        if on_host((rows, factors, solution, fixed)) and self.loss == "squared":
+            with np.errstate(divide="ignore", invalid="ignore"):
+                residuals = ordinary_residuals(rows, solution, weights)
+                return with_errors(rows, factors, residuals, self.errors, fixed)
         factors, solution, weights = jax.tree.map(jax.device_put, (factors, solution, weights))
         if self.loss == "squared":
             residuals = _ordinary_residuals(rows, solution, weights)
@@ -370,10 +380,8 @@ class LeastSquares:
 
         On the host unless JAX is tracing: there is less to compute than to compile.
         """
-        on_host = not _traced(*jax.tree.leaves((factors, fixed)))
-        solve = minimum if on_host else _compiled_minimum
-        if on_host:
-            factors, fixed = jax.tree.map(np.asarray, (factors, fixed))
+        factors, fixed = untraced((factors, fixed))
+        solve = minimum if on_host((factors, fixed)) else _compiled_minimum
         # NaN is the answer where there is none, as JAX has it.
         with np.errstate(divide="ignore", invalid="ignore"):
             return weighted_minimum(
@@ -389,7 +397,10 @@ def checked(fit: Identification, throw: bool) -> Identification:
     if not throw:
         return fit
     # Rank deficiency is an answer, not a failure.
-    failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
+    failures = [fit.result == RESULTS.nonfinite, fit.result == RESULTS.no_equations]
+    if not traced(failures) and not any(map(bool, failures)):
+        return fit
+    failed = failures[0] | failures[1]
     return fit.result.error_if(fit, failed)
 
 
@@ -398,8 +409,13 @@ def _host_regressor(network: AbstractLinearNetwork, patterns: Patterns) -> np.nd
     return np.asarray(regressor_of(network, patterns))
 
 
-def _traced(*arrays: Array | np.ndarray) -> bool:
-    return any(isinstance(x, Tracer) for x in arrays)
+def _independent(
+    unknowns: Unknowns, factors: JointFactors, solution: Solution, fixed: Fixed | None
+) -> Identification:
+    if not on_host((factors, solution, fixed)):
+        return _independent_errors(unknowns, factors, solution, fixed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return independent_errors(unknowns, factors, solution, fixed)
 
 
 _factorise = eqx.filter_jit(factorise)

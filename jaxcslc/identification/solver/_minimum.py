@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..._rank import array_namespace, rank_tolerance
+from ..._environment import array_namespace
+from ..._rank import rank_tolerance
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 

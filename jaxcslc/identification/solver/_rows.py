@@ -1,5 +1,7 @@
 import abc
-from typing import NamedTuple
+from operator import itemgetter
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -7,13 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._environment import array_namespace
 from ...network import AbstractLinearNetwork
 from ._equations import Equations
 from ._factors import JointFactors, Unknowns, factorise, join_rows
+from ._minimum import Numbers
 
 
 # Patterns that are expanded into regressor rows at once, as in `factorise`.
 _BLOCK = 2048
+# And by NumPy, whose products of a block are in memory all at once.
+_HOST_BLOCK = 512
 # Equations that are kept are filled up to a multiple of this, so that fits share a compiled
 # function.
 _STEP = 256
@@ -29,9 +35,9 @@ class AbstractRows(eqx.Module):
     - `phase`: (instants,), the time of an instant over the length of the recording.
     """
 
-    counts: eqx.AbstractVar[Float[Array, "instants joints"]]
-    torque: eqx.AbstractVar[Float[Array, "instants joints"]]
-    phase: eqx.AbstractVar[Float[Array, " instants"]]
+    counts: eqx.AbstractVar[Float[Numbers, "instants joints"]]
+    torque: eqx.AbstractVar[Float[Numbers, "instants joints"]]
+    phase: eqx.AbstractVar[Float[Numbers, " instants"]]
 
     @property
     @abc.abstractmethod
@@ -43,15 +49,15 @@ class AbstractRows(eqx.Module):
         """Of the equations that take part, both sides multiplied by `weight`."""
 
     @abc.abstractmethod
-    def predicted(self, k: Float[Array, " coefficients"]) -> Float[Array, "instants joints"]:
+    def predicted(self, k: Float[Numbers, " coefficients"]) -> Float[Numbers, "instants joints"]:
         """The right-hand sides that `k` predicts."""
 
     @abc.abstractmethod
     def cosine_sums(
         self,
-        residual: Float[Array, "instants joints"],
-        weights: Float[Array, " joints"],
-        used: Float[Array, " components"],
+        residual: Float[Numbers, "instants joints"],
+        weights: Float[Numbers, " joints"],
+        used: Float[Numbers, " components"],
     ) -> "CosineSums":
         """A further pass over all rows.
 
@@ -69,44 +75,52 @@ class CosineSums(NamedTuple):
     - `power`: (p, p), the same times the sum of the squares of the cosines that take part.
     """
 
-    sums: Float[Array, "components coefficients"]
-    grams: Float[Array, "components coefficients coefficients"]
-    power: Float[Array, "coefficients coefficients"]
+    sums: Float[Numbers, "components coefficients"]
+    grams: Float[Numbers, "components coefficients coefficients"]
+    power: Float[Numbers, "coefficients coefficients"]
 
     @classmethod
-    def empty(cls, size: int, components: int) -> "CosineSums":
+    def empty(cls, xp: ModuleType, size: int, components: int) -> "CosineSums":
         """Of no instants."""
         return cls(
-            jnp.zeros((components, size)),
-            jnp.zeros((components, size, size)),
-            jnp.zeros((size, size)),
+            xp.zeros((components, size)),
+            xp.zeros((components, size, size)),
+            xp.zeros((size, size)),
         )
 
     def plus(
         self,
         support: tuple[int, ...],
-        rows: Float[Array, "_ instants"],
-        residual: Float[Array, " instants"],
-        weight: Float[Array, " instants"],
-        phase: Float[Array, " instants"],
-        used: Float[Array, " components"],
+        rows: Float[Numbers, "_ instants"],
+        residual: Float[Numbers, " instants"],
+        weight: Float[Numbers, " instants"],
+        phase: Float[Numbers, " instants"],
+        used: Float[Numbers, " components"],
     ) -> "CosineSums":
         """With further rows, of one joint, as columns of its support."""
+        xp = array_namespace(rows)
         indices = np.array(support, dtype=int)
-        number = jnp.arange(1, len(used) + 1)
-        cosines = used[:, None] * jnp.sqrt(2.0)
-        cosines = cosines * jnp.cos(jnp.pi * number[:, None] * phase[None, :])
+        number = xp.arange(1, len(used) + 1)
+        cosines = used[:, None] * np.sqrt(2.0)
+        cosines = cosines * xp.cos(np.pi * number[:, None] * phase[None, :])
         weighted = rows * weight[None, :]
-        square = jnp.sum(cosines**2, axis=0)
+        square = xp.sum(cosines**2, axis=0)
+        both = (indices[:, None], indices[None, :])
+        grams = (cosines[:, None, :] * weighted[None]) @ rows.T
         return CosineSums(
-            self.sums.at[:, indices].add((cosines * residual[None, :]) @ rows.T),
-            self.grams.at[:, indices[:, None], indices[None, :]].add(
-                (cosines[:, None, :] * weighted[None]) @ rows.T
-            ),
-            self.power.at[indices[:, None], indices[None, :]].add(
-                (weighted * square[None, :]) @ rows.T
-            ),
+            _added(self.sums, (slice(None), indices), (cosines * residual[None, :]) @ rows.T),
+            _added(self.grams, (slice(None), *both), grams),
+            _added(self.power, both, (weighted * square[None, :]) @ rows.T),
         )
+
+
+def _added(total: Any, index: tuple[Any, ...], change: Any) -> Any:
+    """`total` with a change added at an index that names nothing twice."""
+    if not isinstance(total, np.ndarray):
+        return total.at[index].add(change)
+    total = total.copy()
+    total[index] += change
+    return total
 
 
 class PatternRows(AbstractRows):
@@ -159,7 +173,7 @@ class PatternRows(AbstractRows):
 
         weight = self.counts * weights[None, :] ** 2
         blocks = self._blocked(self.q, self.qd, self.qdd, residual, weight, self.phase[:, None])
-        return jax.lax.scan(step, CosineSums.empty(self.network.size, len(used)), blocks)[0]
+        return jax.lax.scan(step, CosineSums.empty(jnp, self.network.size, len(used)), blocks)[0]
 
     def _blocked(self, *arrays: Float[Array, "instants _"]) -> tuple[Array, ...]:
         """(instants, joints) to (blocks, joints, size), zeros behind the end."""
@@ -172,39 +186,45 @@ class PatternRows(AbstractRows):
         )
 
 
-_KeptBlock = tuple[tuple[Array, ...], Array, Array, Array]
+_KeptBlock = tuple[tuple[Any, ...], Any, Any, Any]
 
 
 class KeptRows(AbstractRows):
-    """Equations that are few enough to be kept, such as a parallel filter has made."""
+    """Equations that are few enough to be kept, such as a parallel filter has made.
 
-    columns: tuple[Float[Array, "instants _"], ...]
-    torque: Float[Array, "instants joints"]
-    counts: Float[Array, "instants joints"]
-    phase: Float[Array, " instants"]
+    As NumPy's arrays, whose errors are computed on the host, or as JAX's.
+    """
+
+    columns: tuple[Float[Numbers, "instants _"], ...]
+    torque: Float[Numbers, "instants joints"]
+    counts: Float[Numbers, "instants joints"]
+    phase: Float[Numbers, " instants"]
     of: Unknowns = eqx.field(static=True)
 
     @classmethod
     def from_equations(cls, equations: Equations, samples: int) -> "KeptRows":
-        """Equations of a recording of so many samples, instants of several joints joined."""
+        """Equations of a recording of so many samples, instants of several joints joined.
+
+        NumPy's arrays.
+        """
         kept, indices = equations.instants()
         instants = max(1, -(-len(kept) // _STEP)) * _STEP
         if instants > 16 * _STEP:  # as `filled_up` does
             instants = 1 << (instants - 1).bit_length()
         n = len(equations.rows)
         torque, counts = np.zeros((2, instants, n))
-        columns: list[Array] = []
+        columns: list[np.ndarray] = []
         for joint, (rows, at) in enumerate(zip(equations.rows, indices, strict=True)):
             filled = np.zeros((instants, rows.shape[1] - 1))
             filled[at], torque[at, joint], counts[at, joint] = rows[:, :-1], rows[:, -1], 1.0
-            columns.append(jnp.asarray(filled, float))
+            columns.append(filled)
         phase = np.zeros(instants)
         phase[: len(kept)] = (kept + 0.5) / samples
         return cls(
             columns=tuple(columns),
-            torque=jnp.asarray(torque, float),
-            counts=jnp.asarray(counts, float),
-            phase=jnp.asarray(phase, float),
+            torque=torque,
+            counts=counts,
+            phase=phase,
             of=equations.unknowns,
         )
 
@@ -221,18 +241,18 @@ class KeptRows(AbstractRows):
             triangles.append(join_rows(jnp.zeros((size, size)), rows.T))
         return JointFactors(tuple(triangles), jnp.sum(self.counts * weight != 0, axis=0) * 1.0)
 
-    def predicted(self, k: Float[Array, " coefficients"]) -> Float[Array, "instants joints"]:
+    def predicted(self, k: Float[Numbers, " coefficients"]) -> Float[Numbers, "instants joints"]:
         torque = [
             rows @ k[np.array(indices, dtype=int)]
             for indices, rows in zip(self.of.support, self.columns, strict=True)
         ]
-        return jnp.stack(torque, axis=1)
+        return array_namespace(*torque).stack(torque, axis=1)
 
     def cosine_sums(
         self,
-        residual: Float[Array, "instants joints"],
-        weights: Float[Array, " joints"],
-        used: Float[Array, " components"],
+        residual: Float[Numbers, "instants joints"],
+        weights: Float[Numbers, " joints"],
+        used: Float[Numbers, " components"],
     ) -> CosineSums:
         def plus(sums: CosineSums, block: _KeptBlock) -> tuple[CosineSums, None]:
             columns, residual, weight, phase = block
@@ -240,9 +260,15 @@ class KeptRows(AbstractRows):
                 sums = sums.plus(indices, rows.T, residual[:, j], weight[:, j], phase, used)
             return sums, None
 
-        empty = CosineSums.empty(self.of.size, len(used))
+        xp = array_namespace(residual, weights, used, *self.columns)
+        sums = empty = CosineSums.empty(xp, self.of.size, len(used))
         whole = (self.columns, residual, self.counts * weights[None, :] ** 2, self.phase)
         instants = len(self.phase)
+        if xp is np:
+            for start in range(0, instants, _HOST_BLOCK):
+                part = itemgetter(slice(start, start + _HOST_BLOCK))
+                sums, _ = plus(sums, jax.tree.map(part, whole))
+            return sums
         if instants <= 2 * _BLOCK or instants % _BLOCK:
             return plus(empty, whole)[0]
         # Block by block: there are as many products of rows and cosines as components.

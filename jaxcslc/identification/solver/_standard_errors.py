@@ -1,13 +1,15 @@
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Float
 
+from ..._environment import array_namespace
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 from ._identification import RESULTS, Identification
-from ._minimum import Solution
+from ._minimum import Numbers, Solution
 from ._rows import AbstractRows, CosineSums
 
 
@@ -30,12 +32,12 @@ class Residuals(NamedTuple):
     it, and (instants, n) residuals, of a robust loss those of its pseudo-values."""
 
     solution: Solution
-    weights: Float[Array, " joints"]
-    residual: Float[Array, "instants joints"]
+    weights: Float[Numbers, " joints"]
+    residual: Float[Numbers, "instants joints"]
 
 
 def ordinary_residuals(
-    rows: AbstractRows, solution: Solution, weights: Float[Array, " joints"]
+    rows: AbstractRows, solution: Solution, weights: Float[Numbers, " joints"]
 ) -> Residuals:
     """Of a fit that minimised squares."""
     error = rows.counts * (rows.torque - rows.predicted(solution.k))
@@ -46,10 +48,10 @@ def identification_of(
     unknowns: Unknowns,
     factors: JointFactors,
     solution: Solution,
-    covariance: Float[Array, "coefficients coefficients"],
+    covariance: Float[Numbers, "coefficients coefficients"],
     *,
-    degrees_of_freedom: Float[Array, ""],
-    effective: Float[Array | np.ndarray, " joints"],
+    degrees_of_freedom: Float[Numbers, ""],
+    effective: Float[Numbers, " joints"],
     errors: str,
     fixed: Fixed | None = None,
 ) -> Identification:
@@ -57,20 +59,20 @@ def identification_of(
 
     Errors of fixed coefficients are independent of those of this recording: covariances add up.
     """
+    xp = array_namespace(solution.k, covariance)
     fitted = unknowns.size if fixed is None else len(fixed.free)
-    equations = jnp.sum(factors.counts)
-    result = RESULTS.where(solution.rank < fitted, RESULTS.rank_deficient, RESULTS.successful)
-    result = RESULTS.where(equations < fitted, RESULTS.no_equations, result)
-    result = RESULTS.where(solution.finite, result, RESULTS.nonfinite)
+    equations = xp.sum(factors.counts)
+    result = _result(solution.rank < fitted, equations < fitted, solution.finite)
     independent = solution.variance * solution.inverse_gram
     if fixed is not None and solution.inherited is not None:
         inherited = solution.inherited
         covariance = covariance + inherited @ fixed.covariance @ inherited.T
         independent = independent + inherited @ fixed.independent_covariance @ inherited.T
-        degrees_of_freedom = jnp.minimum(degrees_of_freedom, fixed.degrees_of_freedom)
+        degrees_of_freedom = xp.minimum(degrees_of_freedom, fixed.degrees_of_freedom)
+    deviation = xp.sqrt(xp.diag(covariance))
     return Identification(
         k=jnp.asarray(solution.k),
-        standard_error=jnp.where(solution.determined, jnp.sqrt(jnp.diag(covariance)), jnp.inf),
+        standard_error=jnp.asarray(xp.where(solution.determined, deviation, np.inf)),
         covariance=jnp.asarray(covariance),
         independent_covariance=jnp.asarray(independent),
         torque_error=jnp.asarray(factors.root_mean_squares(unknowns, solution.k)),
@@ -87,16 +89,33 @@ def identification_of(
     )
 
 
+def _result(rank_deficient: Any, too_few: Any, finite: Any) -> RESULTS:
+    """How a fit ended, of what is wrong with it."""
+    cases = (
+        (rank_deficient, RESULTS.rank_deficient),
+        (too_few, RESULTS.no_equations),
+        (~finite, RESULTS.nonfinite),
+    )
+    result = RESULTS.successful
+    for case, meaning in cases:
+        if isinstance(case, Tracer):
+            result = RESULTS.where(case, meaning, result)
+        elif case:
+            result = meaning
+    return result
+
+
 def independent_errors(
     unknowns: Unknowns, factors: JointFactors, solution: Solution, fixed: Fixed | None = None
 ) -> Identification:
     """The fit with standard errors that allow for independent errors of one variance."""
+    xp = array_namespace(factors.counts, solution.k)
     return identification_of(
         unknowns,
         factors,
         solution,
         solution.variance * solution.inverse_gram,
-        degrees_of_freedom=jnp.maximum(jnp.sum(factors.counts) - solution.rank, 1.0),
+        degrees_of_freedom=xp.maximum(xp.sum(factors.counts) - solution.rank, 1.0),
         effective=factors.counts,
         errors="independent",
         fixed=fixed,
@@ -116,6 +135,8 @@ def with_errors(
         return independent_errors(rows.unknowns, factors, solution, fixed)
     effective = effective_counts(residual, rows.counts)
     used = components_for(effective)
+    if isinstance(used, np.ndarray):  # sums of the others would be zeros
+        used = used[used > 0]
     sums = rows.cosine_sums(weights[None, :] ** 2 * residual, weights, used)
     covariance = correlated_covariance(sums, solution.inverse_gram, used)
     return identification_of(
@@ -123,7 +144,7 @@ def with_errors(
         factors,
         solution,
         covariance,
-        degrees_of_freedom=jnp.sum(used),
+        degrees_of_freedom=used.sum(),
         effective=effective,
         errors=errors,
         fixed=fixed,
@@ -131,8 +152,8 @@ def with_errors(
 
 
 def effective_counts(
-    error: Float[Array, "instants joints"], counts: Float[Array, "instants joints"]
-) -> Float[Array, " joints"]:
+    error: Float[Numbers, "instants joints"], counts: Float[Numbers, "instants joints"]
+) -> Float[Numbers, " joints"]:
     """How many independent errors each joint's errors are worth.
 
     Their number over the sum of all their squared autocorrelations: the degrees of freedom that
@@ -148,42 +169,45 @@ def effective_counts(
     >>> bool(3500 < many <= 4000 and 1200 < few < 1800)
     True
     """
+    xp = array_namespace(error, counts)
     instants = error.shape[0]
-    # Twice the length, so that the ends do not meet.
-    power = lambda x: jnp.abs(jnp.fft.rfft(x, 2 * instants, axis=0)) ** 2
-    lagged = lambda x: jnp.fft.irfft(power(x), 2 * instants, axis=0)[:instants]
-    pairs = jnp.round(lagged(counts))
+    # Twice the length, so that the ends do not meet; a power of two is transformed quickly.
+    length = 1 << (2 * instants - 1).bit_length()
+    power = lambda x: xp.abs(xp.fft.rfft(x, length, axis=0)) ** 2
+    lagged = lambda x: xp.fft.irfft(power(x), length, axis=0)[:instants]
+    pairs = xp.round(lagged(counts))
     products = lagged(error * counts)
-    variance = products[0] / jnp.maximum(pairs[0], 1.0)
-    scale = jnp.where(variance > 0.0, variance, 1.0)
+    variance = products[0] / xp.maximum(pairs[0], 1.0)
+    scale = xp.where(variance > 0.0, variance, 1.0)
     # Zeros behind the end are no part of the recording.
-    lag = jnp.arange(instants)
-    end = jnp.max(jnp.where(jnp.any(counts > 0.0, axis=1), lag + 1, 0))
+    lag = xp.arange(instants)
+    end = xp.max(xp.where(xp.any(counts > 0.0, axis=1), lag + 1, 0))
     used = ((lag > 0) & (_FURTHEST * lag < end))[:, None] & (pairs > 0.5)
-    number = jnp.maximum(pairs, 1.0)
-    square = jnp.sum(jnp.where(used, (products / number / scale[None, :]) ** 2, 0.0), axis=0)
+    number = xp.maximum(pairs, 1.0)
+    square = xp.sum(xp.where(used, (products / number / scale[None, :]) ** 2, 0.0), axis=0)
     # By chance alone, each square is this sum over the number of pairs (Bartlett): taken off.
-    chance = jnp.sum(jnp.where(used, 1.0 / number, 0.0), axis=0)
-    total = jnp.maximum((1.0 + 2.0 * square) / (1.0 + 2.0 * chance), 1.0)
-    return pairs[0] / jnp.where(variance > 0.0, total, 1.0)
+    chance = xp.sum(xp.where(used, 1.0 / number, 0.0), axis=0)
+    total = xp.maximum((1.0 + 2.0 * square) / (1.0 + 2.0 * chance), 1.0)
+    return pairs[0] / xp.where(variance > 0.0, total, 1.0)
 
 
-def components_for(effective: Float[Array, " joints"]) -> Float[Array, " components"]:
+def components_for(effective: Float[Numbers, " joints"]) -> Float[Numbers, " components"]:
     """Which cosine components to average over: 1 for the lowest ones, 0 for the others.
 
     Lazarus, Lewis, Stock and Watson's 0.4 N^(2/3), of the joint with the least effective count N.
     """
-    some = jnp.where(effective > 0.0, effective, jnp.inf)
-    least = jnp.where(jnp.any(effective > 0.0), jnp.min(some), 1.0)
-    number = jnp.clip(jnp.round(0.4 * least ** (2.0 / 3.0)), _FEWEST_COMPONENTS, COMPONENTS)
-    return (jnp.arange(1, COMPONENTS + 1) <= number).astype(float)
+    xp = array_namespace(effective)
+    some = xp.where(effective > 0.0, effective, xp.inf)
+    least = xp.where(xp.any(effective > 0.0), xp.min(some), 1.0)
+    number = xp.clip(xp.round(0.4 * least ** (2.0 / 3.0)), _FEWEST_COMPONENTS, COMPONENTS)
+    return (xp.arange(1, COMPONENTS + 1) <= number).astype(float)
 
 
 def correlated_covariance(
     sums: CosineSums,
-    inverse_gram: Float[Array, "coefficients coefficients"],
-    used: Float[Array, " components"],
-) -> Float[Array, "coefficients coefficients"]:
+    inverse_gram: Float[Numbers, "coefficients coefficients"],
+    used: Float[Numbers, " components"],
+) -> Float[Numbers, "coefficients coefficients"]:
     """The covariance of a fit whose errors are correlated in time and across joints.
 
     The error of a fit is a sum over time, of the scores of each instant's errors of all joints.
@@ -211,15 +235,16 @@ def correlated_covariance(
     - `inverse_gram`: (p, p), the inverse of the weighted regressor's Gram matrix.
     - `used`: of `components_for`.
     """
-    number = jnp.sum(used)
+    xp = array_namespace(inverse_gram)
+    number = xp.sum(used)
     off = sums.sums @ inverse_gram
     covariance = off.T @ off / number
     # Of unit white noise: what the components have before the fit, and what it takes off them.
-    before = jnp.sum((inverse_gram @ sums.power) * inverse_gram.T, axis=1)
-    bent = jnp.matmul(sums.grams, inverse_gram[None]) @ sums.grams
-    taken = jnp.sum((inverse_gram @ jnp.sum(bent, axis=0)) * inverse_gram.T, axis=1)
-    whole = number * jnp.diag(inverse_gram)
-    left = jnp.where(whole > 0.0, (before - taken) / jnp.where(whole > 0.0, whole, 1.0), 1.0)
+    before = xp.sum((inverse_gram @ sums.power) * inverse_gram.T, axis=1)
+    bent = xp.matmul(sums.grams, inverse_gram[None]) @ sums.grams
+    taken = xp.sum((inverse_gram @ xp.sum(bent, axis=0)) * inverse_gram.T, axis=1)
+    whole = number * xp.diag(inverse_gram)
+    left = xp.where(whole > 0.0, (before - taken) / xp.where(whole > 0.0, whole, 1.0), 1.0)
     # Where next to nothing is left, nothing can be said; a floor keeps it finite.
-    root = jnp.sqrt(jnp.maximum(left, _LEAST_LEFT))
+    root = xp.sqrt(xp.maximum(left, _LEAST_LEFT))
     return covariance / root[:, None] / root[None, :]

@@ -5,12 +5,19 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from ..._environment import array_namespace
 from ...derivation import Coefficient
 from ...manipulator import Coupling, Manipulator
-from ._input_term import JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm, by_joint
-from ._term import Coefficients, Joints, Regressor, Rows
+from ._input_term import (
+    HOST_FUNCTIONS,
+    JAX_FUNCTIONS,
+    AbstractFunctions,
+    AbstractInputTerm,
+    by_joint,
+)
+from ._term import Coefficients, Columns, Joints, Regressor, Rows
 
 
 # Of each kind: the letters of its coefficients' names, what they are, units for revolute and
@@ -111,10 +118,11 @@ class CoupledTerm(AbstractInputTerm):
                 values += [ratio * motion[j], ratio * motion[i]]
         return values
 
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
         entries = self._entries(list(q), list(qd), list(qdd))
+        xp = array_namespace(q)
         return tuple(
-            jnp.stack([entries[joint, index] for index in support]) if support else q[:0]
+            xp.stack([entries[joint, index] for index in support]) if support else q[:0]
             for joint, support in enumerate(self.support)
         )
 
@@ -135,11 +143,12 @@ class CoupledTerm(AbstractInputTerm):
         return jnp.stack(total, axis=-1)
 
     def _entries(
-        self, q: Sequence[Array], qd: Sequence[Array], qdd: Sequence[Array]
-    ) -> dict[tuple[int, int], Array]:
+        self, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
+    ) -> dict[tuple[int, int], Any]:
         """The regressor's entries that are ever non-zero, by joint and coefficient."""
+        functions = HOST_FUNCTIONS if array_namespace(*q) is np else JAX_FUNCTIONS
         where = zip(self.input_joints, self.input_indices, strict=True)
-        return dict(zip(where, self.inputs(JAX_FUNCTIONS, q, qd, qdd), strict=True))
+        return dict(zip(where, self.inputs(functions, q, qd, qdd), strict=True))
 
 
 # Made once for some pairs: coefficients are compared by identity.

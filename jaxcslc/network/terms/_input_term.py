@@ -54,43 +54,49 @@ class AbstractFunctions(abc.ABC):
     def cos(self, x: Any) -> Any: ...
 
 
-class _JaxFunctions(AbstractFunctions):
-    """On arrays of any shape."""
+class _ArrayFunctions(AbstractFunctions):
+    """On arrays of any shape, by NumPy or by JAX's NumPy."""
 
-    def constant(self, number: Any, like: Array) -> Array:
-        return jnp.full_like(like, number)
+    def __init__(self, namespace: Any) -> None:
+        self._xp = namespace
 
-    def sign(self, x: Array) -> Array:
-        return jnp.sign(x)
+    def constant(self, number: Any, like: Any) -> Any:
+        return self._xp.full_like(like, number)
 
-    def absolute(self, x: Array) -> Array:
-        return jnp.abs(x)
+    def sign(self, x: Any) -> Any:
+        return self._xp.sign(x)
 
-    def positive(self, x: Array) -> Array:
-        return jnp.maximum(x, 0.0)
+    def absolute(self, x: Any) -> Any:
+        return self._xp.abs(x)
 
-    def negative(self, x: Array) -> Array:
-        return jnp.minimum(x, 0.0)
+    def positive(self, x: Any) -> Any:
+        return self._xp.maximum(x, 0.0)
 
-    def sqrt(self, x: Array) -> Array:
+    def negative(self, x: Any) -> Any:
+        return self._xp.minimum(x, 0.0)
+
+    def sqrt(self, x: Any) -> Any:
         # The root of 0 has no derivative, and 0 times infinity is no number: 1 stands in for it.
-        return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
+        where = self._xp.where
+        return where(x > 0, self._xp.sqrt(where(x > 0, x, 1.0)), 0.0)
 
-    def exp(self, x: Array) -> Array:
-        return jnp.exp(x)
+    def exp(self, x: Any) -> Any:
+        return self._xp.exp(x)
 
-    def tanh(self, x: Array) -> Array:
-        return jnp.tanh(x)
+    def tanh(self, x: Any) -> Any:
+        return self._xp.tanh(x)
 
-    def sin(self, x: Array) -> Array:
-        return jnp.sin(x)
+    def sin(self, x: Any) -> Any:
+        return self._xp.sin(x)
 
-    def cos(self, x: Array) -> Array:
-        return jnp.cos(x)
+    def cos(self, x: Any) -> Any:
+        return self._xp.cos(x)
 
 
-JAX_FUNCTIONS = _JaxFunctions()
+JAX_FUNCTIONS = _ArrayFunctions(jnp)
 """The functions of JAX, elementwise on arrays."""
+HOST_FUNCTIONS = _ArrayFunctions(np)
+"""Those of NumPy."""
 
 
 class AbstractInputTerm(AbstractManipulatorTerm):
@@ -149,6 +155,10 @@ class AbstractInputTerm(AbstractManipulatorTerm):
     @abc.abstractmethod
     def inertia_matrices(self) -> Float[np.ndarray, "coefficients joints joints"]:
         """What each coefficient is multiplied by in the mass matrix."""
+
+    @property
+    def has_host_columns(self) -> bool:
+        return True
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:

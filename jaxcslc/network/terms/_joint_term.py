@@ -7,12 +7,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ..._environment import array_namespace
 from ...derivation import Coefficient
 from ...manipulator import Manipulator
-from ._input_term import JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
-from ._term import Coefficients, Joints, Regressor, Rows
+from ._input_term import HOST_FUNCTIONS, JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
+from ._term import Coefficients, Columns, Joints, Regressor, Rows
 
 
 class LawProperties(NamedTuple):
@@ -141,11 +143,12 @@ class JointTerm(AbstractInputTerm):
             values.append(law.inputs(functions, q[j], qd[j]))
         return [value for symbol in zip(*values, strict=True) for value in symbol]
 
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
         del qdd
         inputs = self._inputs(q, qd, 0)
+        xp = array_namespace(*inputs)
         return tuple(
-            jnp.stack([x[joint] for x in inputs]) if joint in self.joints else q[:0]
+            xp.stack([x[joint] for x in inputs]) if joint in self.joints else q[:0]
             for joint in range(self.joint_count)
         )
 
@@ -185,15 +188,19 @@ class JointTerm(AbstractInputTerm):
     def _by_symbol(self, k: Array) -> list[Array]:
         return list(k.reshape(len(self.law.properties.symbols), len(self.joints)))
 
-    def _inputs(self, q: Array, qd: Array, axis: int) -> tuple[Array, ...]:
+    def _inputs(self, q: Any, qd: Any, axis: int) -> tuple[Any, ...]:
         """Inputs of all joints at once, which are on this axis."""
         shape = [1] * q.ndim
         shape[axis] = self.joint_count
+        # Motion may be NumPy's while JAX traces the law's numbers.
+        traced = any(isinstance(x, Tracer) for x in jax.tree.leaves(self.law))
+        on_host = isinstance(q, np.ndarray) and not traced
+        xp, functions = (np, HOST_FUNCTIONS) if on_host else (jnp, JAX_FUNCTIONS)
 
-        def of_every_joint(x: Array | np.ndarray) -> Array:
-            return jnp.broadcast_to(jnp.reshape(jnp.asarray(x, q.dtype), shape), q.shape)
+        def of_every_joint(x: Any) -> Any:
+            return xp.broadcast_to(xp.reshape(xp.asarray(x, q.dtype), shape), q.shape)
 
-        return jax.tree.map(of_every_joint, self.law).inputs(JAX_FUNCTIONS, q, qd)
+        return jax.tree.map(of_every_joint, self.law).inputs(functions, q, qd)
 
 
 # Made once for a law and its joints: coefficients are compared by identity.

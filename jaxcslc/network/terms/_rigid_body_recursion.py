@@ -1,4 +1,3 @@
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -6,24 +5,31 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from ...derivation import BODY, Algebra, Coefficient
 from ...manipulator import Joint
-from ._compilation import in_blocks
+from ._compilation import in_blocks, in_host_blocks
 from ._link_motion import (
     Geometry,
     LinkMotion,
-    States,
     cross,
     geometry_of,
     link_motion,
-    link_states,
     paths_of,
 )
-from ._term import AbstractManipulatorTerm, Coefficients, Joints, Matrices, Regressor, Rows
+from ._term import (
+    AbstractManipulatorTerm,
+    Coefficients,
+    Columns,
+    HostRows,
+    Joints,
+    Matrices,
+    Regressor,
+    Rows,
+)
+from ._unit_torques import combined, pairs_of, unit_torques
 
 
 class RigidBodyRecursion(AbstractManipulatorTerm):
@@ -108,8 +114,31 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
             for joint in range(len(self.joints))
         )
 
+    @property
+    def has_host_columns(self) -> bool:
+        return True
+
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
+        if isinstance(q, np.ndarray):
+            return self._host_columns(q, np.asarray(qd), np.asarray(qdd))
+        return self._compiled_columns(q, qd, qdd)
+
+    def _host_columns(self, *motion: HostRows) -> Columns:
+        support = self.support
+        sums = [
+            self._rows(joint, index) for joint, indices in enumerate(support) for index in indices
+        ]
+
+        def of_block(*motion: HostRows) -> list[np.ndarray]:
+            torques = self._unit_torques(*motion)
+            return [combined(torques, rows) for rows in sums]
+
+        rows = in_host_blocks(of_block, motion, len(sums))
+        ends = np.cumsum([len(indices) for indices in support])[:-1]
+        return tuple(np.split(rows, ends))
+
     @eqx.filter_jit
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+    def _compiled_columns(self, q: Any, qd: Any, qdd: Any) -> Columns:
         support = self.support
         entries = [(joint, index) for joint, indices in enumerate(support) for index in indices]
 
@@ -162,24 +191,16 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         padded = xp.concatenate([xp.asarray(k, k.dtype), xp.zeros(1, k.dtype)])
         return _Bodies(body.astype(k.dtype), padded[index])
 
-    def _unit_torques(self, q: Array, qd: Array, qdd: Array) -> Float[Array, "rows samples"]:
-        """Each joint's torque by each of the ten numbers of every link that it carries.
-
-        Rows are pairs times ten, then the accelerations, then zeros.
-        """
-        geometry = self._geometry(q.dtype)
-        states = link_states(geometry, np.array(self.gravity, q.dtype), q, qd, qdd)
-        links, joints = _pairs(self.paths)
-        turns = jnp.asarray(geometry.turning[joints])
-        pairs = jnp.asarray(links + 1), jnp.asarray(joints + 1), turns
-        _, ten = lax.scan(_unit_torques_of_pair, states, pairs)
-        rows = ten.reshape(10 * len(links), q.shape[1])
-        return jnp.concatenate([rows, qdd, jnp.zeros((1, q.shape[1]), q.dtype)])
+    def _unit_torques(self, *motion: Any) -> Any:
+        """Those of `unit_torques`, of samples last."""
+        dtype = motion[0].dtype
+        gravity = np.array(self.gravity, dtype)
+        return unit_torques(self._geometry(dtype), gravity, self.paths, *motion)
 
     def _gathered(
         self, torques: Float[Array, "rows samples"], entries: list[tuple[int, int]]
     ) -> Float[Array, "_ samples"]:
-        """Regressor entries (joint, coefficient) as sums of rows of `_unit_torques`."""
+        """Regressor entries (joint, coefficient) as sums of rows of `unit_torques`."""
         zero_row = torques.shape[0] - 1
         if not entries:
             return torques[:0]
@@ -196,8 +217,8 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         return total
 
     def _rows(self, joint: int, index: int) -> list[tuple[int, float]]:
-        """Rows of `_unit_torques`, and multiples, of which one entry of the regressor is made."""
-        link, joints = _pairs(self.paths)
+        """Rows of `unit_torques`, and multiples, of which one entry of the regressor is made."""
+        link, joints = pairs_of(self.paths)
         zero_row = 10 * len(link) + len(self.joints)
         for motor, motor_index in self.motors:
             if motor_index == index:
@@ -344,7 +365,7 @@ def _torque_of_block(
     motion = link_motion(geometry, gravity, q, qd, qdd)
     w, wd, a = motion.angular_velocity, motion.angular_acceleration, motion.acceleration
 
-    def inertia_times(x: Array) -> Array:  # I x, with I in the link's axes
+    def inertia_times(x: Any) -> Any:  # I x, with I in the link's axes
         along = jnp.sum(motion.axes * x[:, None], axis=2)
         product = jnp.sum(links.inertia[..., None] * along[:, None], axis=2)
         return jnp.sum(motion.axes * product[:, :, None], axis=1)
@@ -366,37 +387,6 @@ def _torque_of_block(
     axis = motion.axes[:, 2]
     along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
     return jnp.sum(axis * along, axis=1) + links.motor[:, None] * qdd
-
-
-def _unit_torques_of_pair(states: States, pair: tuple[Array, Array, Array]) -> tuple[States, Array]:
-    """A joint's torque by each of a link's (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), (10, samples)."""
-    link, joint, turning = pair
-    x, y, z, origin, w, wd, a = lax.dynamic_index_in_dim(states, link, keepdims=False)
-    _, _, axis, pivot, *_ = lax.dynamic_index_in_dim(states, joint, keepdims=False)
-    angular = turning * axis
-    linear = turning * cross(axis, origin - pivot) + (1 - turning) * axis
-
-    def along_axes(vector: Array) -> list[Array]:  # of the link
-        return [jnp.sum(vector * along, axis=0) for along in (x, y, z)]
-
-    # A moment of inertia about the link's x: torque (I wd + w x I w) along the joint's axis.
-    turn, gain, rate, twist = (along_axes(x) for x in (angular, wd, w, cross(angular, w)))
-    ten = [turn[i] * gain[i] + twist[i] * rate[i] for i in range(3)]
-    ten += [
-        turn[i] * gain[j] + turn[j] * gain[i] + twist[i] * rate[j] + twist[j] * rate[i]
-        for i, j in ((0, 1), (0, 2), (1, 2))
-    ]
-    # A first moment h: force wd x h + w x (w x h), moment h x a, both seen from h.
-    ten += along_axes(cross(linear, wd) + cross(cross(linear, w), w) + cross(a, angular))
-    ten.append(jnp.sum(linear * a, axis=0))
-    return states, jnp.stack(ten)
-
-
-def _pairs(paths: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
-    """Links and joints of all pairs in which the joint carries the link."""
-    pairs = [(link, joint) for link, path in enumerate(paths) for joint in path]
-    links, joints = np.array(pairs).T
-    return links, joints
 
 
 def _samples_last(x: Joints) -> Float[Array, "joints samples"]:

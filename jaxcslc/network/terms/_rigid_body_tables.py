@@ -2,20 +2,30 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain, pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._environment import array_namespace
 from ...derivation import Algebra, Coefficient, PositionRing, Table
-from ._compilation import in_stage
+from ._compilation import in_host_blocks, in_stage
 from ._input_term import by_joint
-from ._term import AbstractManipulatorTerm, Coefficients, Joints, Matrices, Regressor, Rows
+from ._term import (
+    AbstractManipulatorTerm,
+    Coefficients,
+    Columns,
+    HostRows,
+    Joints,
+    Matrices,
+    Regressor,
+    Rows,
+)
 
 
-Samples = Float[Array, "*batch"]
+Samples = Float[Array | np.ndarray, "*batch"]
 Monomial = tuple[int, ...]
 
 
@@ -59,7 +69,13 @@ class RigidBodyTables(AbstractManipulatorTerm):
     def support(self) -> tuple[tuple[int, ...], ...]:
         return _support(self.mass, self.velocity, self.gravity, self.joint_count)
 
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+    @property
+    def has_host_columns(self) -> bool:
+        return True
+
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
+        if isinstance(q, np.ndarray):
+            return self._host_columns(q, np.asarray(qd), np.asarray(qdd))
         entries = self._entries(list(q), list(qd), list(qdd))
         zero = jnp.zeros_like(q[0])
         return tuple(
@@ -68,6 +84,19 @@ class RigidBodyTables(AbstractManipulatorTerm):
             else jnp.zeros((0, *zero.shape), zero.dtype)
             for joint, support in enumerate(self.support)
         )
+
+    def _host_columns(self, *motion: HostRows) -> Columns:
+        """The same entries of NumPy's arrays, by NumPy."""
+        supports = self.support
+        listed = [(joint, p) for joint, support in enumerate(supports) for p in support]
+
+        def of_block(*motion: HostRows) -> list[Any]:
+            entries = self._entries(*map(list, motion))
+            return [entries[entry] for entry in listed]
+
+        rows = in_host_blocks(of_block, motion, len(listed))
+        ends = np.cumsum([len(support) for support in supports])[:-1]
+        return tuple(np.split(rows, ends))
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
         if self.size == 0:
@@ -254,19 +283,21 @@ def position_variables(ring: PositionRing, q: Sequence[Samples]) -> list[Samples
 
     `q` is one array a joint.
     """
+    xp = array_namespace(*q)
     variables: list[Samples] = []
     for angle in ring.chain.angles:
         joint, sign = angle.terms[0]
         total = q[joint] if sign > 0 else -q[joint]
         for joint, sign in angle.terms[1:]:
             total = total + q[joint] if sign > 0 else total - q[joint]
-        variables += [jnp.cos(total), jnp.sin(total)]
+        variables += [xp.cos(total), xp.sin(total)]
     return variables + [q[i] for i, link in enumerate(ring.chain.links) if link.prismatic]
 
 
 def products(monomials: Sequence[Monomial], variables: Sequence[Samples]) -> list[Samples]:
     """Values of monomials, each formed once, from the product without its last factor."""
-    values: dict[Monomial, Samples] = {(0,) * len(variables): jnp.ones_like(variables[0])}
+    one = array_namespace(*variables).ones_like(variables[0])
+    values: dict[Monomial, Samples] = {(0,) * len(variables): one}
 
     def value(monomial: Monomial) -> Samples:
         if monomial not in values:

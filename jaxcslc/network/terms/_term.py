@@ -1,6 +1,7 @@
 import abc
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from ...derivation import Coefficient
@@ -10,7 +11,9 @@ Coefficients = Float[Array, " coefficients"]
 Joints = Float[Array, "*batch joints"]
 Matrices = Float[Array, "*batch joints joints"]
 Regressor = Float[Array, "*batch joints coefficients"]
-Rows = Float[Array, "joints samples"]
+Rows = Float[Array | np.ndarray, "joints samples"]
+HostRows = Float[np.ndarray, "joints samples"]
+Columns = tuple[Float[Array | np.ndarray, "_ samples"], ...]
 
 
 class AbstractTerm(eqx.Module):
@@ -54,8 +57,13 @@ class AbstractTerm(eqx.Module):
     def support(self) -> tuple[tuple[int, ...], ...]:
         """For each joint, the coefficients that its torque can depend on, in ascending order."""
 
+    @property
+    def has_host_columns(self) -> bool:
+        """Whether `columns` computes NumPy's arrays by NumPy, so that nothing is compiled."""
+        return False
+
     @abc.abstractmethod
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> tuple[Float[Array, "_ samples"], ...]:
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
         """For each joint, the regressor's columns in its `support` as rows: (support, samples).
 
         Joints first, samples last, and nothing that is always zero: the shape that a
