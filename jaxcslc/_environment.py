@@ -56,6 +56,11 @@ def array_namespace(*arrays: Any) -> ModuleType:
     return np if all(isinstance(x, np.ndarray | np.generic | float | int) for x in arrays) else jnp
 
 
+def as_jax(x: Any) -> jax.Array:
+    """An array of JAX's; of NumPy's without compiling anything, as `jnp.asarray` does."""
+    return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x))
+
+
 def require_float64(*arrays: jax.Array | np.ndarray) -> None:
     """Check that JAX computes in float64, as identification needs.
 

@@ -2,7 +2,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import equinox as eqx
 import numpy as np
 import scipy
 from jaxtyping import Float
@@ -14,7 +13,6 @@ from ._settings import Settings
 from .solver import (
     Identification,
     effective_counts,
-    filled_up,
     regressor_of,
     torque_of,
 )
@@ -336,8 +334,4 @@ def _root_mean_square(
     kept = np.where(mask, error, 0.0)
     number = counts.sum(axis=0)
     square = (kept**2).sum(axis=0) / np.where(number > 0, number, np.nan)
-    worth = _effective_counts(filled_up(kept), filled_up(counts))
-    return np.sqrt(square), np.asarray(worth)
-
-
-_effective_counts = eqx.filter_jit(effective_counts)
+    return np.sqrt(square), np.asarray(effective_counts(kept, counts))

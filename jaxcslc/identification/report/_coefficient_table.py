@@ -69,6 +69,11 @@ def coefficient_rows(
         else verdicts(network, fit, excitation, systematic=systematic, level=level)
     )
     interval = None if fit is None else uncertainty_interval(fit, systematic, level)
+    # On the host once: JAX takes 50 µs for an entry, and compiles a program first.
+    inflation = None if excitation is None else np.asarray(excitation.variance_inflation)
+    shifts = None if systematic is None else systematic.total
+    columns = {name: np.asarray(vector) for name, vector in columns.items()}
+    k, errors = ((), ()) if fit is None else map(np.asarray, (fit.k, fit.standard_error))
     rows: list[dict[str, str | float | bool]] = []
     for i, coefficient in enumerate(network.coefficients):
         if groups is not None and coefficient.group not in groups:
@@ -80,14 +85,14 @@ def coefficient_rows(
             "positive": coefficient.positive,
         }
         if fit is not None and judged is not None and interval is not None:
-            value, error = float(fit.k[i]), float(fit.standard_error[i])
+            value, error = float(k[i]), float(errors[i])
             row["value"], row["standard_error"] = value, error
-            if systematic is not None:
-                row["systematic_error"] = float(systematic.total[i])
+            if shifts is not None:
+                row["systematic_error"] = float(shifts[i])
             row["relative_error"] = abs(error / value) if value else float("inf")
             row["low"], row["high"] = (float(end) for end in interval[i])
-            if excitation is not None:
-                row["variance_inflation"] = float(excitation.variance_inflation[i])
+            if inflation is not None:
+                row["variance_inflation"] = float(inflation[i])
             row["verdict"], row["reason"] = judged[i].kind, judged[i].reason
         for name, vector in columns.items():
             row[name] = float(vector[i])

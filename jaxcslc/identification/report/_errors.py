@@ -2,20 +2,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..._environment import require
+from ..._environment import array_namespace, require
 from ..._text_table import text_table
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ..solver import filled_up, rows_of
+from ..solver import torque_of, traced
 
 
-# Samples whose torques are computed at once, so that intermediates stay small.
-_AT_ONCE = 1 << 16
+Numbers = Array | np.ndarray
 
 
 class ErrorTable(eqx.Module):
@@ -57,11 +54,11 @@ class ErrorTable(eqx.Module):
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
-    mean_modulus: Float[Array, "vectors joints"]
-    rms: Float[Array, "vectors joints"]
-    epsilon: Float[Array, " vectors"]
-    rms_all_samples: Float[Array, "vectors joints"]
-    share_judged: Float[Array, " joints"]
+    mean_modulus: Float[Numbers, "vectors joints"]
+    rms: Float[Numbers, "vectors joints"]
+    epsilon: Float[Numbers, " vectors"]
+    rms_all_samples: Float[Numbers, "vectors joints"]
+    share_judged: Float[Numbers, " joints"]
     unit: str = eqx.field(static=True, default="N m")
     kind: str = eqx.field(static=True, default="joint")
     labels: tuple[str, ...] = eqx.field(static=True, default=())
@@ -135,7 +132,7 @@ class ErrorTable(eqx.Module):
 def compare(
     network: AbstractLinearNetwork,
     patterns: Patterns,
-    vectors: Mapping[str, Float[Array | np.ndarray, " k"]],
+    vectors: Mapping[str, Float[Numbers, " k"]],
 ) -> ErrorTable:
     """Compares how well several coefficient vectors predict the torque of the same patterns.
 
@@ -160,63 +157,54 @@ def compare(
     0.0
     """
     names = tuple(vectors)
-    errors = jnp.stack([torque_errors(network, patterns, vectors[name]) for name in names])
-    mask = jnp.asarray(patterns.mask, bool)
+    listed = [torque_errors(network, patterns, vectors[name]) for name in names]
+    xp = array_namespace(*listed)
+    errors, mask = xp.stack(listed), xp.asarray(patterns.mask, bool)
     mean_modulus, rms, epsilon = _over_judged(errors, mask)
     return ErrorTable(
         names,
         mean_modulus,
         rms,
         epsilon,
-        rms_all_samples=jnp.sqrt(jnp.mean(errors**2, axis=1)),
-        share_judged=jnp.mean(mask, axis=0, dtype=errors.dtype),
+        rms_all_samples=xp.sqrt(xp.mean(errors**2, axis=1)),
+        share_judged=xp.mean(mask, axis=0, dtype=errors.dtype),
         unit=" or ".join(sorted({*network.output_units} - {""}, key=len, reverse=True)),
         kind=network.output_kind,
         labels=network.output_labels,
     )
 
 
-@jax.jit
 def _over_judged(
-    errors: Float[Array, "vectors samples joints"], mask: Bool[Array, "samples joints"]
+    errors: Float[Numbers, "vectors samples joints"], mask: Bool[Numbers, "samples joints"]
 ) -> tuple[
-    Float[Array, "vectors joints"], Float[Array, "vectors joints"], Float[Array, " vectors"]
+    Float[Numbers, "vectors joints"], Float[Numbers, "vectors joints"], Float[Numbers, " vectors"]
 ]:
-    judged = jnp.broadcast_to(mask, errors.shape)
-    kept = jnp.where(judged, errors, 0.0)
-    per_joint = jnp.maximum(jnp.sum(judged, axis=1), 1)
-    per_pattern = jnp.sum(judged, axis=2)
-    cost = 0.5 * jnp.sqrt(jnp.sum(kept**2, axis=2) / jnp.maximum(per_pattern, 1))
+    xp = array_namespace(errors, mask)
+    judged = xp.broadcast_to(mask, errors.shape)
+    kept = xp.where(judged, errors, 0.0)
+    per_joint = xp.maximum(xp.sum(judged, axis=1), 1)
+    per_pattern = xp.sum(judged, axis=2)
+    cost = 0.5 * xp.sqrt(xp.sum(kept**2, axis=2) / xp.maximum(per_pattern, 1))
     some = per_pattern > 0
     return (
-        jnp.sum(jnp.abs(kept), axis=1) / per_joint,
-        jnp.sqrt(jnp.sum(kept**2, axis=1) / per_joint),
-        jnp.sum(jnp.where(some, cost, 0.0), axis=1) / jnp.maximum(jnp.sum(some, axis=1), 1),
+        xp.sum(xp.abs(kept), axis=1) / per_joint,
+        xp.sqrt(xp.sum(kept**2, axis=1) / per_joint),
+        xp.sum(xp.where(some, cost, 0.0), axis=1) / xp.maximum(xp.sum(some, axis=1), 1),
     )
 
 
-def torque_errors(
-    network: AbstractLinearNetwork, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
-) -> Float[Array, "samples joints"]:
-    """Measured minus predicted torque of every pair (samples, n) [N m]."""
-    return jnp.asarray(patterns.torque) - predicted_torque(network, patterns, k)
-
-
 def predicted_torque(
-    network: AbstractLinearNetwork, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
-) -> Float[Array, "samples joints"]:
+    network: AbstractLinearNetwork, patterns: Patterns, k: Float[Numbers, " k"]
+) -> Float[Numbers, "samples joints"]:
     """The network's torque for the patterns' motion (samples, n) [N m]."""
-    if patterns.samples > _AT_ONCE:
-        parts = [
-            predicted_torque(network, rows_of(patterns, slice(i, i + _AT_ONCE)), k)
-            for i in range(0, patterns.samples, _AT_ONCE)
-        ]
-        return jnp.concatenate(parts)
-    motion = (patterns.q, patterns.qd, patterns.qdd)
-    torque = _torque(network, jnp.asarray(k), *(filled_up(x) for x in motion))
-    return torque[: patterns.q.shape[0]]
+    if traced((network, patterns, k)):
+        return network.torque(k, patterns.q, patterns.qd, patterns.qdd)
+    return torque_of(network, patterns, k)
 
 
-@eqx.filter_jit
-def _torque(network: AbstractLinearNetwork, k: Array, q: Array, qd: Array, qdd: Array) -> Array:
-    return network.torque(k, q, qd, qdd)
+def torque_errors(
+    network: AbstractLinearNetwork, patterns: Patterns, k: Float[Numbers, " k"]
+) -> Float[Numbers, "samples joints"]:
+    """Measured minus predicted torque of every pair (samples, n) [N m]."""
+    predicted = predicted_torque(network, patterns, k)
+    return array_namespace(predicted).asarray(patterns.torque) - predicted

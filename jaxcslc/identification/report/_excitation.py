@@ -3,15 +3,14 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._environment import require
+from ..._environment import as_jax, require
 from ..._rank import rank_tolerance
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ..solver import Unknowns, factorise, filled_up
+from ..solver import Unknowns, factors_of
 
 
 # Most coefficients that `worst_combination` names.
@@ -128,11 +127,8 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
     >>> bool(excitation.condition < 10), tuple(excitation.group_condition)
     (True, ('base', 'viscous'))
     """
-    motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque)
-    weight = patterns.mask.astype(float)
-    factors = _factorise(network, *(filled_up(x) for x in (*motion, weight)))
     # On the host from here: there is less to compute than to compile.
-    factors = jax.tree.map(np.asarray, factors)
+    factors = jax.tree.map(np.asarray, factors_of(network, patterns))
     triangle = factors.stacked(Unknowns.of(network), np.ones(network.joint_count))[:, :-1]
     length = np.linalg.norm(triangle, axis=0)
     scaled = triangle / np.where(length > 0, length, 1.0)[None, :]
@@ -150,10 +146,10 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
     inflation = np.sum((inverse[:, None] * right) ** 2, axis=0)
     return Excitation(
         condition=_condition(singular, rounding),
-        smallest=jnp.asarray(singular[-1], float),
-        weakest=jnp.asarray(right[-1], float),
-        length=jnp.asarray(length, float),
-        variance_inflation=jnp.asarray(np.where(undetermined, np.inf, inflation), float),
+        smallest=as_jax(singular[-1]),
+        weakest=as_jax(right[-1]),
+        length=as_jax(length),
+        variance_inflation=as_jax(np.where(undetermined, np.inf, inflation)),
         group_condition={
             group: _condition(np.linalg.svd(scaled[:, indices], compute_uv=False), rounding)
             for group, indices in columns.items()
@@ -162,11 +158,7 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
     )
 
 
-# The same transformation of the same function as in `LeastSquares.fit`: compiled once for both.
-_factorise = eqx.filter_jit(factorise)
-
-
 def _condition(singular: Float[np.ndarray, " values"], rounding: float) -> Float[Array, ""]:
     """Infinite where the smallest singular value is no more than rounding."""
     counted = singular[-1] > rounding * singular[0]
-    return jnp.asarray(singular[0] / singular[-1] if counted else np.inf, float)
+    return as_jax(singular[0] / singular[-1] if counted else np.inf)

@@ -110,10 +110,11 @@ def verdicts(
     inflation = None if excitation is None else np.asarray(excitation.variance_inflation)
     determined, combinations = np.asarray(fit.determined), _determined_combinations(fit)
     meaningless = not bool(fit.meaningful)
+    values, errors = np.asarray(fit.k).tolist(), np.asarray(fit.standard_error).tolist()
     result: list[Verdict] = []
     for i, coefficient in enumerate(network.coefficients):
         name, (low, high) = coefficient.name, interval[i]
-        value, error = float(fit.k[i]), float(fit.standard_error[i])
+        value, error = values[i], errors[i]
         relative = abs(error / value) if value else np.inf
         reason = f"standard error {_compared(error, value)}"
         if inflation is not None and relative > _WELL and inflation[i] > _CORRELATED:

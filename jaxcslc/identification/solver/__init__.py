@@ -4,8 +4,13 @@ from ._compiled import (
     rows_of as rows_of,
     stretches_of as stretches_of,
     torque_of as torque_of,
+    traced as traced,
 )
-from ._equations import Equations as Equations, equations_of as equations_of
+from ._equations import (
+    Equations as Equations,
+    equations_of as equations_of,
+    factors_of as factors_of,
+)
 from ._factors import (
     JointFactors as JointFactors,
     Unknowns as Unknowns,

@@ -73,7 +73,7 @@ def regressor_of(
     """
     motion = (patterns.q, patterns.qd, patterns.qdd)
     if computed_on_host(network, *motion):
-        return _host_regressor(network, *(np.asarray(x) for x in motion))
+        return _host_regressor(network, *motion)
     q, qd, qdd = (filled_up(x, least) for x in motion)
     filled = _regressor(network, q, qd, qdd)
     # NumPy's slice shares the memory; JAX's is a program to compile for each number of samples.
@@ -101,16 +101,17 @@ def torque_of(
     patterns: Patterns,
     k: Float[Array | np.ndarray, " coefficients"],
 ) -> Float[np.ndarray, "samples joints"]:
-    """The regressor of patterns times coefficients, in stretches; on the host."""
+    """What coefficients predict; on the host."""
     k, samples = np.asarray(k), len(patterns.q)
-    stretches = stretches_of(network, samples)
-    if len(stretches) < 2:
-        return np.asarray(regressor_of(network, patterns)) @ k
-    length = stretches[0].stop
-    parts = [
-        np.asarray(regressor_of(network, rows_of(patterns, rows), length)) @ k for rows in stretches
-    ]
-    return np.concatenate(parts)
+    motion = (patterns.q, patterns.qd, patterns.qdd)
+    if computed_on_host(network, *motion):
+        joints = zip(network.support, _host_columns(network, *motion), strict=True)
+        return np.stack([k[list(support)] @ rows for support, rows in joints], axis=1)
+    if samples > _HOST_SAMPLES:
+        starts = range(0, samples, _HOST_SAMPLES)
+        pieces = (rows_of(patterns, slice(start, start + _HOST_SAMPLES)) for start in starts)
+        return np.concatenate([_compiled_torque(network, k, piece) for piece in pieces])
+    return _compiled_torque(network, k, patterns)
 
 
 def rows_of(patterns: Patterns, rows: slice) -> Patterns:
@@ -126,12 +127,18 @@ def rows_of(patterns: Patterns, rows: slice) -> Patterns:
     )
 
 
+def _host_columns(
+    network: AbstractLinearNetwork, *motion: Any
+) -> tuple[Float[np.ndarray, "_ samples"], ...]:
+    columns = network.columns(*(np.ascontiguousarray(np.asarray(x).T) for x in motion))
+    return tuple(np.asarray(rows) for rows in columns)
+
+
 def _host_regressor(
-    network: AbstractLinearNetwork, *motion: Float[np.ndarray, "samples motion"]
+    network: AbstractLinearNetwork, *motion: Any
 ) -> Float[np.ndarray, "samples joints coefficients"]:
-    q, qd, qdd = (np.ascontiguousarray(x.T) for x in motion)
     regressor = np.zeros((len(motion[0]), network.joint_count, network.size))
-    columns = network.columns(q, qd, qdd)
+    columns = _host_columns(network, *motion)
     for joint, (support, rows) in enumerate(zip(network.support, columns, strict=True)):
         regressor[:, joint, list(support)] = rows.T
     return regressor
@@ -140,3 +147,15 @@ def _host_regressor(
 @eqx.filter_jit
 def _regressor(network: AbstractLinearNetwork, q: Array, qd: Array, qdd: Array) -> Array:
     return network.regressor(q, qd, qdd)
+
+
+def _compiled_torque(
+    network: AbstractLinearNetwork, k: Float[np.ndarray, " coefficients"], patterns: Patterns
+) -> Float[np.ndarray, "samples joints"]:
+    q, qd, qdd = (filled_up(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+    return np.asarray(_torque(network, k, q, qd, qdd))[: len(patterns.q)]
+
+
+@eqx.filter_jit
+def _torque(network: AbstractLinearNetwork, k: Any, q: Array, qd: Array, qdd: Array) -> Array:
+    return network.torque(k, q, qd, qdd)

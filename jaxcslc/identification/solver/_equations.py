@@ -12,8 +12,8 @@ from ...motion import (
     uniform_interval,
 )
 from ...network import AbstractLinearNetwork
-from ._compiled import regressor_of, rows_of, stretches_of
-from ._factors import JointFactors, Unknowns
+from ._compiled import computed_on_host, filled_up, regressor_of, rows_of, stretches_of
+from ._factors import JointFactors, Unknowns, factorise
 
 
 # After so many periods of its cut-off the zero-phase filter has forgotten to ten digits.
@@ -160,6 +160,18 @@ def equations_of(
         time=np.asarray(patterns.time),
         cutoff=cutoff,
     )
+
+
+def factors_of(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
+    """The factors of all pairs that count: on the host, or of long recordings compiled."""
+    motion = (patterns.q, patterns.qd, patterns.qdd)
+    if computed_on_host(network, *motion, patterns.torque):
+        return equations_of(network, patterns, None).factors()
+    weight = patterns.mask.astype(float)
+    return _factorise(network, *(filled_up(x) for x in (*motion, patterns.torque, weight)))
+
+
+_factorise = eqx.filter_jit(factorise)
 
 
 def _filtered_in_stretches(

@@ -5,14 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 import scipy
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._environment import require
+from ..._environment import array_namespace, as_jax, require
 from ..._scratch import unfinished
+from ._compiled import untraced
 from ._undetermined import describe
 
 
@@ -126,13 +127,13 @@ class Identification(eqx.Module):
     errors: str = eqx.field(static=True)
 
     @property
-    def meaningful(self) -> Bool[Array, ""]:
+    def meaningful(self) -> Bool[Array | np.ndarray, ""] | np.bool:
         """Whether the condition allows any conclusion about single coefficients.
 
         Above `MEANINGLESS_CONDITION`, the least determined combination consists of errors of the
         regressor itself, for which no standard error allows.
         """
-        return self.condition <= MEANINGLESS_CONDITION
+        return untraced(self.condition) <= MEANINGLESS_CONDITION
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
@@ -144,14 +145,16 @@ class Identification(eqx.Module):
         return describe(np.asarray(self.undetermined), self.names)
 
     @property
-    def correlation(self) -> Float[Array, "coefficients coefficients"]:
+    def correlation(self) -> Float[Array | np.ndarray, "coefficients coefficients"]:
         """Of the coefficients' errors, (p, p), from -1 to 1; between a coefficient whose error is
         zero and others, 0."""
-        deviation = jnp.sqrt(jnp.diag(self.covariance))
+        covariance = untraced(self.covariance)
+        xp = array_namespace(covariance)
+        deviation = xp.sqrt(xp.diag(covariance))
         positive = deviation > 0.0
-        scale = jnp.where(positive, deviation, 1.0)
-        correlation = self.covariance / scale[:, None] / scale[None, :]
-        return jnp.where(jnp.eye(len(scale), dtype=bool), 1.0, jnp.clip(correlation, -1.0, 1.0))
+        scale = xp.where(positive, deviation, 1.0)
+        correlation = covariance / scale[:, None] / scale[None, :]
+        return xp.where(np.eye(len(scale), dtype=bool), 1.0, xp.clip(correlation, -1.0, 1.0))
 
     def confidence_interval(self, level: float = 0.95) -> Float[np.ndarray, "coefficients 2"]:
         """Lower and upper end of each coefficient's interval, (p, 2), from Student's t.
@@ -239,14 +242,20 @@ class Identification(eqx.Module):
         return "\n".join([repr(self), *lines])
 
 
+def result_of(fit: Identification) -> str:
+    """The name of the member of `RESULTS` that a fit ended with; not under `jit`."""
+    codes = {name: jax.tree.leaves(getattr(RESULTS, name))[0] for name in _RESULTS}
+    (code,) = jax.tree.leaves(fit.result)
+    return next(name for name, other in codes.items() if int(code) == int(other))
+
+
 def _document_of(fit: Identification) -> dict[str, Any]:
     """An `Identification` as plain data."""
-    result = next(name for name in _RESULTS if bool(fit.result == getattr(RESULTS, name)))
     return {
         "version": _VERSION,
         "names": list(fit.names),
         "errors": fit.errors,
-        "result": result,
+        "result": result_of(fit),
         **{name: _plain(np.asarray(getattr(fit, name)).tolist()) for name in _ARRAYS},
     }
 
@@ -312,4 +321,4 @@ def _array(value: Any, name: str, shape: tuple[int, ...], where: str) -> Any:
     if name in _OPEN:
         array = np.where(np.isnan(array), np.inf, array)
     dtype = int if name in _INTEGERS else bool if name in _TRUTHS else float
-    return jnp.asarray(array.astype(dtype))
+    return as_jax(array.astype(dtype))

@@ -19,10 +19,10 @@ from ._compiled import (
     traced,
     untraced,
 )
-from ._equations import Equations, equations_of
-from ._factors import JointFactors, Unknowns, factorise
+from ._equations import Equations, equations_of, factors_of
+from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
-from ._identification import RESULTS, Identification
+from ._identification import RESULTS, Identification, result_of
 from ._losses import LOSSES, Loss
 from ._minimum import (
     FoldFit,
@@ -331,7 +331,7 @@ class LeastSquares:
         if not self._passes_twice and not traced(motion) and are_many(patterns):
             return self.fit_factors(network, factors_of_patterns(network, patterns), fixed, False)
         q, qd, qdd, torque, weight = (filled_up(x) for x in motion)
-        factors = _factorise(network, q, qd, qdd, torque, weight)
+        factors = factors_of(network, patterns)
         if self._passes_twice and (traced(motion) or patterns.q.size * network.size > _KEPT):
             phase = (jnp.arange(len(q)) + 0.5) / samples
             rows = PatternRows(
@@ -397,10 +397,9 @@ def checked(fit: Identification, throw: bool) -> Identification:
     if not throw:
         return fit
     # Rank deficiency is an answer, not a failure.
-    failures = [fit.result == RESULTS.nonfinite, fit.result == RESULTS.no_equations]
-    if not traced(failures) and not any(map(bool, failures)):
+    if not traced(fit.result) and result_of(fit) in ("successful", "rank_deficient"):
         return fit
-    failed = failures[0] | failures[1]
+    failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
     return fit.result.error_if(fit, failed)
 
 
@@ -418,7 +417,6 @@ def _independent(
         return independent_errors(unknowns, factors, solution, fixed)
 
 
-_factorise = eqx.filter_jit(factorise)
 _compiled_minimum = eqx.filter_jit(minimum)
 _independent_errors = eqx.filter_jit(independent_errors)
 _ordinary_residuals = eqx.filter_jit(ordinary_residuals)

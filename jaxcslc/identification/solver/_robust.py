@@ -69,8 +69,9 @@ def errors_and_scale(
     rows: AbstractRows, k: Float[Array, " coefficients"]
 ) -> tuple[Float[Array, "instants joints"], Float[Array, " joints"]]:
     """Torque errors of the equations that take part, zero elsewhere; and each joint's scale."""
-    error = rows.counts * (rows.torque - rows.predicted(k))
-    scale = robust_scale(error, rows.counts)
+    counts = jnp.asarray(rows.counts)
+    error = counts * (rows.torque - rows.predicted(k))
+    scale = robust_scale(error, counts)
     # Where more than half of the errors are rounding, a floor still tells outliers from them.
     floor = 1e-12 * jnp.max(jnp.abs(rows.torque), axis=0)
     return error, jnp.maximum(scale, jnp.where(floor > 0.0, floor, 1.0))

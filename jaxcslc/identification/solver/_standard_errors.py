@@ -1,11 +1,10 @@
 from typing import Any, Literal, NamedTuple, get_args
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from ..._environment import array_namespace
+from ..._environment import array_namespace, as_jax
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 from ._identification import RESULTS, Identification
@@ -71,18 +70,18 @@ def identification_of(
         degrees_of_freedom = xp.minimum(degrees_of_freedom, fixed.degrees_of_freedom)
     deviation = xp.sqrt(xp.diag(covariance))
     return Identification(
-        k=jnp.asarray(solution.k),
-        standard_error=jnp.asarray(xp.where(solution.determined, deviation, np.inf)),
-        covariance=jnp.asarray(covariance),
-        independent_covariance=jnp.asarray(independent),
-        torque_error=jnp.asarray(factors.root_mean_squares(unknowns, solution.k)),
-        equations=jnp.asarray(factors.counts),
-        effective_equations=jnp.asarray(effective),
-        degrees_of_freedom=jnp.asarray(degrees_of_freedom),
-        rank=jnp.asarray(solution.rank),
-        condition=jnp.asarray(solution.condition),
-        undetermined=jnp.asarray(solution.undetermined),
-        determined=jnp.asarray(solution.determined),
+        k=as_jax(solution.k),
+        standard_error=as_jax(xp.where(solution.determined, deviation, np.inf)),
+        covariance=as_jax(covariance),
+        independent_covariance=as_jax(independent),
+        torque_error=as_jax(factors.root_mean_squares(unknowns, solution.k)),
+        equations=as_jax(factors.counts),
+        effective_equations=as_jax(effective),
+        degrees_of_freedom=as_jax(degrees_of_freedom),
+        rank=as_jax(solution.rank),
+        condition=as_jax(solution.condition),
+        undetermined=as_jax(solution.undetermined),
+        determined=as_jax(solution.determined),
         result=result,
         names=unknowns.names,
         errors=errors,
