@@ -1,4 +1,5 @@
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -79,16 +80,16 @@ class BodyChart:
                 columns.append(self._from_unit(change + change.T))
             return np.stack(columns, axis=1)
         mass, centre, _ = self._principal(z)
-        full, radius = np.append(centre, 1.0), self._radius
+        full, radius = np.append(centre, 1.0), self.radius
         columns.append(self.prior[9] * body_of_pseudo_inertia(np.outer(full, full)))
         for axis in self.centre:
             change = np.zeros((4, 4))
             change[axis] = mass * radius * full
             columns.append(body_of_pseudo_inertia(change + change.T))
-        return np.stack([*columns, *self._by_spread], axis=1)
+        return np.stack([*columns, *self.by_spread], axis=1)
 
     @cached_property
-    def _by_spread(self) -> list[Float[np.ndarray, "10"]]:
+    def by_spread(self) -> list[Float[np.ndarray, "10"]]:
         """Derivatives of the ten numbers by the spreads, which they are linear in."""
         columns: list[np.ndarray] = []
         for axes in self.spreads:
@@ -101,7 +102,7 @@ class BodyChart:
         self, z: Float[np.ndarray, " coordinates"]
     ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         centre, spread = self.prior[6:9] / self.prior[9], self._prior_spread.copy()
-        centre[list(self.centre)] += self._radius * z[1 : 1 + len(self.centre)]
+        centre[list(self.centre)] += self.radius * z[1 : 1 + len(self.centre)]
         for value, axes in zip(z[1 + len(self.centre) :], self.spreads, strict=True):
             spread[list(axes)] = value * np.mean(spread[list(axes)])
         return float(z[0] * self.prior[9]), centre, spread
@@ -112,7 +113,8 @@ class BodyChart:
         return np.sum(moments) / 2 - moments
 
     @cached_property
-    def _radius(self) -> float:
+    def radius(self) -> float:
+        """Of gyration: what a centre's coordinates are counted in."""
         return float(np.sqrt(np.sum(self._prior_spread) / self.prior[9]))
 
     def _lower(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "4 4"]:
@@ -124,6 +126,81 @@ class BodyChart:
     def _from_unit(self, unit: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "10"]:
         matrix = self.scale @ unit @ self.scale.T
         return body_of_pseudo_inertia((matrix + matrix.T) / 2)
+
+
+# What multiplies the sixteen entries of a pseudo-inertia in its ten numbers.
+_NUMBERS = np.stack([body_of_pseudo_inertia(unit.reshape(4, 4)) for unit in np.eye(16)], axis=1)
+_MOST = 7  # coordinates of a chart with principal axes
+
+
+class _Charts:
+    """All links' charts, those with principal axes in a few products: a search evaluates them some
+    hundred times, and link by link NumPy's calls took four fifths of its time."""
+
+    def __init__(self, charts: Sequence[BodyChart]) -> None:
+        self.charts = charts
+        edges = np.cumsum([0, *(len(chart.start) for chart in charts)])
+        self.size = int(edges[-1])
+        self._parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        self._principal = [i for i, chart in enumerate(charts) if chart.spreads]
+        self._full = [i for i, chart in enumerate(charts) if not chart.spreads]
+        principal = [charts[i] for i in self._principal]
+        # Where in (links, mass and centre and spreads) each coordinate is.
+        slots = [
+            [0, *(1 + axis for axis in c.centre), *range(4, 4 + len(c.spreads))] for c in principal
+        ]
+        self._slots = np.array([_MOST * i + s for i, row in enumerate(slots) for s in row], int)
+        self._from = np.array(
+            [j for i in self._principal for j in range(edges[i], edges[i + 1])], int
+        )
+        self._mass = np.array([c.prior[9] for c in principal])
+        self._centre = np.array([c.prior[6:9] / c.prior[9] for c in principal]).reshape(-1, 3)
+        self._radius = np.array([c.radius for c in principal])
+        self._by_spread = np.zeros((len(principal), 10, 3))
+        for of_link, c in zip(self._by_spread, principal, strict=True):
+            of_link[:, : len(c.spreads)] = np.stack(c.by_spread, axis=1)
+
+    def bodies(self, z: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "links 10"]:
+        """Ten numbers of each body; unknowns behind the coordinates are not used."""
+        bodies = np.empty((len(self.charts), 10))
+        mass, full, spread = self._of_principal(z)
+        outer = (full[:, :, None] * full[:, None, :]).reshape(-1, 16)
+        bodies[self._principal] = (self._by_spread @ spread[:, :, None])[:, :, 0]
+        bodies[self._principal] += mass[:, None] * (outer @ _NUMBERS.T)
+        for i in self._full:
+            bodies[i] = self.charts[i].body(z[self._parts[i]])
+        return bodies
+
+    def columns(
+        self, of_bodies: Float[np.ndarray, "links rows 10"], z: Float[np.ndarray, " unknowns"]
+    ) -> Float[np.ndarray, "rows coordinates"]:
+        """Derivatives by the coordinates of what is linear in the bodies."""
+        mass, full, _ = self._of_principal(z)
+        by_entry = np.zeros((len(mass), _MOST, 4, 4))
+        by_entry[:, 0] = self._mass[:, None, None] * full[:, :, None] * full[:, None, :]
+        moved = (mass * self._radius)[:, None] * full
+        for axis in range(3):
+            by_entry[:, 1 + axis, axis] += moved
+            by_entry[:, 1 + axis, :, axis] += moved
+        numbers = by_entry.reshape(-1, _MOST, 16) @ _NUMBERS.T
+        numbers[:, 4:] = np.swapaxes(self._by_spread, 1, 2)
+        columns = np.empty((of_bodies.shape[1], self.size))
+        products = of_bodies[self._principal] @ np.swapaxes(numbers, 1, 2)
+        stacked = np.moveaxis(products, 0, 1).reshape(of_bodies.shape[1], -1)
+        columns[:, self._from] = stacked[:, self._slots]
+        for i in self._full:
+            columns[:, self._parts[i]] = of_bodies[i] @ self.charts[i].jacobian(z[self._parts[i]])
+        return columns
+
+    def _of_principal(
+        self, z: Float[np.ndarray, " unknowns"]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Masses, centres with a one behind, and coordinates of the spreads."""
+        slots = np.zeros((len(self._principal), _MOST))
+        slots.flat[self._slots] = z[self._from]
+        centre = self._centre + self._radius[:, None] * slots[:, 1:4]
+        full = np.concatenate([centre, np.ones((len(centre), 1))], axis=1)
+        return self._mass * slots[:, 0], full, slots[:, 4:]
 
 
 def nearest_in_charts(
@@ -153,22 +230,17 @@ def nearest_in_charts(
     )
     wanted = np.concatenate([*(chart.start for chart in charts), others])
     low = np.concatenate([*(chart.low for chart in charts), np.where(bounded > 0, 0.0, -np.inf)])
-    edges = np.cumsum([0, *(len(chart.start) for chart in charts)])
-    slices = [slice(a, b) for a, b in itertools.pairwise(edges)]
-
-    def bodies(z: np.ndarray) -> np.ndarray:
-        return np.stack([c.body(z[part]) for c, part in zip(charts, slices, strict=True)])
+    together = _Charts(charts)
+    by_link = np.ascontiguousarray(np.swapaxes(of_bodies, 0, 1))
+    flat, size = of_bodies.reshape(len(of_bodies), -1), together.size
 
     def residual(z: np.ndarray) -> np.ndarray:
-        change = np.einsum("rle,le->r", of_bodies, bodies(z)) + of_others @ z[edges[-1] :] - target
+        change = flat @ together.bodies(z).ravel() + of_others @ z[size:] - target
         return np.concatenate([change, weights * (z - wanted)])
 
     def jacobian(z: np.ndarray) -> np.ndarray:
-        blocks = [
-            of_bodies[:, i] @ chart.jacobian(z[part])
-            for i, (chart, part) in enumerate(zip(charts, slices, strict=True))
-        ]
-        return np.concatenate([np.concatenate([*blocks, of_others], axis=1), np.diag(weights)])
+        columns = np.concatenate([together.columns(by_link, z), of_others], axis=1)
+        return np.concatenate([columns, np.diag(weights)])
 
     optimum = least_squares(
         residual,
@@ -180,4 +252,4 @@ def nearest_in_charts(
         gtol=_TOLERANCE,
         max_nfev=_EVALUATIONS,
     )
-    return bodies(optimum.x), optimum.x[edges[-1] :], optimum.status > 0
+    return together.bodies(optimum.x), optimum.x[size:], optimum.status > 0

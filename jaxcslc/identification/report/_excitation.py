@@ -10,7 +10,7 @@ from ..._environment import as_jax, require
 from ..._rank import rank_tolerance
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ..solver import Unknowns, factors_of
+from ..solver import Unknowns, pattern_factors
 
 
 # Most coefficients that `worst_combination` names.
@@ -128,7 +128,7 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
     (True, ('base', 'viscous'))
     """
     # On the host from here: there is less to compute than to compile.
-    factors = jax.tree.map(np.asarray, factors_of(network, patterns))
+    factors = jax.tree.map(np.asarray, pattern_factors(network, patterns))
     triangle = factors.stacked(Unknowns.of(network), np.ones(network.joint_count))[:, :-1]
     length = np.linalg.norm(triangle, axis=0)
     scaled = triangle / np.where(length > 0, length, 1.0)[None, :]

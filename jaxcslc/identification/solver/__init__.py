@@ -9,7 +9,7 @@ from ._compiled import (
 from ._equations import (
     Equations as Equations,
     equations_of as equations_of,
-    factors_of as factors_of,
+    pattern_factors as pattern_factors,
 )
 from ._factors import (
     JointFactors as JointFactors,

@@ -12,8 +12,16 @@ from ...motion import (
     uniform_interval,
 )
 from ...network import AbstractLinearNetwork
-from ._compiled import computed_on_host, filled_up, regressor_of, rows_of, stretches_of
+from ._compiled import (
+    computed_on_host,
+    filled_up,
+    regressor_of,
+    rows_of,
+    stretches_of,
+    traced,
+)
 from ._factors import JointFactors, Unknowns, factorise
+from ._streaming import are_many, factors_of_patterns
 
 
 # After so many periods of its cut-off the zero-phase filter has forgotten to ten digits.
@@ -162,11 +170,13 @@ def equations_of(
     )
 
 
-def factors_of(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
+def pattern_factors(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
     """The factors of all pairs that count: on the host, or of long recordings compiled."""
     motion = (patterns.q, patterns.qd, patterns.qdd)
     if computed_on_host(network, *motion, patterns.torque):
         return equations_of(network, patterns, None).factors()
+    if not traced(patterns) and are_many(patterns):
+        return factors_of_patterns(network, patterns)
     weight = patterns.mask.astype(float)
     return _factorise(network, *(filled_up(x) for x in (*motion, patterns.torque, weight)))
 

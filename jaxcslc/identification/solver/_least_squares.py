@@ -19,7 +19,7 @@ from ._compiled import (
     traced,
     untraced,
 )
-from ._equations import Equations, equations_of, factors_of
+from ._equations import Equations, equations_of, pattern_factors
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 from ._identification import RESULTS, Identification, result_of
@@ -331,7 +331,7 @@ class LeastSquares:
         if not self._passes_twice and not traced(motion) and are_many(patterns):
             return self.fit_factors(network, factors_of_patterns(network, patterns), fixed, False)
         q, qd, qdd, torque, weight = (filled_up(x) for x in motion)
-        factors = factors_of(network, patterns)
+        factors = pattern_factors(network, patterns)
         if self._passes_twice and (traced(motion) or patterns.q.size * network.size > _KEPT):
             phase = (jnp.arange(len(q)) + 0.5) / samples
             rows = PatternRows(
