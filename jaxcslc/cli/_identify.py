@@ -169,7 +169,7 @@ def _written(
     """Writes a report. **Returns** what is printed of it."""
     step("writing")
     paths = report.save(output, command=command_text(context))
-    return f"{report}\n\nwrote " + ", ".join(str(path) for path in paths)
+    return f"{report}\n\n{report.verdict}\n\nwrote " + ", ".join(str(path) for path in paths)
 
 
 def _settings(path: Path | None, saved: SavedReport | None) -> Settings | None:

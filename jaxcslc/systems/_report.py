@@ -24,6 +24,7 @@ from ..identification.report import (
     quality_document,
     report_data,
     save_report,
+    summary_text,
     write_csv,
     write_json,
 )
@@ -128,6 +129,11 @@ class SystemReport:
         data = report_data(self, command=command)
         document = _document(self) | quality_document(data)
         return save_report(Path(folder), self, document, data, pictures=pictures)
+
+    @property
+    def verdict(self) -> str:
+        """As `Report.verdict`."""
+        return summary_text(report_data(self))
 
     def __repr__(self) -> str:
         return f"SystemReport({self.network.name}; {self.fit!r})"

@@ -1,6 +1,7 @@
 """The page of a report shows the report's numbers, under any name; and two reports compared."""
 
 import dataclasses
+import html
 import importlib.util
 import json
 from html.parser import HTMLParser
@@ -128,6 +129,9 @@ def test_verdict_stands_first_and_is_that_of_the_numbers(
     start = text.index("<h1>")
     assert text.index('id="verdict"') < text.index("<table>")
     assert "of 11 coefficients well determined" in text[start:]
+    headline, *messages = reports[0].verdict.splitlines()  # what the command prints
+    assert headline.startswith("The identified model can be used")
+    assert len(messages) >= 3 and all(line[4:] in html.unescape(text) for line in messages[:3])
     wrong = dataclasses.replace(
         reports[0], fit=dataclasses.replace(reports[0].fit, k=-reports[0].k)
     )

@@ -39,4 +39,9 @@ from ._saved import (
 )
 from ._verdicts import Verdict as Verdict, verdicts as verdicts
 from ._warnings import condition_warning as condition_warning, fit_warnings as fit_warnings
-from .page import fit_quality as fit_quality, report_data as report_data, report_page as report_page
+from .page import (
+    fit_quality as fit_quality,
+    report_data as report_data,
+    report_page as report_page,
+    summary_text as summary_text,
+)

@@ -1,5 +1,6 @@
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from ._errors import ErrorTable
 from ._excitation import Excitation
 from ._report_files import report_document, save_report
 from ._report_text import determination_lines, expression_text, held_out_lines, joint_lines
-from .page import report_data
+from .page import report_data, summary_text
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -158,7 +159,19 @@ class Report:
           registered and has no name in a file.
         - `OSError`: the folder cannot be written.
         """
-        data = report_data(
+        data = self._data | {"findings": [*findings, *self._findings], "command": command}
+        document = report_document(self, data)
+        return save_report(Path(folder), self, document, data, pictures=pictures)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the model can be used, and what that rests on: the first lines of the page."""
+        return summary_text(self._data)
+
+    @cached_property
+    def _data(self) -> dict[str, Any]:
+        """What the page shows."""
+        return report_data(
             self,
             selection=self.selection,
             bodies=self.bodies,
@@ -166,12 +179,9 @@ class Report:
             several=self.several,
             judged_part=self.judged_part,
             estimators=self.estimators,
-            findings=[*findings, *self._findings],
+            findings=self._findings,
             notes=self.notes,
-            command=command,
         )
-        document = report_document(self, data)
-        return save_report(Path(folder), self, document, data, pictures=pictures)
 
     @property
     def _findings(self) -> list[str]:

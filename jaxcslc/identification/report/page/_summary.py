@@ -33,6 +33,8 @@ _MOTION = {
     "held-out stretch": "the last part of the training recording, held out",
 }
 
+_MARKS: dict[Tone, str] = {"good": "✓", "caution": "!", "bad": "✗", "plain": " "}
+
 HEADLINES: dict[Tone, str] = {
     "good": "The identified model can be used.",
     "caution": "The identified model can be used with care: see the points marked !.",
@@ -61,6 +63,17 @@ def summary(data: Mapping[str, Any]) -> tuple[Tone, str, tuple[Message, ...]]:
     tones = {message.tone for message in messages}
     tone: Tone = "bad" if "bad" in tones else "caution" if "caution" in tones else "good"
     return tone, HEADLINES[tone], messages
+
+
+def summary_text(data: Mapping[str, Any]) -> str:
+    """A report's verdict, and what it rests on, as lines to print.
+
+    **Arguments**
+
+    - `data`: of the report, from `report_data`.
+    """
+    _, headline, messages = summary(data)
+    return "\n".join([headline, *(f"  {_MARKS[line.tone]} {line.text}" for line in messages)])
 
 
 def judged_recording(data: Mapping[str, Any]) -> str:
