@@ -131,6 +131,7 @@ class Factored:
     **Attributes**
 
     - `information`: (border, border) of the border, when all else is eliminated.
+    - `eliminated`: (inner, border), minus the reply of unknowns in order of time to the border.
     """
 
     def __init__(
@@ -140,9 +141,9 @@ class Factored:
         border: Float[np.ndarray, "border border"],
     ) -> None:
         self._factor, self._mixed = factor, mixed
-        self._eliminated = self._solve(mixed)
+        self.eliminated = self._solve(mixed)
         self._diagonal = np.diag(border)
-        information = border - mixed.T @ self._eliminated
+        information = border - mixed.T @ self.eliminated
         self.information = 0.5 * (information + information.T)
 
     def step(
@@ -158,11 +159,11 @@ class Factored:
         - `inner`, `border`: the right side.
         - `damping`: of the border, as a part of its information.
         """
-        right_side = border - self._eliminated.T @ inner
+        right_side = border - self.eliminated.T @ inner
         floor = 1e-14 * self._diagonal
         matrix = self.information + np.diag(damping * np.diag(self.information) + floor)
         change = np.linalg.lstsq(matrix, right_side, rcond=1e-15)[0]
-        return self._solve(inner) - self._eliminated @ change, change
+        return self._solve(inner) - self.eliminated @ change, change
 
     def _solve(self, right: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
         return cho_solve_banded((self._factor, True), right, check_finite=False)

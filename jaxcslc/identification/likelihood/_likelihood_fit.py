@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ...network import CSLC
-from ..solver import RESULTS, Identification
+from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
+from ._correlated import CorrelatedErrors, correlated_errors
 from ._search import Minimum
 
 
@@ -21,9 +22,9 @@ class LikelihoodFit(eqx.Module):
     **Attributes**
 
     - `network`: with the slopes that were fitted: `network.torque(fit.k, ...)` predicts.
-    - `fit`: its coefficients. `covariance` is the inverse of the information that positions,
-      slopes, encoder offsets and reversals leave: the Cramér-Rao bound for noise of the estimated
-      levels.
+    - `fit`: its coefficients. `independent_covariance` is the inverse of the information that
+      positions, slopes, encoder offsets and reversals leave: the Cramér-Rao bound for noise of the
+      estimated levels. `covariance` allows for what `MaximumLikelihood.errors` says.
     - `slopes`: (n,) of static friction [s/rad or s/m]; `slope_error`: their standard deviations.
       Zeros for a network without static friction.
     - `offset`: (recordings, n) of each encoder within a step [rad or m]; `offset_error`.
@@ -89,35 +90,42 @@ class Misfit:
     mask: Bool[np.ndarray, "equations joints"]
 
 
-def likelihood_fit(network: CSLC, minimum: Minimum) -> LikelihoodFit:
+def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> LikelihoodFit:
+    """The result of a search, with standard errors for independent or correlated residuals."""
     point, p, n = minimum.point, network.size, network.joint_count
-    spectrum, border = Spectrum.of(minimum.information), minimum.objective.scale
-    covariance = spectrum.covariance * border[:, None] * border[None, :]
+    spectrum, border = Spectrum.of(minimum.factored.information), minimum.objective.scale
+    residual, used = minimum.linear.residuals.torque, minimum.counted
+    counts = used.sum(axis=0).astype(float)
+    inverse = spectrum.covariance
+    sandwich = CorrelatedErrors(inverse, max(float(counts.sum()) - p, 1.0), counts)
+    if errors == "correlated":
+        sandwich = correlated_errors(minimum.linear, minimum.factored, inverse, used)
+    independent, covariance = (
+        matrix * border[:, None] * border[None, :] for matrix in (inverse, sandwich.covariance)
+    )
     null = spectrum.undetermined[:, :p]
     undetermined = np.zeros((p, p))
     undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
     determined = np.sqrt(np.sum(null**2, axis=0)) < _SHARE
-    error = np.sqrt(np.diag(covariance))
-    residual, used = minimum.linear.residuals.torque, minimum.counted
-    counts = used.sum(axis=0).astype(float)
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     squares = np.sum(np.where(used, residual, 0.0) ** 2, axis=0)
     complete = len(null) == 0
     fit = Identification(
         k=jnp.asarray(point.k),
         standard_error=jnp.asarray(np.where(determined, error[:p], np.inf)),
         covariance=jnp.asarray(covariance[:p, :p]),
-        independent_covariance=jnp.asarray(covariance[:p, :p]),
+        independent_covariance=jnp.asarray(independent[:p, :p]),
         torque_error=jnp.asarray(np.sqrt(squares / np.maximum(counts, 1.0))),
         equations=jnp.asarray(counts),
-        effective_equations=jnp.asarray(counts),
-        degrees_of_freedom=jnp.asarray(max(float(counts.sum()) - p, 1.0)),
+        effective_equations=jnp.asarray(sandwich.effective),
+        degrees_of_freedom=jnp.asarray(sandwich.degrees_of_freedom),
         rank=jnp.asarray(p - len(null)),
         condition=jnp.asarray(np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0])),
         undetermined=jnp.asarray(undetermined),
         determined=jnp.asarray(determined),
         result=RESULTS.successful if complete else RESULTS.rank_deficient,
         names=network.names,
-        errors="independent",
+        errors=errors,
     )
     static = network.static_slopes is not None
     slopes = np.exp(point.slopes) if static else np.zeros(n)

@@ -9,7 +9,7 @@ from ..._environment import require_float64
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
-from ..solver import Identification
+from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._objective import Point
 from ._readings import TorqueSampling
@@ -51,8 +51,11 @@ class MaximumLikelihood:
     - `torque_sampling`: `"held"`, a demand that acts until the next sample; or `"sampled"`.
     - `settings`: of the regression that it starts from; None for the defaults of `Settings`.
     - `resolution`: (n,) of the encoders [rad or m], 0 for none; read off the recording if None.
+    - `errors`: what standard errors allow for: `"correlated"` residuals, as a model that lacks
+      something leaves them; or `"independent"` ones of the estimated levels only, for which they
+      are the Cramér-Rao bound.
 
-    **Raises** `ValueError`: a `torque_sampling` that is neither.
+    **Raises** `ValueError`: a `torque_sampling`, or `errors`, that are none of these.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -69,12 +72,15 @@ class MaximumLikelihood:
     torque_sampling: TorqueSampling = "held"
     settings: Settings | None = None
     resolution: tuple[float, ...] | None = None
+    errors: Errors = "correlated"
 
     def __post_init__(self) -> None:
         if self.torque_sampling not in get_args(TorqueSampling):
             raise ValueError(
                 f"torque_sampling {self.torque_sampling!r} is unknown; expected 'held' or 'sampled'"
             )
+        if self.errors not in ERRORS:
+            raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
 
     def fit(
         self,
@@ -105,7 +111,8 @@ class MaximumLikelihood:
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
         problem, point, torque_noise, position_noise = self._start(network, recordings, start)
         report = progress or (lambda words: None)
-        return likelihood_fit(network, search(problem, point, torque_noise, position_noise, report))
+        minimum = search(problem, point, torque_noise, position_noise, report)
+        return likelihood_fit(network, minimum, self.errors)
 
     def misfit(
         self,

@@ -187,7 +187,7 @@ class Linear:
 
         index = order.position
         result.add(index.reshape(-1, 1), weights.position.reshape(-1, 1, 1))
-        offset = self._offset
+        offset = self.offset
         result.mixed[index, offset] += weights.position * scale[offset]
         np.add.at(result.border, (offset, offset), weights.position * scale[offset] ** 2)
         row, joint = np.nonzero(weights.standstill)
@@ -224,15 +224,15 @@ class Linear:
         change = objective.scale * step.border
         return Residuals(
             residuals.torque - torque,
-            residuals.position - step.position - change[self._offset],
+            residuals.position - step.position - change[self.offset],
             residuals.standstill - np.diff(step.position, axis=0),
             residuals.turn - step.turn,
             residuals.border - change,
         )
 
     @property
-    def _offset(self) -> Int[np.ndarray, "samples joints"]:
-        """Where the offset of each reading is in the border."""
+    def offset(self) -> Int[np.ndarray, "samples joints"]:
+        """(samples, n): where the offset of each reading is in the border."""
         n, part = self.order.position.shape[1], self.objective.part
         first = len(self.objective.scale) - n * (int(part[-1]) + 1)
         return first + n * part[:, None] + np.arange(n)
@@ -271,7 +271,7 @@ class Linear:
             rows = signs.samples - 1 + offset
             inner[order.turn] += self.by_turn[index] * force[rows, signs.joints]
         border = np.einsum("ijk,ij->k", self.by_border, force)
-        np.add.at(border, self._offset, reading * scale[self._offset])
+        np.add.at(border, self.offset, reading * scale[self.offset])
         border += scale * weights.border * residuals.border
         return inner, border
 

@@ -74,7 +74,7 @@ class Minimum:
     **Attributes**
 
     - `point`: all unknowns; `objective`: the sum of squares there; `linear`: its equations.
-    - `information`: (border, border), in units of the border's scale.
+    - `factored`: the equations, whose information is in units of the border's scale.
     - `torque_noise`, `position_noise`: (recordings, n) standard deviations.
     - `counted`: (equations, n), which equations have the full weight.
     - `steps`: Gauss-Newton steps; `converged`: whether the last stage changed nothing.
@@ -83,7 +83,7 @@ class Minimum:
     point: Point
     objective: Objective
     linear: Linear
-    information: Float[np.ndarray, "border border"]
+    factored: Factored
     torque_noise: Float[np.ndarray, "recordings joints"]
     position_noise: Float[np.ndarray, "recordings joints"]
     counted: Bool[np.ndarray, "equations joints"]
@@ -183,7 +183,7 @@ def search(
             point,
             objective,
             linear,
-            factored.information,
+            factored,
             torque_noise,
             position_noise,
             counted,

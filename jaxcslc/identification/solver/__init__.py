@@ -39,10 +39,12 @@ from ._minimum import (
 )
 from ._preconditioned import Preconditioner as Preconditioner, factors_of as factors_of
 from ._robust import robust_weights as robust_weights
-from ._rows import KeptRows as KeptRows
+from ._rows import CosineSums as CosineSums, KeptRows as KeptRows
 from ._standard_errors import (
     ERRORS as ERRORS,
     Errors as Errors,
+    components_for as components_for,
+    correlated_covariance as correlated_covariance,
     effective_counts as effective_counts,
 )
 from ._weighted_equations import (

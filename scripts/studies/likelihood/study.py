@@ -10,8 +10,9 @@ recording, and judged on a comparison recording by ε on the links' true motion 
 - **floor**: what the true coefficients leave without static friction.
 
 The second table holds, for each group of coefficients, the root mean square of errors over their
-standard errors (the Cramér-Rao bound: 1 for an efficient estimator of honest intervals), and the
-share of 95 % intervals that hold the truth. The third is of static friction, joint by joint.
+standard errors (the Cramér-Rao bound of independent errors: 1 for an efficient estimator of honest
+intervals), and the share of 95 % intervals that hold the truth. The third is of static friction,
+joint by joint.
 
 Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
 """
@@ -56,7 +57,7 @@ def row_of(machine: sim.Machine, samples: int, seed: int) -> dict[str, Any]:
     settings = jc.Settings(preparation, jc.LeastSquares(cutoff=15.0))
     regression = settings.fit(without, settings.patterns(trained.recording))
     started = time.perf_counter()
-    result = jc.MaximumLikelihood().fit(network, trained.recording)
+    result = jc.MaximumLikelihood(errors="independent").fit(network, trained.recording)
     seconds = time.perf_counter() - started
     static = np.array(machine.static) - np.array(machine.dry)
     slopes = 1.0 / np.array(machine.static_velocity)

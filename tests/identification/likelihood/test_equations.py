@@ -1,5 +1,7 @@
 """The equation of motion as a function of positions: derivatives, and steps against dense ones."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.identification.likelihood._correlated import eliminated_rows
 from jaxcslc.identification.likelihood._motion_equations import MotionEquations
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
 from jaxcslc.identification.likelihood._signs import Signs
@@ -95,6 +98,28 @@ def test_a_step_is_that_of_dense_equations(objective: tuple[Objective, Point]) -
     obtained = np.concatenate([np.ravel(x) for x in (step.border, step.position, step.turn)])
     # Normal equations of second differences lose half of the digits.
     assert_allclose(obtained, dense, rtol=5e-5, atol=1e-6)
+
+
+def test_rows_without_positions_make_up_the_information(
+    objective: tuple[Objective, Point],
+) -> None:
+    problem, point = objective
+    weights = problem.weights
+    data_alone = dataclasses.replace(
+        weights,
+        standstill=np.zeros_like(weights.standstill),
+        turn=np.zeros_like(weights.turn),
+        border=np.zeros_like(weights.border),
+    )
+    linear = dataclasses.replace(problem, weights=data_alone).linearised(point)
+    factored = linear.factored(0.0)
+    rows, scores = eliminated_rows(linear, factored)
+    information = np.einsum("srb,src->bc", rows, rows)
+    # Normal equations of second differences lose half of the digits.
+    size = np.abs(information).max()
+    assert_allclose(information, factored.information, atol=1e-6 * size)
+    step = linear.step(factored, linear.residuals)
+    assert_allclose(information @ step.border, scores.sum(axis=0), atol=1e-5 * size)
 
 
 def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, Point]) -> None:

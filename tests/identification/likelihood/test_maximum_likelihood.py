@@ -83,7 +83,7 @@ def test_errors_of_encoders_are_those_it_states(
         step = 2e-4
         counts = step * np.round(position / step + rng.uniform(-0.5, 0.5))
         recording = jc.Recording(time, counts, torque)
-        result = jc.MaximumLikelihood().fit(network, recording)
+        result = jc.MaximumLikelihood(errors="independent").fit(network, recording)
         all_deviations.append(list(deviations(result).values()))
         assert_allclose(result.position_noise, step / np.sqrt(12), rtol=1e-6)
         # The estimated motion is nearer to the true one than a count's standard deviation.
@@ -178,6 +178,30 @@ class TestSeveralRecordings:
         assert_allclose(two.fit.standard_error, error, rtol=0.3)
 
 
+def test_errors_allow_for_noise_that_is_not_white() -> None:
+    """Slow errors of torque, as a model that lacks something leaves them."""
+    network = pendulum("viscous", "dry")
+    time, position, torque = swing(1200, static=0.0)
+    spread: dict[str, list[float]] = {"independent": [], "correlated": []}
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        slow = np.zeros_like(torque)
+        for row in range(1, len(slow)):
+            slow[row] = 0.95 * slow[row - 1] + 0.1 * rng.normal()
+        noisy = jc.Recording(time, position + 1e-5 * rng.normal(size=position.shape), torque + slow)
+        for errors, squares in spread.items():
+            result = jc.MaximumLikelihood(resolution=(0.0,), errors=errors).fit(network, noisy)
+            true = np.array([INERTIA, WEIGHT / 9.81, 0.0, VISCOUS, DRY])
+            squares += (((result.k - true) / result.fit.standard_error) ** 2).tolist()
+            assert_allclose(
+                np.sqrt(np.diag(result.fit.independent_covariance)),
+                result.fit.standard_error,
+                rtol=1e-9 if errors == "independent" else 10.0,
+            )
+    assert np.sqrt(np.mean(spread["independent"])) > 2.5
+    assert 0.6 < np.sqrt(np.mean(spread["correlated"])) < 1.7
+
+
 def test_a_joint_that_never_moves_is_undetermined() -> None:
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
     network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
@@ -233,6 +257,10 @@ class TestBadInput:
         time, position, torque = (x[:6] for x in clean)
         with pytest.raises(ValueError, match="has 6 samples; expected at least 10"):
             jc.MaximumLikelihood().fit(pendulum(), jc.Recording(time, position, torque))
+
+    def test_errors(self) -> None:
+        with pytest.raises((ValueError, TypeError), match="none"):
+            jc.MaximumLikelihood(errors="none")  # type: ignore[arg-type]
 
     def test_sampling(self) -> None:
         # A type checker at run time speaks first.

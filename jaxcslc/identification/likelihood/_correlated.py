@@ -1,0 +1,116 @@
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..solver import CosineSums, components_for, correlated_covariance, effective_counts
+from ._band import Factored
+from ._objective import Linear
+
+
+# Stretches of time in which products of rows are summed before they are multiplied by cosines.
+_STRETCHES = 256
+
+
+class CorrelatedErrors(NamedTuple):
+    """Errors of a fit whose residuals need not be white.
+
+    - `covariance`: (border, border), in units of the border's scale.
+    - `degrees_of_freedom`: of Student's t.
+    - `effective`: (n,) how many independent equations each joint's are worth.
+    """
+
+    covariance: Float[np.ndarray, "border border"]
+    degrees_of_freedom: float
+    effective: Float[np.ndarray, " joints"]
+
+
+def correlated_errors(
+    linear: Linear,
+    factored: Factored,
+    inverse: Float[np.ndarray, "border border"],
+    counted: Bool[np.ndarray, "equations joints"],
+) -> CorrelatedErrors:
+    """The sandwich: what residuals as they are, correlated in time and across joints, do to a fit.
+
+    With positions eliminated, a fit is a regression whose rows are what an equation or a reading
+    says of the border beyond what it says of positions. The sum over time of these rows times
+    residuals makes the error of the fit; its variance is the height of its spectrum at frequency
+    zero, estimated as for least squares (`correlated_covariance`). For white noise of the levels
+    that weights assume, it is the inverse of the information; for a model that lacks something it
+    is larger, often by far. What is known beforehand adds its part, for it is no sum over time.
+
+    **Arguments**
+
+    - `linear`, `factored`: the equations at the minimum.
+    - `inverse`: of the information, in units of the border's scale.
+    - `counted`: (equations, n) whether an equation has its full weight.
+    """
+    rows, scores = eliminated_rows(linear, factored)
+    residual = np.where(counted, linear.residuals.torque, 0.0)
+    effective = effective_counts(jnp.asarray(residual), jnp.asarray(counted, float))
+    used = components_for(effective)
+    sums = _sums(rows, scores, np.asarray(used))
+    covariance = correlated_covariance(sums, jnp.asarray(inverse), used)
+    objective = linear.objective
+    known = inverse * (objective.scale**2 * objective.weights.border)
+    total = np.asarray(covariance) + known @ inverse
+    return CorrelatedErrors(0.5 * (total + total.T), float(used.sum()), np.asarray(effective))
+
+
+def eliminated_rows(
+    linear: Linear, factored: Factored
+) -> tuple[Float[np.ndarray, "samples rows border"], Float[np.ndarray, "samples border"]]:
+    """Rows of each instant in standard deviations, and their sums times residuals.
+
+    The first and the last sample have readings and no equation.
+    """
+    objective, order = linear.objective, linear.order
+    weights, residuals, eliminated = objective.weights, linear.residuals, factored.eliminated
+    samples, n = order.position.shape
+    of_position = eliminated[order.position]  # (samples, n, border)
+    torque = linear.by_border.copy()
+    for i in range(3):
+        stencil = linear.by_position[:, :, i * n : (i + 1) * n]
+        torque -= np.matmul(stencil, of_position[i : samples - 2 + i])
+    signs = objective.signs
+    for index, offset in enumerate((-1, 0, 1)):
+        turned = linear.by_turn[index][:, None] * eliminated[order.turn]
+        np.subtract.at(torque, (signs.samples - 1 + offset, signs.joints), turned)
+    reading = -of_position
+    sample, joint = np.indices(weights.position.shape)
+    reading[sample, joint, linear.offset] += objective.scale[linear.offset]
+
+    root = np.sqrt(weights.torque)
+    rows = np.zeros((samples, 2 * n, len(objective.scale)))
+    rows[1:-1, :n] = torque * root[:, :, None]
+    rows[:, n:] = reading * np.sqrt(weights.position)[:, :, None]
+    scaled = np.zeros((samples, 2 * n))
+    scaled[1:-1, :n] = residuals.torque * root
+    scaled[:, n:] = residuals.position * np.sqrt(weights.position)
+    return rows, np.einsum("srb,sr->sb", rows, scaled)
+
+
+def _sums(
+    rows: Float[np.ndarray, "samples rows border"],
+    scores: Float[np.ndarray, "samples border"],
+    used: Float[np.ndarray, " components"],
+) -> CosineSums:
+    samples, _, border = rows.shape
+    number = np.arange(1, len(used) + 1)[:, None]
+
+    def cosines(phase: np.ndarray) -> np.ndarray:
+        return used[:, None] * np.sqrt(2.0) * np.cos(np.pi * number * phase[None, :])
+
+    stretches = np.array_split(np.arange(samples), min(_STRETCHES, samples))
+    grams = np.empty((len(stretches), border, border))
+    for gram, stretch in zip(grams, stretches, strict=True):
+        flat = rows[stretch[0] : stretch[-1] + 1].reshape(-1, border)
+        gram[:] = flat.T @ flat
+    middle = cosines(np.array([stretch.mean() + 0.5 for stretch in stretches]) / samples)
+    return CosineSums(
+        jnp.asarray(cosines((np.arange(samples) + 0.5) / samples) @ scores),
+        jnp.asarray(np.tensordot(middle, grams, axes=1)),
+        jnp.asarray(np.tensordot(np.sum(middle**2, axis=0), grams, axes=1)),
+    )
