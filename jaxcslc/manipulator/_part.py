@@ -159,11 +159,13 @@ def _only_what_is_modelled(tree: BodyTree, moved: Sequence[Moved], path: Path) -
     mimics = [pair for _, pair in _mimics(tree) if pair[0] in joints]
     if mimics:
         follower, leader = mimics[0]
+        leaders = ",".join(dict.fromkeys(leader for _, leader in mimics if leader in joints))
         others = [name for name, _ in mimics[1:]]
         too = f" ({_some(others)} too)" if others else ""
         raise RobotError(
             f"{path}: joint {follower!r} mimics {leader!r}{too}; joints that follow others are not"
-            " modelled (fix them, or choose a part of the tree with base and tip)"
+            f" modelled (--fix {leaders or follower} fixes them with what they follow; or choose a"
+            " part of the tree with base and tip)"
         )
     for kind, (first, second) in tree.constraints:
         if kind != MIMIC and {first, second} & (bodies | joints):

@@ -104,7 +104,9 @@ class PanelChart(AbstractChart):
         data: list[dict[str, Any]] = []
         inner, top = self.height - _TOP - _BOTTOM, 0
         above_title = {"y": 1 + _TITLE / inner, "yanchor": "bottom"}
-        layout["legend"] = {"orientation": "h", "itemsizing": "constant", "x": 0, **above_title}
+        # Small, so that three entries fit beside each other on a telephone: more are cut off.
+        small = {"orientation": "h", "x": 0, "font": {"size": 11}}
+        layout["legend"] = {"itemsizing": "constant", **small, **above_title}
         named: set[str] = set()
         for number, panel in enumerate(self.panels, 1):
             suffix = "" if number == 1 else str(number)
@@ -134,9 +136,10 @@ class PanelChart(AbstractChart):
             )
             axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
             for trace in self._traces(panel):
-                first = trace["name"] not in named
+                # What a panel's title says needs no entry.
+                listed = trace["name"] not in named and trace["name"] not in escape(panel.title)
                 named.add(trace["name"])
-                data.append(trace | axes | {"showlegend": first})
+                data.append(trace | axes | {"showlegend": listed})
             top += panel.height + _GAP
         return {"data": data, "layout": layout}
 
