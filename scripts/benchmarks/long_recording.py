@@ -42,8 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         start = time.perf_counter()
         done = subprocess.run([sys.executable, "-c", _COMMAND, *call], cwd=folder, check=False)
         seconds = time.perf_counter() - start
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6  # kilobytes on Linux
-    print(f"{options.samples} samples of 7 joints: {seconds:.0f} s, at most {peak:.2f} GB")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor, peak = used.ru_utime + used.ru_stime, used.ru_maxrss / 1e6  # kilobytes on Linux
+    print(
+        f"{options.samples} samples of 7 joints: {seconds:.0f} s, {processor:.0f} s of processor"
+        f" time, at most {peak:.2f} GB"
+    )
     return done.returncode
 
 
