@@ -98,4 +98,5 @@ from .solver import (
     LeastSquares as LeastSquares,
     Loss as Loss,
     Previous as Previous,
+    shard_patterns as shard_patterns,
 )

@@ -40,6 +40,7 @@ from ._minimum import (
 from ._preconditioned import Preconditioner as Preconditioner, factors_of as factors_of
 from ._robust import robust_weights as robust_weights
 from ._rows import CosineSums as CosineSums, KeptRows as KeptRows
+from ._sharded import shard_patterns as shard_patterns
 from ._standard_errors import (
     ERRORS as ERRORS,
     Errors as Errors,

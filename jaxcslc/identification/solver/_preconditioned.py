@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,12 +9,12 @@ import scipy
 from jaxtyping import Array, Float
 
 from ...network import AbstractLinearNetwork
-from ._factors import JointFactors, factorise, triangle_of, weighted_rows
+from ._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
 
 
 # Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30
 # columns, a condition number of about 1.5.
-_SAMPLE = 2048
+SAMPLE = 2048
 # Added below a sample's rows, in lengths of their columns: directions that the sample lacks stay
 # finite, and are resolved to 1e-8 of 1e-8.
 _SHIFT = 1e-8
@@ -26,7 +26,7 @@ _PASSES = 3
 # Patterns that are expanded into regressor rows at once, and of which a product is formed: on a
 # CPU what fits into a core's cache; on a GPU as many such products as keep all of it busy.
 _CPU_ROWS, _CPU_PRODUCTS = 2048, 1
-_GPU_ROWS, _GPU_PRODUCTS = 2048, 512
+_GPU_ROWS, _GPU_PRODUCTS = 1024, 128
 
 Motion = tuple[Array | np.ndarray, ...]
 
@@ -88,25 +88,47 @@ def factors_of(
 
     **Returns** the factors, NumPy's, and the preconditioner that served.
     """
-    weight = motion[-1]
-    counts = np.asarray(_counts(weight))
+    counts = np.asarray(_counts(motion[-1]))
     if preconditioner is None:
         preconditioner = sample_of(network, motion)
+
+    def grams_behind(preconditioner: Preconditioner) -> list[list[np.ndarray]]:
+        return [[np.asarray(x) for x in _grams(network, preconditioner.inverses, *motion)]]
+
+    def reflected() -> JointFactors:
+        return jax.tree.map(np.asarray, _reflected(network, *(jnp.asarray(x) for x in motion)))
+
+    factors, preconditioner = refined(preconditioner, grams_behind, reflected)
+    return JointFactors(factors.triangles, counts), preconditioner
+
+
+def refined(
+    preconditioner: Preconditioner,
+    grams_behind: Callable[[Preconditioner], Sequence[Sequence[Float[np.ndarray, "_ _"]]]],
+    reflected: Callable[[], JointFactors],
+) -> tuple[JointFactors, Preconditioner]:
+    """Factors whose error is small, of one or several sets of patterns, joined.
+
+    - `grams_behind`: for each set its products behind a preconditioner, of each joint.
+    - `reflected`: the factors by reflections.
+
+    **Returns** the factors, without counts, and the preconditioner that served.
+    """
     for _ in range(_PASSES):
-        grams = [np.asarray(x) for x in _grams(network, preconditioner.inverses, *motion)]
-        triangles, errors = triangles_of(preconditioner, grams)
+        sets = [triangles_of(preconditioner, grams) for grams in grams_behind(preconditioner)]
+        none = np.zeros(len(preconditioner.factors))
+        factors = joined_factors([JointFactors(triangles, none) for triangles, _ in sets])
         # Rows that are not finite have no better factors.
-        if not np.any(errors >= _LARGEST_ERROR):
-            return JointFactors(triangles, counts), preconditioner
-        preconditioner = Preconditioner.of_rows(triangles)
-    factors = _reflected(network, *(jnp.asarray(x) for x in motion))
-    return jax.tree.map(np.asarray, factors), preconditioner
+        if not any(np.any(errors >= _LARGEST_ERROR) for _, errors in sets):
+            return factors, preconditioner
+        preconditioner = Preconditioner.of_rows([np.asarray(x) for x in factors.triangles])
+    return reflected(), preconditioner
 
 
 def sample_of(network: AbstractLinearNetwork, motion: Motion) -> Preconditioner:
     """The preconditioner of patterns that are spread over all."""
-    step = max(len(motion[0]) // _SAMPLE, 1)
-    sample = tuple(jnp.asarray(x[::step][:_SAMPLE]) for x in motion)
+    step = max(len(motion[0]) // SAMPLE, 1)
+    sample = tuple(jnp.asarray(x[::step][:SAMPLE]) for x in motion)
     return Preconditioner.of_rows([np.asarray(rows).T for rows in _rows(network, *sample)])
 
 

@@ -14,6 +14,7 @@ from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 from ._factors import JointFactors, joined_factors
 from ._preconditioned import Preconditioner, factors_of, sample_of
+from ._sharded import factors_of_shards, mesh_of
 
 
 # Patterns that one compiled call takes: large enough that its overhead vanishes.
@@ -60,17 +61,22 @@ def factors_of_stream(
 
 def are_many(patterns: Patterns) -> bool:
     """Whether `factors_of_patterns` pays: it computes products where `factorise` reflects."""
+    if mesh_of(patterns.q) is not None:
+        return True
     return len(patterns.q) >= (2 * _CPU_LENGTH if _on_cpu(patterns.q) else _FEWEST_ON_GPU)
 
 
 def factors_of_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
     """The factors of patterns that are in memory: on the host, where all cores share them in
-    pieces, or on a device."""
+    pieces, on a device, or spread over several."""
     many_on_host = isinstance(patterns.q, np.ndarray) and len(patterns.q) > _GPU_LENGTH
-    if many_on_host or _on_cpu(patterns.q):
+    mesh = mesh_of(patterns.q)
+    if many_on_host or (mesh is None and _on_cpu(patterns.q)):
         return factors_of_stream(network, [patterns], None)
     weight = jnp.asarray(patterns.mask).astype(float)
     motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
+    if mesh is not None:
+        return factors_of_shards(network, tuple(map(jnp.asarray, motion)), mesh)
     return factors_of(network, jax.device_put(motion))[0]
 
 

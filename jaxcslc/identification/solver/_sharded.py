@@ -1,0 +1,144 @@
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float
+
+from ...motion import Patterns
+from ...network import AbstractLinearNetwork
+from ._factors import JointFactors, factorise, joined_factors, weighted_rows
+from ._preconditioned import SAMPLE, Preconditioner, gram_matrices, refined
+
+
+_AXIS = "patterns"
+
+
+def shard_patterns(patterns: Patterns, devices: Sequence[Any] | None = None) -> Patterns:
+    """Patterns spread over several devices, for `LeastSquares(errors="independent").fit`.
+
+    Each device then factorises its patterns, and their triangles are joined. Under
+    `jax.distributed`, every process calls this with the patterns that it has read, as many as
+    the others have, and `fit` gives every process the fit of all.
+
+    **Arguments**
+
+    - `patterns`: (samples, n); those of this process. Filled up with patterns outside of the
+      mask to a multiple of this process's devices.
+    - `devices`: of all processes; all there are if None.
+
+    **Returns** the same patterns, as JAX's arrays, sharded along samples.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> motion, mask = np.ones((5, 6)), np.ones((5, 6), bool)
+    >>> patterns = jc.Patterns(np.arange(5.0), motion, motion, motion, motion, mask, mask)
+    >>> sharded = jc.identification.shard_patterns(patterns)
+    >>> sharded.q.sharding.spec[0], int(sharded.mask.sum())
+    ('patterns', 30)
+    """
+    devices = list(jax.devices()) if devices is None else list(devices)
+    sharding = NamedSharding(Mesh(np.array(devices), (_AXIS,)), PartitionSpec(_AXIS))
+    here = sum(device.process_index == jax.process_index() for device in devices)
+    missing = -len(patterns.q) % here
+
+    def spread(x: Array | np.ndarray) -> Array:
+        x = np.pad(np.asarray(x), [(0, missing)] + [(0, 0)] * (x.ndim - 1))
+        return jax.make_array_from_process_local_data(sharding, x)
+
+    return jax.tree.map(spread, patterns)
+
+
+def mesh_of(x: Array | np.ndarray) -> Mesh | None:
+    """The devices that an array is spread over, None if it is on one, or on the host."""
+    if not isinstance(x, jax.Array) or len(x.sharding.device_set) < 2:
+        return None
+    sharding = x.sharding
+    if isinstance(sharding, NamedSharding) and sharding.spec[:1] == (_AXIS,):
+        return Mesh(np.asarray(sharding.mesh.devices), (_AXIS,))
+    return Mesh(np.array(sorted(sharding.device_set, key=lambda device: device.id)), (_AXIS,))
+
+
+def factors_of_shards(
+    network: AbstractLinearNetwork, motion: tuple[Array, ...], mesh: Mesh
+) -> JointFactors:
+    """The factors of patterns that are spread over devices: one triangle a device, joined.
+
+    - `motion`: q, qd, qdd (samples, m), torque and weight (samples, n).
+    """
+    step = max(len(motion[0]) // SAMPLE, 1)
+    rows, counts = _sample(network, step, mesh, *motion)
+    preconditioner = Preconditioner.of_rows([np.asarray(x).T for x in rows])
+    on_gpu = mesh.devices.flat[0].platform != "cpu"
+
+    def grams_behind(preconditioner: Preconditioner) -> list[list[np.ndarray]]:
+        products = _grams(network, preconditioner.inverses, mesh, on_gpu, *motion)
+        return [[gram[i] for gram in map(np.asarray, products)] for i in range(mesh.size)]
+
+    def reflected() -> JointFactors:
+        triangles = [np.asarray(x) for x in _reflected(network, mesh, *motion)]
+        return joined_factors(
+            [
+                JointFactors(tuple(x[i] for x in triangles), np.zeros(len(triangles)))
+                for i in range(mesh.size)
+            ]
+        )
+
+    factors, _ = refined(preconditioner, grams_behind, reflected)
+    return JointFactors(factors.triangles, np.asarray(counts))
+
+
+@eqx.filter_jit
+def _sample(
+    network: AbstractLinearNetwork, step: int, mesh: Mesh, *motion: Array
+) -> tuple[tuple[Float[Array, "_ _"], ...], Float[Array, " joints"]]:
+    """Rows of some patterns, and the numbers of equations, on every device."""
+    everywhere = NamedSharding(mesh, PartitionSpec())
+    sample = (jnp.swapaxes(x[::step][:SAMPLE], 0, 1) for x in motion)
+    sample = (jax.lax.with_sharding_constraint(x, everywhere) for x in sample)
+    counts = jnp.sum(motion[-1] != 0, axis=0).astype(float)
+    results = weighted_rows(network, *sample), counts
+    return jax.lax.with_sharding_constraint(results, everywhere)
+
+
+@eqx.filter_jit
+def _grams(
+    network: AbstractLinearNetwork,
+    inverses: tuple[Float[Array | np.ndarray, "_ _"], ...],
+    mesh: Mesh,
+    on_gpu: bool,
+    *motion: Array,
+) -> tuple[Float[Array, "devices _ _"], ...]:
+    of_device = functools.partial(gram_matrices, network, inverses, on_gpu=on_gpu)
+    return _on_all(of_device, mesh, motion)
+
+
+@eqx.filter_jit
+def _reflected(
+    network: AbstractLinearNetwork, mesh: Mesh, *motion: Array
+) -> tuple[Float[Array, "devices _ _"], ...]:
+    def of_device(*shard: Array) -> tuple[Array, ...]:
+        return tuple(map(jnp.asarray, factorise(network, *shard).triangles))
+
+    return _on_all(of_device, mesh, motion)
+
+
+def _on_all(
+    of_device: Callable[..., tuple[Array, ...]], mesh: Mesh, motion: tuple[Array, ...]
+) -> tuple[Array, ...]:
+    """What a function makes of each device's patterns, with a leading axis of devices, on all."""
+
+    def gathered(*shard: Array) -> tuple[Array, ...]:
+        return jax.tree.map(lambda x: jax.lax.all_gather(x, _AXIS), of_device(*shard))
+
+    # Not checked: the checker does not know that what is gathered is the same everywhere.
+    return jax.shard_map(
+        gathered,
+        mesh=mesh,
+        in_specs=PartitionSpec(_AXIS),
+        out_specs=PartitionSpec(),
+        check_vma=False,
+    )(*motion)
