@@ -8,7 +8,6 @@ from ._filters import (
     Butterworth as Butterworth,
     CentralDifferences as CentralDifferences,
     SavitzkyGolay as SavitzkyGolay,
-    zero_phase as zero_phase,
 )
 from ._masks import (
     away_from_reversals as away_from_reversals,
@@ -66,6 +65,7 @@ from ._smoothing import (
 )
 from ._spacing import choose_spacing as choose_spacing, left_out_error as left_out_error
 from ._splines import AveragedSplines as AveragedSplines
+from ._zero_phase import zero_phase as zero_phase
 from .files import (
     ColumnMapping as ColumnMapping,
     RecordingChunk as RecordingChunk,

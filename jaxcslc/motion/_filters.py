@@ -5,11 +5,7 @@ from jaxtyping import Float
 
 from ._clock import uniform_interval
 from ._smoothing import AbstractSmoothing, Derivatives, register_smoothing
-
-
-MEMORY = 5.0
-"""After so many periods of its cut-off, less than 1e-5 is left of what a filter of fourth order
-has seen: its slowest poles fade by exp(-0.38 · 2π) in each."""
+from ._zero_phase import zero_phase
 
 
 @register_smoothing("central_differences")
@@ -202,59 +198,3 @@ def _polynomial_weights(
     weights = values @ np.linalg.solve(transform, basis.T)
     weights.setflags(write=False)
     return weights
-
-
-def zero_phase(
-    signal: Float[np.ndarray, " samples *columns"],
-    interval: float,
-    *,
-    cutoff: float,
-    order: int = 4,
-) -> Float[np.ndarray, " samples *columns"]:
-    """Runs a Butterworth low-pass filter over a signal forwards and backwards.
-
-    **Arguments**
-
-    - `signal`: sampled along its first axis, shape `(samples, ...)`.
-    - `interval`: between samples [s].
-    - `cutoff`: where the two passes together leave half of the amplitude [Hz].
-    - `order`: of one pass.
-
-    **Returns**
-
-    The filtered signal, of the same shape. A linear function of the signal.
-
-    **Raises**
-
-    - `ValueError`: a cut-off that is not between 0 and half the sampling rate, or fewer samples
-        than the filter needs to start from.
-
-    >>> import numpy as np
-    >>> from jaxcslc.motion import zero_phase
-    >>> bool(np.allclose(zero_phase(np.ones((100, 2)), 0.01, cutoff=5.0), 1.0))
-    True
-    """
-    if not 0.0 < cutoff < 0.5 / interval:
-        raise ValueError(
-            f"cut-off is {cutoff} Hz; expected more than 0 and less than half the sampling rate "
-            f"of {1.0 / interval:.6g} Hz"
-        )
-    from scipy.signal import sosfiltfilt  # takes a second to import
-
-    sections = _sections(order, cutoff, interval)
-    fewest = 3 * (order + 1)
-    if signal.shape[0] < fewest:
-        raise ValueError(
-            f"{signal.shape[0]} samples; expected {fewest} or more for a filter of order {order}"
-        )
-    # The record goes on by its own reflection in its end points for as long as the filter
-    # remembers: scipy's default is a few samples, of which a slow filter leaves transients.
-    padding = min(int(np.ceil(MEMORY / (cutoff * interval))), signal.shape[0] - 1)
-    return sosfiltfilt(sections, signal, axis=0, padlen=padding)
-
-
-@lru_cache(maxsize=256)  # selection designs the same few filters for every candidate and fold
-def _sections(order: int, cutoff: float, interval: float) -> Float[np.ndarray, "sections _"]:
-    from scipy.signal import butter
-
-    return butter(order, cutoff, fs=1.0 / interval, output="sos")

@@ -2,7 +2,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._filters import zero_phase
+from ._zero_phase import zero_phase
 
 
 class FilteredEquations(eqx.Module):

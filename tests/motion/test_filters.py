@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfreqz
+from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from jaxcslc.motion import (
     Butterworth,
@@ -45,6 +45,24 @@ def test_two_passes_square_the_magnitude_and_leave_the_phase(order: int, frequen
     np.testing.assert_allclose(filtered[inside], expected[inside], atol=1e-9)
     if frequency == 20.0:
         np.testing.assert_allclose(filtered[inside], 0.5 * wave[inside], atol=1e-9)
+
+
+# Coefficients of sections with poles near 1 lose as many digits as the cut-off has periods to the
+# square in a sampling rate.
+@pytest.mark.parametrize(
+    ("cutoff", "rounding"), [(0.5, 1e-10), (2.0, 1e-11), (60.0, 1e-13), (240.0, 1e-13)]
+)
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 8])
+def test_zero_phase_is_scipys(
+    order: int, cutoff: float, rounding: float, rng: np.random.Generator
+) -> None:
+    signal = np.cumsum(rng.standard_normal((1000, 2, 3)), axis=0)
+    sections = butter(order, cutoff, fs=1 / INTERVAL, output="sos")
+    padding = min(int(np.ceil(5.0 / (cutoff * INTERVAL))), 999)
+    expected = sosfiltfilt(sections, signal, axis=0, padlen=padding)
+    filtered = zero_phase(signal, INTERVAL, cutoff=cutoff, order=order)
+    scale = float(np.max(np.abs(expected)))
+    np.testing.assert_allclose(filtered, expected, rtol=0, atol=rounding * scale)
 
 
 def test_filtering_is_linear_and_reverses_with_time(rng: np.random.Generator) -> None:
