@@ -5,7 +5,8 @@ from flint import fmpq
 
 from ._chain import LinkTwists
 from ._inertial_terms import InertialTerm, gravity_factors, kinetic_factors
-from ._polynomials import Monomial, PositionRing
+from ._polynomials import PositionRing
+from ._sparse_polynomial import Monomial, SparsePolynomial
 
 
 # A form is linear in the terms; the key names a product of parameters and symbolic constants.
@@ -114,7 +115,7 @@ def _collect(
     for index, term in terms:
         for entry, multiple in term.body:
             polynomial = normal.get(entry, 0)
-            if not hasattr(polynomial, "items"):  # a plain number
+            if not isinstance(polynomial, SparsePolynomial):  # a plain number
                 constant = (0,) * (split + len(ring.constants))
                 polynomial = {constant: fmpq(polynomial)} if polynomial else {}
             for exponents, value in polynomial.items():

@@ -4,10 +4,7 @@ from functools import cached_property
 from typing import Any
 
 from ._chain import Chain
-
-
-Monomial = tuple[int, ...]  # exponents of `PositionRing.variables`
-Polynomial = dict[Monomial, Any]
+from ._sparse_polynomial import Monomial, SparsePolynomial
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,17 +32,9 @@ class PositionRing:
         return tuple(i for i, link in enumerate(self.chain.links) if link.prismatic)
 
     @cached_property
-    def _ring(self) -> tuple[Any, tuple[Any, ...]]:
-        # Importing sympy takes a second, and who wants base parameters only needs none of it.
-        from sympy import QQ
-        from sympy.polys.rings import ring
-
-        domain, *generators = ring((*self.variables, *self.constants), QQ)
-        return domain, tuple(generators)
-
-    @property
-    def _generators(self) -> tuple[Any, ...]:
-        return self._ring[1]
+    def _generators(self) -> tuple[SparsePolynomial, ...]:
+        count = len(self.variables) + len(self.constants)
+        return tuple(SparsePolynomial.generator(index, count) for index in range(count))
 
     @property
     def cosines(self) -> Sequence[Any]:
@@ -64,7 +53,7 @@ class PositionRing:
 
     def normal_form(self, polynomial: Any) -> Any:
         """The same function with every s² replaced by 1 - c²."""
-        if not hasattr(polynomial, "ring"):  # a plain number
+        if not isinstance(polynomial, SparsePolynomial):  # a plain number
             return polynomial
         for angle in range(len(self.chain.angles)):
             cos, sin = 2 * angle, 2 * angle + 1
@@ -72,7 +61,8 @@ class PositionRing:
                 polynomial = self._without_square(polynomial, cos, sin)
         return polynomial
 
-    def _without_square(self, polynomial: Any, cos: int, sin: int) -> Any:
+    @staticmethod
+    def _without_square(polynomial: SparsePolynomial, cos: int, sin: int) -> SparsePolynomial:
         result: dict[Monomial, Any] = {}
         for monomial, coefficient in polynomial.items():
             if monomial[sin] < 2:
@@ -84,7 +74,7 @@ class PositionRing:
                 key = tuple(row)
                 result[key] = result.get(key, 0) + factor
                 row[cos] += 2
-        return polynomial.ring.from_dict(result)
+        return SparsePolynomial.without_zeros(result)
 
     def derivative(self, polynomial: dict[Monomial, Any], joint: int) -> dict[Monomial, Any]:
         """Partial derivative of a normal form with respect to a joint variable, in normal form.

@@ -4,7 +4,8 @@ from fractions import Fraction
 
 from ..manipulator import RobotError, Subnumbering
 from ._lagrange import Element
-from ._polynomials import Monomial, PositionRing
+from ._polynomials import PositionRing
+from ._sparse_polynomial import Monomial
 
 
 Column = tuple[int, ...]  # (row, column) of M, (i, j, k) of c_ijk or (joint,) of G, from 0

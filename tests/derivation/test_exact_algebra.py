@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from sympy import QQ
+from sympy.polys.rings import ring as sympy_ring
 
 import jaxcslc
 from jaxcslc.derivation import Chain, PositionRing, derive_algebra, link_twists
 from jaxcslc.derivation._exact import exact_cos_sin, exact_number
+from jaxcslc.derivation._sparse_polynomial import SparsePolynomial
 from jaxcslc.manipulator import LinkInertia, Manipulator, RobotError
 
 
@@ -115,9 +117,26 @@ def random_polynomial(ring: PositionRing, rng: np.random.Generator) -> Any:
         powers = rng.integers(0, 3, len(variables))
         term: Any = QQ(int(rng.integers(1, 9)), int(rng.integers(1, 9)))
         for variable, power in zip(variables, powers, strict=True):
-            term = term * variable ** int(power)
+            term = math.prod([variable] * int(power), start=term)
         total = total + term
     return total
+
+
+def test_sparse_polynomials_are_sympys() -> None:
+    """Same terms in the same order, which names of coefficients depend on."""
+    _, *theirs = sympy_ring("x, y, z", QQ)
+    ours = [SparsePolynomial.generator(index, 3) for index in range(3)]
+
+    def built(generators: list[Any]) -> list[Any]:
+        x, y, z = generators
+        half = QQ(1, 2)
+        one = (half * x + y * z - 3) * (x * x - y) + 2
+        other = 1 - (z + x) * (z - x) - one * y
+        return [one, other, one * other - other * one, one - other, -one * half, one * 0]
+
+    for polynomial, expected in zip(built(ours), built(theirs), strict=True):
+        assert list(polynomial.items()) == list(expected.items())
+        assert (polynomial == 0) == (expected == 0)
 
 
 def test_normal_form_is_the_same_function(rng: np.random.Generator) -> None:
