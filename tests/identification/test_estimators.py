@@ -1,5 +1,6 @@
 """`identify` with least squares, with maximum likelihood, and with whichever predicts better."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,15 @@ def test_the_misfit_of_smoothing_is_seen(network: jc.CSLC) -> None:
     true, other = (estimator.misfit(network, unfitted, k, *levels) for k in (K, attenuated))
     mask = true.mask & other.mask
     assert np.mean(true.error[mask] ** 2) < 0.98 * np.mean(other.error[mask] ** 2)
+
+
+def test_static_friction_that_regression_leaves_out(network: jc.CSLC) -> None:
+    robot = dataclasses.replace(network.robot, friction=("viscous", "dry", "static"))
+    static = jc.derive(robot, lengths="numeric")
+    report = jc.identify(static, swing(network, 0), estimator="maximum-likelihood", **QUICK)
+    assert report.network.names == report.fit.names == tuple(str(r["name"]) for r in report.rows())
+    assert report.excitation is not None
+    assert report.excitation.variance_inflation.shape == (report.network.size,)
 
 
 def test_several_recordings(network: jc.CSLC) -> None:

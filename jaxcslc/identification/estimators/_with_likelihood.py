@@ -22,7 +22,7 @@ from ..possible import (
     possible_coefficients,
 )
 from ..prior import Known, Prior, with_knowledge
-from ..report import Report, compare, fit_warnings
+from ..report import Report, compare, degree_of_excitation, fit_warnings
 from ..solver import Identification, torque_of
 
 
@@ -288,8 +288,13 @@ class _Judged:
                 " may be off by more than their intervals"
             )
         warnings += fit_warnings(network, recording, fit, errors["training"])
+        excitation = base.excitation
+        if excitation is not None and network.names != base.network.names:
+            # Regression leaves static friction out where slopes cannot be fitted to smooth motion.
+            excitation = degree_of_excitation(network, joined)
         return dataclasses.replace(
             base,
+            excitation=excitation,
             network=network,
             fit=fit,
             errors=MappingProxyType(errors),

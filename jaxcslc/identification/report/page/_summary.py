@@ -164,7 +164,7 @@ def _warnings(data: Mapping[str, Any]) -> Iterator[Message]:
     count = len(data["warnings"]) + len(data["findings"])
     if count:
         yield Message(
-            f"{counted(count, 'warning')} about data and fit, listed below.",
+            f"{counted(count, 'warning')} about data and fit.",
             "caution",
         )
 
