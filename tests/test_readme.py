@@ -114,6 +114,7 @@ link = { mass = 2.0, centre_of_gravity = [0.2, 0, 0], inertia_tensor = [0.02, 0.
 a = 0.4
 link = { mass = 1.0, centre_of_gravity = [0.15, 0, 0], inertia_tensor = [0.01, 0.02, 0.02] }
 """
+LIMITS = "[joints]\nposition = [-2, 2]\nvelocity = 4\ntorque = 60\n"
 PANDA = """<robot name="panda"><link name="panda_link0"/>
 <link name="panda_link8"><inertial><mass value="1"/><origin xyz="0.1 0 0"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -125,6 +126,7 @@ def prepare_folder(folder: Path) -> None:
     """The robots and recordings that the README's lines name, small ones."""
     (folder / "arm.toml").write_text(ARM)
     (folder / "panda.urdf").write_text(PANDA)
+    (folder / "limits.toml").write_text(LIMITS)
     network = jc.derive(jc.load_robot(folder / "arm.toml"), lengths="numeric")
     network = network.with_payload()
     time = 0.01 * np.arange(1500)
@@ -152,7 +154,13 @@ def test_the_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.Monk
             continue
         result = run(*arguments)
         assert result.exit_code == 0, f"{line}: {result.output} {result.exception}"
-    for name in ("comparison.html", "arm_identified.toml", "arm.c", "payload/payload.json"):
+    for name in (
+        "comparison.html",
+        "arm_identified.toml",
+        "arm.c",
+        "motion.csv",
+        "payload/payload.json",
+    ):
         assert Path(name).exists(), name
 
 

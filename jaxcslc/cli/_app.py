@@ -11,6 +11,7 @@ from ._check import check_command
 from ._compare import compare_command
 from ._constants import constants_command
 from ._derive import derive_command
+from ._excite import excite_command
 from ._export import export_command
 from ._identify import identify_command
 from ._payload import payload_command
@@ -27,6 +28,7 @@ app.command("derive")(derive_command)
 app.command("check")(check_command)
 app.command("identify")(identify_command)
 app.command("compare")(compare_command)
+app.command("excite")(excite_command)
 app.command("export")(export_command)
 app.command("payload")(payload_command)
 app.command("constants")(constants_command)

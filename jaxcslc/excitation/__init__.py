@@ -1,4 +1,8 @@
-from ._criteria import CRITERIA as CRITERIA, EXPLANATIONS as EXPLANATIONS, Criterion as Criterion
+from ._criteria import (
+    CRITERIA as CRITERIA,
+    EXPLANATIONS as EXPLANATIONS,
+    wanted_indices as wanted_indices,
+)
 from ._design import (
     FAMILIES as FAMILIES,
     Planner as Planner,
@@ -17,4 +21,5 @@ from ._information import MotionInformation as MotionInformation, Prediction as 
 from ._knowledge import Knowledge as Knowledge
 from ._limits import Limits as Limits, Surroundings as Surroundings, load_limits as load_limits
 from ._noise import Noise as Noise
+from ._output import save_design as save_design
 from ._result import Design as Design

@@ -119,9 +119,10 @@ def _resolved(match: re.Match[str], urdf: Path) -> str:
 def _spec_of_capsules(mujoco: Any, robot: Manipulator, radius: float | tuple[float, ...]) -> Any:
     """Links as capsules between the origins of their frames."""
     n = robot.joint_count
-    radii = np.broadcast_to(np.atleast_1d(np.asarray(radius, float)), (n,))
-    if np.size(radius) not in (1, n) or not np.all(radii > 0):
+    radii = np.atleast_1d(np.asarray(radius, float))
+    if len(radii) not in (1, n) or not np.all(radii > 0):
         raise ValueError(f"surroundings, radius: expected one number above 0 or {n}, got {radius}")
+    radii = np.broadcast_to(radii, (n,))
     spec = mujoco.MjSpec()
     bodies: list[Any] = []
     for i, (joint, parent) in enumerate(zip(robot.joints, robot.parents, strict=True)):
@@ -136,11 +137,11 @@ def _spec_of_capsules(mujoco: Any, robot: Manipulator, radius: float | tuple[flo
             type=kinds.mjJNT_HINGE if joint.kind == "R" else kinds.mjJNT_SLIDE,
             axis=[0, 0, 1],
         )
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radii[i], 0, 0])
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radii[i], 0.0, 0.0])
         if parent >= 0 and np.linalg.norm(pose[:3, 3]) > 1e-6:
             carrier.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                size=[radii[parent], 0, 0],
+                size=[radii[parent], 0.0, 0.0],
                 fromto=[0, 0, 0, *pose[:3, 3]],
             )
         bodies.append(body)
@@ -184,4 +185,4 @@ def _add_obstacles(mujoco: Any, spec: Any, surroundings: Surroundings) -> None:
     for i, (centre, size) in enumerate(surroundings.boxes, 1):
         add(f"box {i}", box, [x / 2 for x in size], centre)
     for i, (centre, radius) in enumerate(surroundings.spheres, 1):
-        add(f"sphere {i}", sphere, [float(np.ravel(radius)[0]), 0, 0], centre)
+        add(f"sphere {i}", sphere, [float(np.ravel(radius)[0]), 0.0, 0.0], centre)

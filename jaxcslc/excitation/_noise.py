@@ -1,9 +1,10 @@
 import dataclasses
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from ..identification.solver import Identification
 from ..motion import Recording, Sampling
 
 
@@ -107,6 +108,30 @@ class Noise:
             for step, scatter in zip(sampling.resolution, sampling.noise, strict=True)
         )
         return cls(torque, steps, 1.0 / sampling.interval, torque_bandwidth, estimator)
+
+    @classmethod
+    def of_fit(cls, fit: Identification, sampling: Sampling | None, **stated: Any) -> "Noise":
+        """As an earlier identification met it: residuals, and how they were correlated.
+
+        A joint's residuals that are worth m of n independent ones have a density n / m times that
+        of white noise, as a first-order low pass of bandwidth rate m / (π n) makes it.
+
+        **Arguments**
+
+        - `fit`: the identification.
+        - `sampling`: of its recording; None if unknown.
+        - `stated`: attributes that are known better.
+        """
+        ratio = np.asarray(fit.effective_equations) / np.maximum(np.asarray(fit.equations), 1.0)
+        ratio = float(np.clip(np.median(ratio), 1e-4, 1.0))
+        error = np.asarray(fit.torque_error, float)
+        fields: dict[str, Any] = {"torque": tuple(np.maximum(error, 1e-9 * error.max()).tolist())}
+        if sampling is not None:
+            fields |= {"resolution": sampling.resolution, "rate": 1.0 / sampling.interval}
+        fields |= stated
+        if ratio < 0.3 and "torque_bandwidth" not in stated:
+            fields["torque_bandwidth"] = float(fields.get("rate", cls.rate)) * ratio / np.pi
+        return cls(**fields)
 
     @property
     def slow_fraction(self) -> float:

@@ -1,0 +1,225 @@
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from ..excitation import (
+    CRITERIA,
+    FAMILIES,
+    Design,
+    Knowledge,
+    Limits,
+    Noise,
+    design_motion,
+    load_limits,
+    save_design,
+    wanted_indices,
+)
+from ..identification import Identification, identify
+from ..identification.report import load_report
+from ..manipulator import Manipulator
+from ..motion import Sampling
+from ..network import CSLC
+from ._common import (
+    BaseOption,
+    ColumnsOption,
+    CommandContext,
+    CoupledOption,
+    FixOption,
+    FrictionOption,
+    LengthsOption,
+    RobotArgument,
+    TipOption,
+    choice_of,
+    command_text,
+    names_in,
+    network_of,
+    one_line_errors,
+    progress,
+    recording_of,
+    recordings_of,
+    robot_named,
+)
+from ._excite_options import (
+    AfterOption,
+    CriterionOption,
+    DurationOption,
+    EncoderOption,
+    EstimatorOption,
+    FamilyOption,
+    ForOption,
+    LimitsOption,
+    MotionOption,
+    PriorReportOption,
+    RateOption,
+    ReachOption,
+    SeedOption,
+    StartOption,
+    StartsOption,
+    TaskOption,
+    TorqueNoiseOption,
+)
+
+
+def excite_command(
+    context: CommandContext,
+    robot: RobotArgument,
+    output: MotionOption = Path("motion.csv"),
+    duration: DurationOption = 10.0,
+    rate: RateOption = 500.0,
+    family: FamilyOption = "splines",
+    wanted: ForOption = None,
+    criterion: CriterionOption = "error",
+    prior: PriorReportOption = None,
+    after: AfterOption = None,
+    reach: ReachOption = None,
+    limits: LimitsOption = None,
+    torque_noise: TorqueNoiseOption = None,
+    encoder: EncoderOption = None,
+    estimator: EstimatorOption = "likelihood",
+    task: TaskOption = None,
+    start: StartOption = None,
+    seed: SeedOption = 0,
+    starts: StartsOption = 3,
+    lengths: LengthsOption = "auto",
+    base: BaseOption = None,
+    tip: TipOption = None,
+    fix: FixOption = None,
+    friction: FrictionOption = None,
+    coupled: CoupledOption = None,
+    columns: ColumnsOption = None,
+) -> None:
+    """Design the motion to record next, within all limits, for the least errors."""
+    with one_line_errors(), progress("reading") as step:
+        _check_options(output, family, criterion, starts)
+        arm = robot_named(robot, base, tip, fix)
+        before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
+        network = before.network
+        bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
+        noise = _noise(before, bounds, rate, torque_noise, encoder, estimator)
+        names = None if wanted is None else names_in(wanted)
+        if reached := _reached(before, names, reach):
+            typer.echo(reached)
+            return
+        design = design_motion(
+            network,
+            bounds,
+            noise,
+            duration=duration,
+            family=family,
+            wanted=names,
+            criterion=criterion,
+            knowledge=before.knowledge,
+            task=None if task is None else recording_of(task, arm, columns),
+            surroundings=surroundings,
+            start=None if not start else np.array(_numbers("--start", start)),
+            seed=seed,
+            starts=starts,
+            progress=step,
+        )
+        paths = save_design(design, output, command=command_text(context))
+    typer.echo(_text(design, before, reach))
+    typer.echo("\nwrote " + ", ".join(str(path) for path in paths))
+
+
+def _check_options(output: Path, family: str, criterion: str, starts: int) -> None:
+    choice_of("--family", family, FAMILIES)
+    choice_of("--criterion", criterion, CRITERIA)
+    if starts < 1:
+        raise ValueError(f"--starts is {starts}; expected 1 or more")
+    if not output.parent.is_dir():
+        raise ValueError(f"{output.parent}: no such folder")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Before:
+    """What earlier recordings say."""
+
+    network: CSLC
+    knowledge: Knowledge
+    fit: Identification | None = None
+    sampling: Sampling | None = None
+
+
+def _before(
+    arm: Manipulator,
+    prior: Path | None,
+    after: Sequence[Path] | None,
+    columns: Path | None,
+    form: tuple[str, str | None, list[str] | None],
+    step: Callable[[str], None],
+) -> _Before:
+    if prior is not None and after:
+        raise ValueError("--prior and --after: expected one of them")
+    if prior is not None:
+        saved = load_report(prior, arm)
+        sampling = None if saved.settings is None else saved.settings.chosen_on
+        knowledge = Knowledge.of_fit(saved.network, saved.fit)
+        return _Before(saved.network, knowledge, saved.fit, sampling)
+    network = network_of(arm, *form)
+    if not after:
+        return _Before(network, Knowledge.of_robot(network))
+    recordings = recordings_of(after, lambda path: recording_of(path, network.robot, columns))
+    report = identify(network, recordings, possible="never", progress=step)
+    sampling = Sampling.of(next(iter(recordings.values())))
+    return _Before(network, Knowledge.of_fit(network, report.fit), report.fit, sampling)
+
+
+def _noise(
+    before: _Before,
+    limits: Limits,
+    rate: float,
+    torque: str | None,
+    encoder: str | None,
+    estimator: str,
+) -> Noise:
+    """Stated, or as earlier recordings had it, or a guess."""
+    stated: dict[str, Any] = {"rate": rate, "estimator": estimator}
+    if torque is not None:
+        stated["torque"] = _numbers("--torque-noise", torque)
+    if encoder is not None:
+        stated["resolution"] = _numbers("--encoder", encoder)
+    if before.fit is not None:
+        return Noise.of_fit(before.fit, before.sampling, **stated)
+    if torque is None:
+        if not np.isfinite(limits.torque).all():
+            raise ValueError("--torque-noise: expected it, as not all joints have a torque limit")
+        stated["torque"] = tuple((0.01 * limits.torque).tolist())
+    defaults: dict[str, Any] = {"resolution": 1e-4}
+    return Noise(**(defaults | stated))
+
+
+def _reached(before: _Before, names: list[str] | None, reach: float | None) -> str | None:
+    """That nothing need be recorded, if so."""
+    if reach is None:
+        return None
+    if not reach > 0.0:
+        raise ValueError(f"--reach is {reach}; expected more than 0 %")
+    indices = wanted_indices(before.network, names)
+    size = np.abs(before.knowledge.k[indices])
+    relative = 100 * before.knowledge.standard_error[indices] / np.where(size > 0, size, np.inf)
+    if np.all(relative <= reach):
+        return f"nothing to record: standard errors are {np.max(relative):.3g} % or less already"
+    return None
+
+
+def _text(design: Design, before: _Before, reach: float | None) -> str:
+    """The design, what it buys, and how long it takes to reach a wish."""
+    lines = [str(design)]
+    if before.fit is not None:
+        lines += ["", f"{design.family.duration:g} s more are predicted to bring"]
+        lines += [f"  {gain}" for gain in design.prediction.gains()]
+    if reach is not None:
+        seconds = design.seconds_for(reach / 100)
+        lines.append(f"{reach:g} % of all sizes: about {seconds:.3g} s of such motion")
+    return "\n".join(lines)
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{option}: expected numbers as in 0.1,0.2, got {text!r}") from None

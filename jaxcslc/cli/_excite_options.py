@@ -1,0 +1,93 @@
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+MotionOption = Annotated[
+    Path,
+    typer.Option(
+        "-o", "--output", help="CSV file of the motion; .yaml, .h and .html go beside it."
+    ),
+]
+DurationOption = Annotated[float, typer.Option(help="Of the motion [s].")]
+RateOption = Annotated[float, typer.Option(help="Rows a second, and of the recording [Hz].")]
+FamilyOption = Annotated[
+    str,
+    typer.Option(
+        metavar="splines|fourier|periodic|moves",
+        help="B-splines, a Fourier series, one that ends where it starts, or minimum-jerk moves.",
+    ),
+]
+ForOption = Annotated[
+    str | None,
+    typer.Option(
+        "--for",
+        metavar="NAMES",
+        help="Coefficients that matter, by group or name as in viscous,kd5; all if omitted.",
+    ),
+]
+CriterionOption = Annotated[
+    str,
+    typer.Option(
+        metavar="error|worst|torque|A|D|E|condition|scaled_condition",
+        help="What is made small: mean or largest standard error over size, error of torques on"
+        " --task, or what other designs use (docs/excitation.md).",
+    ),
+]
+PriorReportOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--prior", help="identification.json of earlier recordings: what is known already."
+    ),
+]
+AfterOption = Annotated[
+    list[Path] | None,
+    typer.Option(help="Earlier recordings, which are identified first; may be repeated."),
+]
+ReachOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="PERCENT",
+        help="Standard error over size that all coefficients of --for should reach: nothing is"
+        " designed where they have.",
+    ),
+]
+LimitsOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="LIMITS.TOML",
+        help="Limits of joints, and surroundings to keep away from; those of the robot's file if"
+        " omitted.",
+    ),
+]
+TorqueNoiseOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NUMBERS",
+        help="Standard deviation of torques, one or one a joint [N m]; of --prior or --after, or"
+        " 1 % of the torque limits if omitted.",
+    ),
+]
+EncoderOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NUMBERS",
+        help="Step of encoders, one or one a joint [rad]; that of --prior or --after, or 1e-4 if"
+        " omitted.",
+    ),
+]
+EstimatorOption = Annotated[
+    str,
+    typer.Option(metavar="likelihood|regression", help="The estimator that the recording is for."),
+]
+TaskOption = Annotated[
+    Path | None,
+    typer.Option(help="Recording of the motion on which torques matter; for criterion torque."),
+]
+StartOption = Annotated[
+    str | None,
+    typer.Option(metavar="NUMBERS", help="Pose to start from, one number a joint [rad or m]."),
+]
+SeedOption = Annotated[int, typer.Option(help="Of random motions; the same gives the same.")]
+StartsOption = Annotated[int, typer.Option(help="Random motions to begin with.")]

@@ -1,0 +1,106 @@
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .._scratch import unfinished
+from ..network import CSLC
+from ._page import design_page
+from ._result import Design
+
+
+def save_design(
+    design: Design, path: str | Path, *, rate: float | None = None, command: str = ""
+) -> tuple[Path, ...]:
+    """Writes a motion as `NAME.csv` and, beside it, in the forms that controllers read.
+
+    - `NAME.csv`: columns `time`, `position_1`, ..., `velocity_1`, ..., `acceleration_1`, ..., or by
+      the joints' names where they have some; SI units.
+    - `NAME.yaml`: a message `trajectory_msgs/JointTrajectory` of ROS.
+    - `NAME.h`: a C array of positions.
+    - `NAME.html`: a page with the motion against its limits and the errors that it will bring.
+
+    **Arguments**
+
+    - `path`: of the CSV file; its folder exists.
+    - `rate`: of the rows [Hz]; by default the recording's.
+    - `command`: that the page shows.
+
+    **Returns** the files.
+
+    **Raises**
+
+    - `ValueError`: a path that does not end in `.csv`.
+    - `OSError`: files cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".csv":
+        raise ValueError(f"{path}: expected a name that ends in .csv")
+    time, (q, qd, qdd) = design.sampled(rate)
+    texts = {
+        ".csv": csv_text(design.network, time, q, qd, qdd),
+        ".yaml": trajectory_yaml(design.network, time, q, qd, qdd),
+        ".h": c_text(design.network, time, q),
+        ".html": design_page(design, command),
+    }
+    paths: list[Path] = []
+    for suffix, text in texts.items():
+        target = path.with_suffix(suffix)
+        with unfinished(target) as file:
+            file.write_text(text, encoding="utf-8")
+        paths.append(target)
+    return tuple(paths)
+
+
+Samples = Float[np.ndarray, "samples joints"]
+Time = Float[np.ndarray, " samples"]
+
+
+def csv_text(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
+    """A motion as a table."""
+    robot = network.robot
+    names = robot.joint_names if robot.has_joint_names else range(1, robot.joint_count + 1)
+    header = ["time"]
+    for quantity in ("position", "velocity", "acceleration"):
+        header += [f"{quantity}_{name}" for name in names]
+    lines = [",".join(header)]
+    for row in np.column_stack([time, q, qd, qdd]):
+        lines.append(",".join(f"{value:.10g}" for value in row))
+    return "\n".join(lines) + "\n"
+
+
+def trajectory_yaml(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
+    """A motion as a `trajectory_msgs/JointTrajectory`."""
+
+    def listed(values: Any) -> str:
+        return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
+
+    lines = ["header: {frame_id: ''}", f"joint_names: {json.dumps(network.robot.joint_names)}"]
+    lines.append("points:")
+    for row in zip(time, q, qd, qdd, strict=True):
+        seconds = int(row[0])
+        nanoseconds = min(round(1e9 * (row[0] - seconds)), 999_999_999)
+        lines += [
+            f"- positions: {listed(row[1])}",
+            f"  velocities: {listed(row[2])}",
+            f"  accelerations: {listed(row[3])}",
+            f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def c_text(network: CSLC, time: Time, q: Samples) -> str:
+    """Positions as an array in C."""
+    name = re.sub(r"\W+", "_", network.robot.name).strip("_").lower() or "robot"
+    rows = ",\n".join("    {" + ", ".join(f"{value:.9g}" for value in row) + "}" for row in q)
+    samples, joints = q.shape
+    return (
+        f"/* {network.robot.name.replace('*/', '')}: joint positions [rad or m] every"
+        f" {1e3 * (time[1] - time[0]):.6g} ms. */\n"
+        f"#define {name.upper()}_MOTION_SAMPLES {samples}\n"
+        f"#define {name.upper()}_MOTION_INTERVAL {time[1] - time[0]:.9g}\n"
+        f"static const double {name}_motion[{samples}][{joints}] = {{\n{rows}\n}};\n"
+    )

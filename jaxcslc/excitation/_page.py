@@ -1,0 +1,128 @@
+import jax.numpy as jnp
+import numpy as np
+
+from ..page import (
+    Code,
+    Column,
+    Curve,
+    Message,
+    Page,
+    Panel,
+    PanelChart,
+    Section,
+    Table,
+    render,
+)
+from ._criteria import EXPLANATIONS
+from ._result import Design
+
+
+_PAGE_RATE = 50.0  # of curves [Hz]
+_QUANTITIES = (("Position", "rad"), ("Velocity", "rad/s"), ("Acceleration", "rad/s²"))
+
+
+def design_page(design: Design, command: str = "") -> str:
+    """A page of a design: what it will bring, the motion against its limits, margins."""
+    relative = design.prediction.relative_error
+    wanted = [design.network.names.index(name) for name in design.wanted]
+    median, largest = 100 * np.median(relative[wanted]), 100 * np.max(relative[wanted])
+    worst = design.wanted[int(np.argmax(relative[wanted]))]
+    headline = (
+        f"{design.family.duration:g} s of this motion determine {len(wanted)} coefficients to"
+        f" {median:.2g} % of their size (median), {worst} to {largest:.2g} %."
+    )
+    sections = [_predicted(design), *_motion(design), _margins(design)]
+    if command:
+        sections.append(Section("Command", "", (Code(command),)))
+    page = Page(
+        f"Motion for {design.network.name}",
+        design.family.description,
+        headline,
+        "good",
+        tuple(Message(note, "plain") for note in design.notes),
+        tuple(sections),
+    )
+    return render(page)
+
+
+def _predicted(design: Design) -> Section:
+    rows = tuple(
+        (
+            row["name"],
+            row["unit"],
+            row["prior"],
+            196 * row["error_before"] / size,
+            196 * row["relative"],
+        )
+        for row, size in zip(design.prediction.rows(), design.prediction.size, strict=True)
+    )
+    columns = (
+        Column("coefficient", numeric=False),
+        Column("unit", numeric=False),
+        Column("prior value"),
+        Column("interval before [%]", "half of a 95 % interval over the size", 3),
+        Column("interval after [%]", "half of a 95 % interval over the size", 3),
+    )
+    lead = (
+        f"Designed for: {design.criterion}, {EXPLANATIONS[design.criterion]}; reached"
+        f" {design.value:.4g}. The condition number of the regressor is"
+        f" {design.prediction.condition:.4g}, with columns of unit length"
+        f" {design.prediction.scaled_condition:.4g}."
+    )
+    return Section("Predicted intervals", lead, (Table(columns, rows, name="predicted"),))
+
+
+def _motion(design: Design) -> list[Section]:
+    time, motion = design.sampled(_PAGE_RATE)
+    limits, sections = design.limits, []
+    names = design.network.robot.joint_names
+    for order, ((title, unit), values) in enumerate(zip(_QUANTITIES, motion, strict=True)):
+        middle, half = limits.symmetric(order)
+        lead = f"The motion and its limits, joint by joint [{unit}; m of prismatic joints]."
+        sections.append(
+            Section(title, lead, (_chart(names, time, values, middle - half, middle + half),))
+        )
+    if np.any(design.prediction.k):
+        k, states = jnp.asarray(design.prediction.k), [jnp.asarray(x) for x in motion]
+        torque = np.asarray(design.network.torque(k, *states))
+        high = limits.usable_torque
+        lead = "Of the prior model, and the limits less their margin [N m or N]."
+        sections.append(Section("Torque", lead, (_chart(names, time, torque, -high, high),)))
+    return sections
+
+
+def _chart(
+    names: tuple[str, ...], time: np.ndarray, values: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> PanelChart:
+    panels: list[Panel] = []
+    ends = (float(time[0]), float(time[-1]))
+    for joint, name in enumerate(names):
+        curves = [Curve("motion", time.tolist(), values[:, joint].tolist(), "predicted")]
+        for limit in (low[joint], high[joint]):
+            if np.isfinite(limit):
+                curves.append(Curve("limit", ends, (float(limit),) * 2, "residual"))
+        panels.append(Panel(name, tuple(curves), height=90))
+    return PanelChart(tuple(panels), "time [s]", "")
+
+
+def _margins(design: Design) -> Section:
+    rows = tuple(
+        (
+            row["limit"],
+            design.network.robot.joint_names[row["joint"] - 1] if row["joint"] else "",
+            100 * row["margin"] if row["joint"] else 1e3 * row["margin"],
+            "%" if row["joint"] else "mm",
+        )
+        for row in design.use.margins()
+    )
+    columns = (
+        Column("limit", numeric=False),
+        Column("joint", numeric=False),
+        Column("left", digits=3),
+        Column("unit", numeric=False),
+    )
+    lead = (
+        "What is left of each limit at the joint that uses most of it, at all times: what happens"
+        " between samples is bounded and counted."
+    )
+    return Section("Margins", lead, (Table(columns, rows, name="margins"),))

@@ -1,0 +1,118 @@
+"""The motions that are compared, and how a simulated PUMA 560 performs them."""
+
+import dataclasses
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+import jaxcslc as jc
+import sim
+from jaxcslc.excitation import (
+    Design,
+    FourierSeries,
+    Knowledge,
+    Limits,
+    Noise,
+    Planner,
+    Prediction,
+    design_motion,
+    random_parameters,
+)
+from scripts.studies.truth import true_coefficients
+
+
+DURATION = 6.6  # of the thesis's training trajectory [s]
+INTERVAL = 0.002
+TORQUE_NOISE = (0.5, 0.8, 0.4, 0.1, 0.1, 0.1)  # [N m]
+DESIGNED = {"error": "error", "D-optimal": "D", "condition number": "condition"}
+THESIS, RANDOM = "thesis", "random Fourier"
+MOTIONS = (*DESIGNED, RANDOM, THESIS)
+
+Path = tuple[Float[np.ndarray, "samples joints"], ...]
+
+
+@cache
+def network() -> jc.CSLC:
+    """The PUMA 560's, with the thesis's coefficients."""
+    return jc.derive(jc.puma560())
+
+
+@cache
+def noise(estimator: str = "likelihood") -> Noise:
+    """Of the machine's encoders, and of torques."""
+    return Noise(TORQUE_NOISE, sim.puma560().encoder_resolution, 1 / INTERVAL, None, estimator)
+
+
+def knowledge() -> Knowledge:
+    """The machine's coefficients as a prior model; no information about them."""
+    k = np.asarray(true_coefficients(network(), sim.puma560()))
+    return Knowledge(k, None, np.full(len(k), np.inf))
+
+
+def puma_design(name: str, quick: bool = False) -> Design:
+    """A designed motion by its name in `DESIGNED`."""
+    return design_motion(
+        network(),
+        Limits.of(jc.puma560()),
+        noise(),
+        duration=DURATION,
+        criterion=DESIGNED[name],
+        knowledge=knowledge(),
+        starts=1 if quick else 3,
+        rounds=2 if quick else 7,
+        steps=10 if quick else 60,
+    )
+
+
+@cache
+def fourier_planner() -> Planner:
+    """Of random Fourier series."""
+    family = FourierSeries(DURATION, 8, periodic=False)
+    return Planner.of(network(), Limits.of(jc.puma560()), noise(), family, knowledge=knowledge())
+
+
+def random_motion(seed: int) -> Path:
+    """A random Fourier series within all limits."""
+    planner = fourier_planner()
+    rng = np.random.default_rng(seed)
+    parameters = random_parameters(planner.check, planner.rest_pose(rng), rng)
+    parameters, _, _ = planner.check.scaled(parameters)
+    time = INTERVAL * np.arange(round(DURATION / INTERVAL) + 1)
+    return planner.family.motion(parameters, time)
+
+
+def trajectory(motion: Path) -> sim.Trajectory:
+    """A motion that the thesis's PID controller tracks."""
+    q, qd, qdd = (np.asarray(x) for x in motion)
+    return dataclasses.replace(
+        sim.comparison(),
+        name="excitation",
+        start=q[0],
+        samples=len(q),
+        path=sim.SampledPath(q, qd, qdd, INTERVAL),
+    )
+
+
+def performed(
+    machine: sim.Machine, name: str, designs: dict[str, Path], seed: int
+) -> sim.SimulatedRecording:
+    """A recording of a motion by its name."""
+    if name == THESIS:
+        return sim.simulate(machine, sim.training(), seed=seed)
+    motion = random_motion(seed) if name == RANDOM else designs[name]
+    return sim.simulate(machine, trajectory(motion), seed=seed)
+
+
+def predicted_errors(motion: Path, estimator: str) -> Prediction:
+    """What a performed motion should have said of the coefficients."""
+    planner = dataclasses.replace(fourier_planner())
+    stride = 5
+    information = dataclasses.replace(
+        planner.problem.information, noise=noise(estimator), interval=stride * INTERVAL
+    )
+    problem = dataclasses.replace(planner.problem, information=information)
+    planner = dataclasses.replace(planner, problem=problem)
+    states: Any = tuple(np.asarray(x)[::stride] for x in motion)
+    return planner.prediction(states)

@@ -1,0 +1,249 @@
+"""Designed motions: are they feasible, better than others, and what they are predicted to be?
+
+A simulated PUMA 560 performs motions of 6.6 s, and is identified from the recordings.
+
+- **compare**: all disturbances; three designs (mean standard error, D-optimal, condition number), a
+  random feasible Fourier series a seed, and the thesis's training trajectory; ε on the comparison
+  trajectory, errors and standard errors of coefficients over their sizes, means of them.
+- **regression**, **likelihood**: encoders and white torque noise alone; predicted standard errors
+  over those obtained, coefficient by coefficient.
+- **arms**: designs of random arms of two to four joints under random limits, looked at on a grid of
+  20,001 instants: the most that is used of any limit.
+- **panda**: a Panda's URDF with its meshes over a floor, 20 s: feasible, condition numbers, time.
+
+Rows of finished tasks are kept in `rows.jsonl`; an interrupted run goes on from there.
+"""
+
+import argparse
+import importlib.util
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxcslc.identification.report import text_table
+from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
+
+from .motions import DESIGNED, DURATION, INTERVAL, MOTIONS, predicted_errors, puma_design
+
+
+jax.config.update("jax_enable_x64", True)
+
+PARTS = ("compare", "regression", "likelihood", "arms", "panda")
+Task = tuple[str, str, int]
+
+
+def panda_urdf() -> Path | None:
+    """The Panda of `example-robot-data`, if it is installed."""
+    spec = importlib.util.find_spec("cmeel")
+    for root in list(spec.submodule_search_locations or []) if spec else []:
+        path = Path(root).parent / "cmeel.prefix/share/example-robot-data/robots"
+        path = path / "panda_description/urdf/panda.urdf"
+        if path.exists():
+            return path
+    return None
+
+
+def design_paths(folder: Path, quick: bool) -> dict[str, Any]:
+    """The designed motions, made once and kept."""
+    file = folder / "designs.json"
+    kept = json.loads(file.read_text()) if file.exists() else {}
+    for name in DESIGNED:
+        if name not in kept:
+            begun = time.process_time()
+            design = puma_design(name, quick)
+            instants = INTERVAL * np.arange(round(DURATION / INTERVAL) + 1)
+            motion = design.family.motion(design.parameters, instants)
+            kept[name] = {
+                "seconds": time.process_time() - begun,
+                "text": str(design),
+                "motion": [np.asarray(x).round(12).tolist() for x in motion],
+            }
+            print(
+                f"{name}: {kept[name]['seconds']:.0f} s of processor time\n{design}\n", flush=True
+            )
+            folder.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps(kept))
+    return kept
+
+
+_designs: dict[str, Any] = {}
+
+
+def begin(designs: dict[str, Any], cache: str) -> None:
+    """What each process does first."""
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_compilation_cache_dir", cache)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    _designs.update(
+        {name: tuple(np.array(x) for x in kept["motion"]) for name, kept in designs.items()}
+    )
+
+
+def row_of(task: Task, urdf: str, steps: int) -> dict[str, Any]:
+    """A task's row."""
+    from . import tasks  # in the process that needs them
+
+    part, name, number = task
+    if part == "compare":
+        row = tasks.compared(name, number, _designs)
+    elif part in ("regression", "likelihood"):
+        row = tasks.repeated(part, number, _designs)
+    elif part == "arms":
+        row = tasks.random_arm(number)
+    else:
+        row = tasks.panda(number, urdf, steps)
+    return {"part": part, "name": name, "number": number, **row}
+
+
+def compare_text(rows: Sequence[dict[str, Any]]) -> str:
+    """Medians over seeds, with 10 and 90 % of them; ratios to the design, seed by seed."""
+    lines = []
+    ours = {row["number"]: row for row in rows if row["name"] == "error"}
+    for name in MOTIONS:
+        of_motion = [row for row in rows if row["name"] == name]
+        if not of_motion:
+            continue
+        line = [name, str(len(of_motion))]
+        for quantity in ("epsilon", "standard error", "error"):
+            values = [row[quantity] for row in of_motion]
+            ratios = [
+                row[quantity] / ours[row["number"]][quantity]
+                for row in of_motion
+                if row["number"] in ours
+            ]
+            low, high = np.quantile(ratios, [0.1, 0.9])
+            line.append(f"{np.median(values):.4g}")
+            line.append(f"{np.median(ratios):.2f} ({low:.2f} to {high:.2f})")
+        lines.append(line)
+    header = ["motion", "seeds", "ε [N m]", "over design's"]
+    header += ["standard error", "over design's", "error", "over design's"]
+    return text_table(header, lines, left=("motion",))
+
+
+def repeated_text(rows: Sequence[dict[str, Any]], part: str) -> str:
+    """Predicted over obtained errors."""
+    errors = np.array([row["errors"] for row in rows if row["part"] == part])
+    reported = np.array([row["standard errors"] for row in rows if row["part"] == part])
+    predicted = predicted_errors(_designs["error"], part).standard_error
+    ratios = {
+        "error, RMS over seeds": predicted / np.sqrt(np.mean(errors**2, axis=0)),
+        "error, about its mean": predicted / np.std(errors, axis=0, ddof=1),
+        "reported standard error": predicted / np.median(reported, axis=0),
+    }
+    lines = [
+        [name, *(f"{x:.2f}" for x in (np.median(r), *np.quantile(r, [0, 0.1, 0.9, 1])))]
+        for name, r in ratios.items()
+    ]
+    header = [f"{part}, {len(errors)} seeds: predicted over", "median", "least", "10 %"]
+    return text_table([*header, "90 %", "greatest"], lines)
+
+
+def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """All tables of rows that there are."""
+    texts: list[str] = []
+    parts: dict[str, list[dict[str, Any]]] = {part: [] for part in PARTS}
+    for row in rows:
+        parts[row["part"]].append(row)
+    if parts["compare"]:
+        texts.append(compare_text(parts["compare"]))
+    for part in ("regression", "likelihood"):
+        if len(parts[part]) > 1:
+            texts.append(repeated_text(parts[part], part))
+    if arms := parts["arms"]:
+        worst = [row["worst"] for row in arms if row["worst"] is not None]
+        texts.append(
+            f"random arms: {len(arms)} designs, {len(arms) - len(worst)} wishes infeasible;"
+            f" most used of any limit {100 * max(worst):.4f} %, median"
+            f" {100 * np.median(worst):.2f} %; over 100.1 %: {sum(x > 1.001 for x in worst)}"
+        )
+    if pandas := parts["panda"]:
+        spread = {
+            name: np.quantile([row[name] for row in pandas], [0.0, 0.5, 1.0])
+            for name in ("condition", "scaled condition", "seconds", "scale")
+        }
+        listed = "; ".join(
+            f"{name} {low:.4g} to {high:.4g}, median {middle:.4g}"
+            for name, (low, middle, high) in spread.items()
+        )
+        feasible = sum(row["feasible"] for row in pandas)
+        texts.append(f"Panda: {feasible} of {len(pandas)} seeds feasible; {listed}")
+    return texts
+
+
+def study(options: argparse.Namespace) -> int:
+    """Runs what is missing, prints the tables."""
+    designs = design_paths(options.output, options.quick)
+    files = [Path(__file__).with_name(name) for name in ("tasks.py", "motions.py")]
+    # Rows follow from the study's files; the packages' are left out, so that a page can be mended.
+    digest = made_of({"quick": options.quick, "designs": list(designs)}, files)
+    finished = Rows(options.output / "rows.jsonl", ("part", "name", "number"), digest)
+    urdf = options.panda or panda_urdf()
+    tasks: list[Task] = [("arms", "", i) for i in range(options.arms)]
+    tasks += [("regression", "", i) for i in range(options.repeats)]
+    tasks += [("compare", name, i) for i in range(options.seeds) for name in MOTIONS]
+    tasks += [("panda", "", i) for i in range(options.pandas if urdf else 0)]
+    tasks += [("likelihood", "", i) for i in range(options.fits)]
+    missing = [task for task in tasks if task not in finished]
+    begin(designs, options.cache)
+    if missing:
+        _run(missing, finished, designs, str(urdf or ""), options)
+    for text in tables([row for row in finished.all()]):
+        print(text, end="\n\n")
+    return 0
+
+
+def _run(
+    missing: Sequence[Task], finished: Rows, designs: Any, urdf: str, options: argparse.Namespace
+) -> None:
+    """In processes, until all is done or the time is over."""
+    end = time.monotonic() + 60.0 * options.minutes
+    context = multiprocessing.get_context("spawn")
+    pool: Callable[..., ProcessPoolExecutor] = ProcessPoolExecutor
+    with pool(options.jobs, context, begin, (designs, options.cache)) as executor:
+        futures = [executor.submit(row_of, task, urdf, options.steps) for task in missing]
+        bar = command.progress(total=len(futures), desc="tasks")
+        try:
+            for future in as_completed(futures, timeout=max(end - time.monotonic(), 1.0)):
+                finished.add(future.result())
+                bar.update()
+        except TimeoutError:
+            print("the time is over; what is missing can be made later")
+            executor.shutdown(wait=False, cancel_futures=True)
+            for process in list(executor._processes.values()):  # pyright: ignore
+                process.kill()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "excitation")
+    parser.add_argument("--seeds", type=int, default=50, help="of compare")
+    parser.add_argument("--repeats", type=int, default=200, help="of regression")
+    parser.add_argument("--fits", type=int, default=200, help="of likelihood")
+    parser.add_argument("--arms", type=int, default=1000, help="designs of random arms")
+    parser.add_argument("--pandas", type=int, default=100, help="designs of a Panda")
+    parser.add_argument("--panda", type=Path, default=None, help="its URDF")
+    parser.add_argument("--steps", type=int, default=40, help="of a Panda's design, in a round")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--minutes", type=float, default=1e4, help="at most")
+    parser.add_argument("--cache", default=".cache/jax", help="of compiled programs")
+    quick = {"seeds": 1, "repeats": 3, "fits": 0, "arms": 2, "pandas": 0, "jobs": 1}
+    options = command.parse(parser, argv, **quick)
+    command.require_least(parser, options, seeds=0, repeats=0, fits=0, arms=0, pandas=0, jobs=1)
+    seconds = 200 + 25 * options.seeds + options.repeats + 10 * options.fits
+    seconds += options.arms + 30 * options.pandas
+    return command.run(
+        parser, lambda: study(options), options.output / "rows.jsonl", seconds=seconds
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,188 @@
+"""What the study computes, a row a task: tasks run in processes of their own."""
+
+import dataclasses
+import time
+from pathlib import Path as FilePath
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxcslc as jc
+import sim
+from jaxcslc.excitation import (
+    BSplines,
+    Knowledge,
+    Limits,
+    Noise,
+    Planner,
+    Surroundings,
+)
+from scripts.studies.static_friction.study import epsilon
+from scripts.studies.truth import moving_patterns, true_coefficients
+
+from .motions import TORQUE_NOISE, Path, network, performed
+
+
+jax.config.update("jax_enable_x64", True)
+
+SETTINGS = jc.Settings(jc.Preparation(torque_alignment="mean"), jc.LeastSquares(cutoff=15.0))
+ARMS_PER_STRUCTURE = 40
+
+
+def compared(name: str, seed: int, designs: dict[str, Path]) -> dict[str, Any]:
+    """A motion with all disturbances: ε on the comparison trajectory, errors of coefficients."""
+    machine = sim.disturbed(sim.puma560())
+    recording, _ = performed(machine, name, designs, seed)
+    judged = moving_patterns(sim.simulate(machine, sim.comparison(), seed=10_000 + seed))
+    fit = SETTINGS.fit(network(), SETTINGS.patterns(recording))
+    k, true = np.asarray(fit.k), np.asarray(true_coefficients(network(), machine))
+    size = np.abs(true)
+    return {
+        "epsilon": epsilon(network(), k, judged),
+        "standard error": float(np.mean(np.asarray(fit.standard_error) / size)),
+        "error": float(np.mean(np.abs(k - true) / size)),
+        "condition": float(fit.condition),
+    }
+
+
+def repeated(estimator: str, seed: int, designs: dict[str, Path]) -> dict[str, Any]:
+    """The designed motion with noise of encoders and torques: errors and standard errors."""
+    machine = sim.disturbed(sim.puma560(), "quantisation")
+    recording, _ = performed(machine, "error", designs, seed)
+    rng = np.random.default_rng(seed)
+    torque = recording.torque + np.array(TORQUE_NOISE) * rng.normal(size=recording.torque.shape)
+    recording = dataclasses.replace(recording, torque=torque)
+    if estimator == "likelihood":
+        fit = jc.MaximumLikelihood().fit(network(), recording).fit
+    else:
+        fit = SETTINGS.fit(network(), SETTINGS.patterns(recording))
+    true = np.asarray(true_coefficients(network(), machine))
+    return {
+        "errors": (np.asarray(fit.k) - true).tolist(),
+        "standard errors": np.asarray(fit.standard_error).tolist(),
+    }
+
+
+_planners: dict[int, Planner] = {}
+
+
+def random_arm(index: int) -> dict[str, Any]:
+    """A quick design of a random arm under random limits, looked at on a fine grid."""
+    structure = index // ARMS_PER_STRUCTURE
+    if structure not in _planners:
+        _planners.clear()
+        _planners[structure] = _arm_planner(structure)
+    planner = _planners[structure]
+    rng = np.random.default_rng(1_000_000 + index)
+    limits = _random_limits(planner, rng)
+    planner = Planner.of(
+        planner.problem.information.network,
+        limits,
+        planner.noise,
+        planner.family,
+        knowledge=planner.knowledge,
+    )
+    try:
+        design = planner.design(index, 1, 3, 12, lambda _: None)
+    except ValueError as error:
+        return {"infeasible": str(error), "worst": None, "scale": None}
+    instants = np.linspace(0.0, planner.family.duration, 20_001)
+    values = [design.family.derivative(design.parameters, instants, i) for i in range(4)]
+    used = [
+        np.max(np.abs(x - middle) / half)
+        for x, (middle, half) in zip(values, map(limits.symmetric, range(4)), strict=True)
+    ]
+    k = jnp.asarray(planner.knowledge.k)
+    torque = design.network.torque(k, *(jnp.asarray(x) for x in values[:3]))
+    used.append(np.max(np.abs(np.asarray(torque)) / limits.usable_torque))
+    return {"infeasible": None, "worst": float(max(used)), "scale": design.scale}
+
+
+def _arm_planner(structure: int) -> Planner:
+    rng = np.random.default_rng(structure)
+    n = int(rng.integers(2, 5))
+    rows = [
+        (float(rng.choice([0, np.pi / 2, -np.pi / 2])), rng.uniform(0, 0.5), rng.uniform(0, 0.3), 0)
+        for _ in range(n)
+    ]
+    arm = jc.Manipulator.from_modified_dh([tuple(map(float, row)) for row in rows])
+    links = tuple(
+        jc.LinkParameters(
+            float(rng.uniform(1, 8)),
+            rng.uniform(-0.2, 0.2, 3),
+            np.diag(rng.uniform(0.02, 0.03, 3)),
+            0.1,
+        )
+        for _ in range(n)
+    )
+    net = jc.derive(arm, lengths="numeric")
+    friction = {"viscous": rng.uniform(0.5, 3, n).tolist(), "dry": rng.uniform(0.2, 4, n).tolist()}
+    k = np.asarray(net.coefficients_from(links, **friction))
+    known = Knowledge(k, None, np.full(net.size, np.inf))
+    wide = {"position": [-3, 3], "velocity": 3, "torque": 1e3}
+    return Planner.of(
+        net, Limits.of(arm, wide), Noise(0.2, 1e-4), BSplines(4.0, 12), knowledge=known
+    )
+
+
+def _random_limits(planner: Planner, rng: np.random.Generator) -> Limits:
+    net, k = planner.problem.information.network, planner.knowledge.k
+    n = net.joint_count
+    middle, half = rng.uniform(-1, 1, n), rng.uniform(0.5, 2.5, n)
+    poses = rng.uniform(-np.pi, np.pi, (50, n))
+    weight = np.abs(np.asarray(net.gravity_term(jnp.asarray(k), jnp.asarray(poses)))).max(0)
+    velocity = rng.uniform(0.8, 4, n)
+    return Limits.of(
+        net.robot,
+        {
+            "position": np.stack([middle - half, middle + half], 1).tolist(),
+            "velocity": velocity.tolist(),
+            "acceleration": (velocity * rng.uniform(2, 10, n)).tolist(),
+            "jerk": (velocity * rng.uniform(50, 200, n)).tolist(),
+            "torque": (rng.uniform(1.3, 3, n) * (weight + 5)).tolist(),
+        },
+    )
+
+
+def panda(seed: int, urdf: str, steps: int) -> dict[str, Any]:
+    """A Panda beside its table, 20 s: feasible? condition numbers, time."""
+    robot = jc.load_robot(FilePath(urdf), tip=["panda_link8"])
+    if "panda" not in _pandas:
+        of_maker = Limits.of(jc.panda())
+        stated = {name: getattr(of_maker, name).tolist() for name in ("acceleration", "jerk")}
+        _pandas["panda"] = Planner.of(
+            jc.derive(robot, lengths="numeric"),
+            Limits.of(robot, stated),
+            Noise((0.3,) * 4 + (0.1,) * 3, 1e-5, rate=1000.0),
+            BSplines(20.0, 57),
+            surroundings=Surroundings(floor=0.0),
+        )
+    planner = _pandas["panda"]
+    begun = time.process_time()
+    design = planner.design(seed, 1, 5, steps, lambda _: None)
+    instants = np.linspace(0.0, 20.0, 20_001)
+    values = [design.family.derivative(design.parameters, instants, i) for i in range(4)]
+    used = [
+        float(np.max(np.abs(x - middle) / half))
+        for x, (middle, half) in zip(values, map(planner.limits.symmetric, range(4)), strict=True)
+    ]
+    assert planner.bodies is not None
+    wanted = planner.bodies.wanted
+    gap = min(
+        float(np.min(planner.bodies.distances(pose, 0.3)[0] - wanted)) for pose in values[0][::10]
+    )
+    return {
+        "feasible": design.use.feasible and max(used) <= 1.0 and gap >= 0.0,
+        "used": max(used),
+        "gap": gap,
+        "scale": design.scale,
+        "condition": design.prediction.condition,
+        "scaled condition": design.prediction.scaled_condition,
+        "value": design.value,
+        "seconds": time.process_time() - begun,
+    }
+
+
+_pandas: dict[str, Planner] = {}
