@@ -1,3 +1,4 @@
+import math
 from typing import Any, no_type_check
 
 from flint import fmpq
@@ -64,6 +65,10 @@ class SparsePolynomial(dict[Monomial, Any]):
         return self.without_zeros(result)
 
     __rmul__ = __mul__
+
+    @no_type_check
+    def __pow__(self, power: int) -> Any:
+        return math.prod([self] * power, start=fmpq(1))
 
     @no_type_check
     def __eq__(self, other: object) -> bool:

@@ -117,7 +117,7 @@ def random_polynomial(ring: PositionRing, rng: np.random.Generator) -> Any:
         powers = rng.integers(0, 3, len(variables))
         term: Any = QQ(int(rng.integers(1, 9)), int(rng.integers(1, 9)))
         for variable, power in zip(variables, powers, strict=True):
-            term = math.prod([variable] * int(power), start=term)
+            term = term * variable ** int(power)
         total = total + term
     return total
 
