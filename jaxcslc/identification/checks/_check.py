@@ -141,11 +141,17 @@ def check(
 
 
 def _with_fewest_coefficients(network: CSLC) -> CSLC:
-    """The network with numeric lengths, where all of them have values."""
+    """The network with numeric lengths, where all of them have values, and no static friction.
+
+    Static friction is hardly determined by smoothed motion, and may then be anything in another.
+    """
+    joints = range(1, network.joint_count + 1)
+    static = "static" in network.layout.groups
+    smooth = network.without_law("static", joints) if static else network
     if network.algebra.lengths == "numeric" or not network.robot.has_all_lengths:
-        return network
-    numeric = derive(network.robot, lengths="numeric")
-    return CSLC(numeric.algebra, (numeric.rigid_body, *network.terms[1:]))
+        return smooth
+    numeric = derive(smooth.robot, lengths="numeric")
+    return CSLC(numeric.algebra, (numeric.rigid_body, *smooth.terms[1:]))
 
 
 class _Check:
