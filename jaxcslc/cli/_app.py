@@ -1,37 +1,45 @@
 import os
+import sys
 import warnings
+from collections.abc import Iterable
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import jax
 import typer
 
-from ._check import check_command
-from ._compare import compare_command
-from ._constants import constants_command
-from ._derive import derive_command
-from ._excite import excite_command
-from ._export import export_command
-from ._identify import identify_command
-from ._payload import payload_command
+
+if TYPE_CHECKING:
+    app: typer.Typer
+
+# The function of each command, in the module of its name: imported when it is typed, or when all
+# commands are listed.
+_COMMANDS = "derive", "check", "identify", "compare", "excite", "export", "payload", "constants"
 
 
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # it takes [s] for markup, and leaves it out
-    help="Derive a robot's inverse dynamics, and identify its coefficients from recordings.",
-)
-app.command("derive")(derive_command)
-app.command("check")(check_command)
-app.command("identify")(identify_command)
-app.command("compare")(compare_command)
-app.command("excite")(excite_command)
-app.command("export")(export_command)
-app.command("payload")(payload_command)
-app.command("constants")(constants_command)
+def application(commands: Iterable[str] = _COMMANDS) -> typer.Typer:
+    """The command line with some of its commands."""
+    made = typer.Typer(
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,  # it takes [s] for markup, and leaves it out
+        help="Derive a robot's inverse dynamics, and identify its coefficients from recordings.",
+    )
+    made.callback()(_common)
+    for name in commands:
+        module = import_module(f"._{name}", __package__)
+        made.command(name)(getattr(module, f"{name}_command"))
+    return made
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """`app`, the command line with all commands."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals().setdefault("app", application())
 
 
 def run() -> None:
@@ -44,7 +52,8 @@ def run() -> None:
     # Keep even the quickest compilations: there are dozens of them, and a second run has none.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    app()
+    typed = "".join(sys.argv[1:2])
+    application([typed] if typed in _COMMANDS else () if typed == "--version" else _COMMANDS)()
 
 
 def _version(asked: bool) -> bool:
@@ -54,7 +63,6 @@ def _version(asked: bool) -> bool:
     return asked
 
 
-@app.callback()
 def _common(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")

@@ -15,6 +15,8 @@ from ...network import AbstractLinearNetwork
 # Tracing a network takes longer than computing this many patterns with it.
 _FEWEST_ROWS = 4096
 _DOUBLED = 1 << 16
+# Samples whose regressor NumPy computes at once.
+_HOST_BLOCK = 4096
 # More samples are worth a compiled program.
 _HOST_SAMPLES = 1 << 16
 # Entries of a regressor that are computed at once, and of how many one is split.
@@ -137,10 +139,15 @@ def _host_columns(
 def _host_regressor(
     network: AbstractLinearNetwork, *motion: Any
 ) -> Float[np.ndarray, "samples joints coefficients"]:
-    regressor = np.zeros((len(motion[0]), network.joint_count, network.size))
-    columns = _host_columns(network, *motion)
-    for joint, (support, rows) in enumerate(zip(network.support, columns, strict=True)):
-        regressor[:, joint, list(support)] = rows.T
+    samples = len(motion[0])
+    regressor = np.zeros((samples, network.joint_count, network.size))
+    supports = [np.array(support, int) for support in network.support]
+    # Columns are turned into rows while they are in the processor's cache.
+    for start in range(0, samples, _HOST_BLOCK):
+        block = slice(start, start + _HOST_BLOCK)
+        columns = _host_columns(network, *(x[block] for x in motion))
+        for joint, (support, rows) in enumerate(zip(supports, columns, strict=True)):
+            regressor[block, joint, support] = rows.T
     return regressor
 
 

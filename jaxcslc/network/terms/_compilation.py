@@ -14,7 +14,7 @@ X = TypeVar("X")
 # takes 4 microseconds a sample in blocks of 500 to 1,000 and 30 in one piece of 20,000.
 _BLOCK = 512
 # NumPy's calls take a microsecond each beside their work: fewer, larger blocks.
-_HOST_BLOCK = 2048
+_HOST_BLOCK = 4096
 
 
 def in_blocks(

@@ -27,13 +27,17 @@ def unit_torques(
     then zeros.
     """
     states = link_states(geometry, gravity, q, qd, qdd)
-    links, joints = pairs_of(paths)
-    turns = geometry.turning[joints]
     if isinstance(q, np.ndarray):
-        pairs = zip(links + 1, joints + 1, turns, strict=True)
-        rows = [_pair_torques(states[link], states[joint], turn) for link, joint, turn in pairs]
+        rows = []
+        for link, path in enumerate(paths):  # all joints that carry a link at once
+            carrying = list(path)
+            turning = geometry.turning[carrying][:, None, None]
+            ten = _pair_torques(states[link + 1], states[1:][carrying].swapaxes(0, 1), turning)
+            rows.append(ten.reshape(10 * len(path), q.shape[1]))
         return np.concatenate([*rows, qdd, np.zeros_like(q[:1])])
-    indices = jnp.asarray(links + 1), jnp.asarray(joints + 1), jnp.asarray(turns)
+    links, joints = pairs_of(paths)
+    turns = jnp.asarray(geometry.turning[joints])
+    indices = jnp.asarray(links + 1), jnp.asarray(joints + 1), turns
     _, ten = lax.scan(_unit_torques_of_pair, states, indices)
     rows = ten.reshape(10 * len(links), q.shape[1])
     return jnp.concatenate([rows, qdd, jnp.zeros((1, q.shape[1]), q.dtype)])
@@ -48,7 +52,8 @@ def _unit_torques_of_pair(states: States, pair: tuple[Array, Array, Array]) -> t
 def _pair_torques(link: Any, joint: Any, turning: Any) -> Any:
     """A joint's torque by each of a link's (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), (10, samples).
 
-    - `link`, `joint`: the states of their frames.
+    - `link`, `joint`: the states of their frames. Of several joints, (7, joints, 3, samples), the
+      torques are (joints, 10, samples).
     - `turning`: 1 for a revolute joint, 0 for a prismatic one.
     """
     xp = array_namespace(link)
@@ -58,7 +63,7 @@ def _pair_torques(link: Any, joint: Any, turning: Any) -> Any:
     linear = turning * cross(axis, origin - pivot) + (1 - turning) * axis
 
     def along_axes(vector: Any) -> list[Any]:  # of the link
-        return [xp.sum(vector * along, axis=0) for along in (x, y, z)]
+        return [xp.sum(vector * along, axis=-2) for along in (x, y, z)]
 
     # A moment of inertia about the link's x: torque (I wd + w x I w) along the joint's axis.
     turn, gain, rate, twist = (along_axes(x) for x in (angular, wd, w, cross(angular, w)))
@@ -69,8 +74,8 @@ def _pair_torques(link: Any, joint: Any, turning: Any) -> Any:
     ]
     # A first moment h: force wd x h + w x (w x h), moment h x a, both seen from h.
     ten += along_axes(cross(linear, wd) + cross(cross(linear, w), w) + cross(a, angular))
-    ten.append(xp.sum(linear * a, axis=0))
-    return xp.stack(ten)
+    ten.append(xp.sum(linear * a, axis=-2))
+    return xp.stack(ten, axis=-2)
 
 
 def combined(
