@@ -1,4 +1,4 @@
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -8,6 +8,7 @@ from ..identification import EstimatorChoice, Report, Settings, identify, load_p
 from ..identification.possible import Choice
 from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
 from ..manipulator import Manipulator
+from ._cluster import identified_on_cluster
 from ._common import (
     BaseOption,
     ColumnsOption,
@@ -35,7 +36,9 @@ from ._common import (
 )
 from ._identify_options import (
     ChecksOption,
+    DaskOption,
     EstimatorOption,
+    FleetOption,
     FoldsOption,
     LossOption,
     MemoryOption,
@@ -96,6 +99,8 @@ def identify_command(
     possible: PossibleOption = "auto",
     prior: PriorOption = None,
     memory: MemoryOption = 2.0,
+    dask: DaskOption = None,
+    fleet: FleetOption = False,
 ) -> None:
     """Identify a robot's coefficients from recordings of positions and torques.
 
@@ -103,6 +108,8 @@ def identify_command(
     """
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
+        if dask is not None or fleet:
+            return typer.echo(identified_on_cluster(context, step))
         if is_system(robot):
             check_no_robot_options(context, robot)
             report = _identified_system(robot, train, validate, settings, step)
@@ -116,14 +123,10 @@ def identify_command(
                 recordings_of(train, lambda path: reading.read(path, network.robot)),
                 None if validate is None else reading.read(validate, network.robot),
                 _settings(settings, saved),
-                offsets=offsets,
+                **_as_they_are(context.params),
                 **_refitted(saved, reidentify),
                 options=without_none(torque_lag=torque_lag, loss=loss),
-                folds=folds,
-                checks=check,
-                systematic=systematic,
                 **_choices(estimator, possible, prior),
-                memory=memory,
                 progress=step,
             )
         text = _written(report, output, context, step)
@@ -149,6 +152,12 @@ def _refitted(saved: SavedReport | None, groups: str | None) -> dict[str, Any]:
         "previous": None if saved is None else saved.fit,
         "groups": None if groups is None else names_in(groups),
     }
+
+
+def _as_they_are(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that are arguments of `identify`, by its names."""
+    names = {name: name for name in ("offsets", "folds", "systematic", "memory")}
+    return {argument: options[name] for argument, name in {**names, "checks": "check"}.items()}
 
 
 def _choices(estimator: str, possible: str, prior: Path | None) -> dict[str, Any]:

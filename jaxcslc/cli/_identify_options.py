@@ -81,3 +81,14 @@ MemoryOption = Annotated[
         " part that is said; coefficients are fitted to all of it.",
     ),
 ]
+DaskOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS|local",
+        help="Fit many recordings on the workers of a Dask cluster, or of one that is started here."
+        " Quoted patterns are expanded, as 'logs/*.parquet'.",
+    ),
+]
+FleetOption = Annotated[
+    bool, typer.Option("--fleet", help="With --dask: fit each recording by itself, as of a robot.")
+]

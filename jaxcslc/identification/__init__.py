@@ -41,6 +41,11 @@ from .checks import (
     estimate_torque_lag as estimate_torque_lag,
     without_outliers as without_outliers,
 )
+from .cluster import (
+    Fleet as Fleet,
+    fit_fleet_on_cluster as fit_fleet_on_cluster,
+    fit_on_cluster as fit_on_cluster,
+)
 from .estimators import EstimatorChoice as EstimatorChoice
 from .likelihood import (
     Estimator as Estimator,

@@ -23,6 +23,7 @@ from ._identification import (
     MEANINGLESS_CONDITION as MEANINGLESS_CONDITION,
     RESULTS as RESULTS,
     Identification as Identification,
+    result_of as result_of,
 )
 from ._least_squares import (
     JointWeights as JointWeights,
@@ -48,6 +49,7 @@ from ._standard_errors import (
     correlated_covariance as correlated_covariance,
     effective_counts as effective_counts,
 )
+from ._streaming import factors_of_stream as factors_of_stream
 from ._weighted_equations import (
     WeightedEquations as WeightedEquations,
     changes_of as changes_of,
