@@ -11,11 +11,11 @@ from ._inertia import LinkInertia
 from ._link_parameters import LinkParameters, fixed_together, seen_from
 from ._manipulator import Manipulator
 from ._mujoco_reader import Body, BodyTree, read_bodies
-from ._part import MIMIC, Moved, part_of
+from ._part import MIMIC, Moved, Part, part_of
 from ._placement import Axis, modified_dh
 from ._source import JointLimits, Source
 from ._toml import read_toml
-from ._urdf_checks import XACRO, check_urdf, urdf_limits, urdf_mimics
+from ._urdf_checks import XACRO, check_urdf, urdf_limits, urdf_mimic_laws, urdf_mimics
 from ._urdf_simplifications import Edit, simplifications
 from ._xml import read_xml
 
@@ -29,6 +29,7 @@ def load_robot(
     base: str | None = None,
     tip: str | Sequence[str] | None = None,
     fix: str | Sequence[str] = (),
+    keep_mimics: bool = False,
 ) -> Manipulator:
     """A robot from its description: TOML as in `docs/robots.md`, URDF, or MJCF.
 
@@ -49,6 +50,9 @@ def load_robot(
     - `fix`: names of joints to fix at zero, or of bodies, for all joints that move the body and
       what it carries, as in `"gripper"`; `*` stands for any letters. Joints that mimic a fixed
       one are fixed too, and so is the base of a robot that floats.
+    - `keep_mimics`: keep joints that mimic others that move, without motors and friction, where
+      they are an error otherwise. `robot.source.mimics` then says what they follow, and
+      `jaxcslc.network.CoupledJoints` is the network of the others.
 
     **Raises**
 
@@ -95,11 +99,15 @@ def load_robot(
     urdf = root.tag == "robot"
     tree = read_bodies(path, urdf=urdf, edits=edits)
     if urdf:  # MuJoCo leaves out the joints that mimic unknown ones
-        mimics = tuple((MIMIC, pair) for pair in urdf_mimics(root, path))
-        tree = tree._replace(constraints=mimics)
+        constraints = tuple((MIMIC, pair) for pair in urdf_mimics(root, path))
+        laws = tuple(urdf_mimic_laws(root, path)) if keep_mimics else ()
+        tree = tree._replace(constraints=constraints, mimics=laws)
     name = root.attributes.get("name") or root.attributes.get("model") or path.stem
     notes = [f"{path}, line {edit.line}: {edit.note}" for edit in edits if edit.note]
-    robot = _robot(tree, path, name, base, tips, fixed, notes, urdf=urdf)
+    part = part_of(tree, path, base, tips, fixed, keep_mimics=keep_mimics)
+    robot = _robot(tree, path, name, base, tips, fixed, notes, part, urdf=urdf)
+    for mimic in part.mimics:
+        robot = robot.with_friction(joint=robot.joint_names.index(mimic.follower) + 1)
     if not urdf or robot.source is None:
         return robot
     limits = urdf_limits(root)
@@ -115,10 +123,10 @@ def _robot(
     tips: tuple[str, ...],
     fix: tuple[str, ...],
     notes: Sequence[str],
+    part: Part,
     *,
     urdf: bool,
 ) -> Manipulator:
-    part = part_of(tree, path, base, tips, fix)
     start, moved = part.start, part.moved
     poses = _poses(tree, start)
     numbers: dict[int, int] = {}  # of the last joint on each body
@@ -143,17 +151,18 @@ def _robot(
     links, placements, carried = _links(tree, moved, numbers, attached, poses, frames)
     files = [joint for _, joint in moved]
     friction = ("viscous", "dry")
+    following = {mimic.follower for mimic in part.mimics}
     if any(joint.stiffness for joint in files):
         friction = (*friction, "spring", "offset")
     return Manipulator(
         name=name,
         joints=rows,
-        inertia=tuple(LinkInertia("full") for _ in rows),
+        inertia=tuple(LinkInertia("full", motor=joint.name not in following) for joint in files),
         gravity=_gravity(tree, start),
         friction=friction,
         links=links,
-        viscous=_unless_zero([joint.damping for joint in files]),
-        dry=_unless_zero([joint.friction_loss for joint in files]),
+        viscous=_unless_zero([joint.damping * (joint.name not in following) for joint in files]),
+        dry=_unless_zero([joint.friction_loss * (joint.name not in following) for joint in files]),
         source=Source(
             str(path),
             "urdf" if urdf else "mjcf",
@@ -170,6 +179,7 @@ def _robot(
                 for joint in body.joints
                 if joint.kind is not None and joint not in files
             ),
+            mimics=part.mimics,
             notes=(*notes, *part.notes, *_faults(tree, path, numbers, attached)),
         ),
     )

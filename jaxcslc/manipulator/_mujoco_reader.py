@@ -13,6 +13,7 @@ from .._environment import require
 from ._errors import RobotError
 from ._joint import JointKind
 from ._link_parameters import LinkParameters
+from ._source import Mimic
 from ._urdf_simplifications import Edit, simplified
 
 
@@ -58,6 +59,7 @@ class BodyTree(NamedTuple):
     bodies: tuple[Body, ...]
     gravity: tuple[float, float, float]
     constraints: tuple[tuple[str, tuple[str, str]], ...]  # kind, and the two that it connects
+    mimics: tuple[Mimic, ...] = ()  # joints that follow others by a linear law
 
     def path(self, body: int) -> Iterator[int]:
         """From a body to the world, both included."""
@@ -96,7 +98,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
     unknown = _without_geometry(spec, urdf)
     massless = {b.name for b in spec.bodies if not (b.explicitinertial or b.geoms)} - unknown
     stated = _replaced_inertias(spec, {*inertials, *unknown, *massless})
-    constraints = tuple(_constraints(spec))
+    constraints, laws = tuple(_constraints(spec)), tuple(_laws(spec))
     _delete(spec.equalities, spec)
     spec.compiler.fusestatic = False
     try:
@@ -123,7 +125,14 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
         joints = tuple(_joints(model, i))
         bodies.append(Body(name, parent, pose, inertia, joints, faults.get(name)))
     x, y, z = (float(g) for g in spec.option.gravity)
-    return BodyTree(tuple(bodies), (x, y, z), constraints)
+    zero = {joint.name: joint.zero for body in bodies for joint in body.joints}
+    mimics = (
+        # MuJoCo's law is one of differences from the file's zero position.
+        Mimic(y, x, slope, zero[y] + constant - slope * zero[x])
+        for y, x, (constant, slope) in laws
+        if y in zero and x in zero
+    )
+    return BodyTree(tuple(bodies), (x, y, z), constraints, tuple(mimics))
 
 
 def _parsed(path: Path, urdf: bool, edits: Sequence[Edit]) -> Any:
@@ -256,6 +265,15 @@ def _constraints(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
         if equality.active and equality.name1:
             kind = equality.type.name.removeprefix("mjEQ_").lower()
             yield f"equality of kind {kind!r}", (equality.name1, equality.name2 or WORLD)
+
+
+def _laws(spec: Any) -> Iterator[tuple[str, str, tuple[float, float]]]:
+    """Joints that follow others: names, and constant and slope of a law that is linear."""
+    for equality in spec.equalities:
+        joint = equality.type.name == "mjEQ_JOINT"
+        constant, slope, *powers = (float(x) for x in equality.data[:5])
+        if equality.active and joint and equality.name2 and not any(powers):
+            yield equality.name1, equality.name2, (constant, slope)
 
 
 def _joints(model: Any, body: int) -> Iterator[FileJoint]:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from ._errors import RobotError
 from ._mujoco_reader import WORLD, BodyTree, FileJoint
+from ._source import Mimic
 
 
 _MOST_JOINTS = 1000  # loading takes a second, and the time grows with the square
@@ -22,19 +23,28 @@ class Part(NamedTuple):
     - `start`: index of the body that it stands on.
     - `moved`: its joints, each with the index of the body that it moves, from the base outwards.
     - `notes`: what was taken as fixed without being asked for, a sentence each.
+    - `mimics`: of the joints, those that follow others, each by one that follows none.
     """
 
     start: int
     moved: list[Moved]
     notes: list[str]
+    mimics: tuple[Mimic, ...] = ()
 
 
 def part_of(
-    tree: BodyTree, path: Path, base: str | None, tips: Sequence[str], fix: Sequence[str]
+    tree: BodyTree,
+    path: Path,
+    base: str | None,
+    tips: Sequence[str],
+    fix: Sequence[str],
+    *,
+    keep_mimics: bool = False,
 ) -> Part:
     """The joints between `base` and `tips`, those in `fix` and floating bases apart.
 
-    A joint that mimics a fixed one is fixed too.
+    A joint that mimics a fixed one is fixed too. Others that mimic are an error, unless
+    `keep_mimics`.
 
     **Raises**
 
@@ -88,8 +98,27 @@ def part_of(
             f"{path}: has {len(moved)} joints that move; expected at most {_MOST_JOINTS} (choose a"
             " part of the tree with base and tip)"
         )
-    _only_what_is_modelled(tree, moved, path)
-    return Part(start, moved, notes)
+    mimics = _to_independent(tree, moved) if keep_mimics else ()
+    _only_what_is_modelled(tree, moved, path, {mimic.follower for mimic in mimics})
+    return Part(start, moved, notes, mimics)
+
+
+def _to_independent(tree: BodyTree, moved: Sequence[Moved]) -> tuple[Mimic, ...]:
+    """The linear laws of joints that follow others, each by one that follows none."""
+    joints = {joint.name for _, joint in moved}
+    laws = {mimic.follower: mimic for mimic in tree.mimics if mimic.follower in joints}
+    mimics: list[Mimic] = []
+    for name in laws:
+        leader, multiplier, offset = name, 1.0, 0.0
+        while leader in laws:
+            law = laws[leader]
+            leader, offset = law.leader, offset + multiplier * law.offset
+            multiplier *= law.multiplier
+            if leader == name:
+                break
+        if leader in joints and leader != name:
+            mimics.append(Mimic(name, leader, multiplier, offset))
+    return tuple(mimics)
 
 
 def _carried_by(tree: BodyTree, start: int) -> set[int]:
@@ -145,7 +174,9 @@ def _without_followers_of_fixed(tree: BodyTree, path: Path, moved: list[Moved]) 
         moved = remaining
 
 
-def _only_what_is_modelled(tree: BodyTree, moved: Sequence[Moved], path: Path) -> None:
+def _only_what_is_modelled(
+    tree: BodyTree, moved: Sequence[Moved], path: Path, following: set[str]
+) -> None:
     for _, joint in moved:
         if joint.fault:
             raise RobotError(f"{path}, joint {joint.name!r}: {joint.fault}")
@@ -156,7 +187,7 @@ def _only_what_is_modelled(tree: BodyTree, moved: Sequence[Moved], path: Path) -
             )
     joints = {joint.name for _, joint in moved}
     bodies = {tree.bodies[body].name for body, _ in moved}
-    mimics = [pair for _, pair in _mimics(tree) if pair[0] in joints]
+    mimics = [pair for _, pair in _mimics(tree) if pair[0] in joints - following]
     if mimics:
         follower, leader = mimics[0]
         leaders = ",".join(dict.fromkeys(leader for _, leader in mimics if leader in joints))

@@ -32,6 +32,27 @@ class JointLimits:
     torque: float = math.inf
 
 
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: its position is `multiplier` times the other's plus `offset`.
+
+    **Attributes**
+
+    - `follower`, `leader`: names of the joints; the leader follows none.
+    - `multiplier`: [rad/rad, or m/rad of a finger that slides].
+    - `offset`: [rad or m].
+
+    >>> from jaxcslc.manipulator import Mimic
+    >>> Mimic("right finger", "left finger", -1.0).offset
+    0.0
+    """
+
+    follower: str
+    leader: str
+    multiplier: float
+    offset: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Source:
     """The file that a robot was read from, and how its links correspond to the file's bodies.
@@ -48,6 +69,7 @@ class Source:
     - `carried`: for each link, all else that is fixed to the body, as one body in the link's
       frame; or None.
     - `limits`: of the joints; empty where the file has none.
+    - `mimics`: joints of the robot that follow others; empty unless they were asked for.
     - `notes`: what of the file was not taken as it stands, a sentence each.
     """
 
@@ -62,4 +84,5 @@ class Source:
     fix: tuple[str, ...] = ()
     fixed_joints: tuple[str, ...] = ()
     limits: tuple[JointLimits, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
     notes: tuple[str, ...] = ()

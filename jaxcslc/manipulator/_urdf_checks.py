@@ -1,8 +1,9 @@
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 from ._errors import RobotError
-from ._source import JointLimits
+from ._source import JointLimits, Mimic
 from ._xml import Element
 
 
@@ -112,6 +113,31 @@ def urdf_mimics(root: Element, path: Path) -> list[tuple[str, str]]:
             way.add(leader)
             leader = leaders[leader]
     return list(leaders.items())
+
+
+def urdf_mimic_laws(root: Element, path: Path) -> Iterator[Mimic]:
+    """The laws by which joints of a URDF follow others.
+
+    **Raises**
+
+    - `RobotError`: for a multiplier or offset that is no finite number.
+    """
+    for joint in root.all("joint"):
+        mimic = joint.first("mimic")
+        if mimic is None:
+            continue
+        name = joint.attributes["name"]
+        numbers: list[float] = []
+        for attribute, usual in (("multiplier", 1.0), ("offset", 0.0)):
+            text = mimic.attributes.get(attribute)
+            number = usual if text is None else _number(text)
+            if number is None:
+                raise RobotError(
+                    f"{path}, line {mimic.line}, joint {name!r}: expected a finite number for the"
+                    f" {attribute} of <mimic>, got {text!r}"
+                )
+            numbers.append(number)
+        yield Mimic(name, mimic.attributes.get("joint", ""), *numbers)
 
 
 def urdf_limits(root: Element) -> dict[str, JointLimits]:

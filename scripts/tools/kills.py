@@ -52,7 +52,7 @@ import sys
 try:
     import sim
 
-    machine, trajectory = sim.puma560(), sim.training()
+    machine, trajectory = sim.puma560(), sim.training(samples=600)
     jobs = [sim.recording.Job(machine, trajectory, seed) for seed in range(6)]
     for i, result in sim.record_each(jobs, store="store", side_by_side=1):
         print(i, float(result.truth.position.sum()).hex())
@@ -183,7 +183,9 @@ def _trial(
         _, errors = process.communicate()
     faults: list[str] = []
     ended = process.returncode == 0
-    if how == signal.SIGINT and not ended:
+    # Python's own start, before the first line of a program, has a traceback of its own.
+    starting = "Traceback" in errors and 'File "<string>"' not in errors
+    if how == signal.SIGINT and not ended and not starting:
         if process.returncode not in _CODE_AFTER_SIGINT:
             faults.append(f"exit code {process.returncode} after SIGINT")
         if "Traceback" in errors:
