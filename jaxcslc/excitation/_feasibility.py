@@ -78,7 +78,8 @@ class DenseCheck:
 
     Positions and derivatives are sampled, and what a derivative of higher order allows between
     samples is added; that is a bound, not an estimate. Torque is the prior model's; between
-    samples, half the largest second difference of what does not jump is added.
+    samples, half the largest second difference of what does not jump is added, and friction that
+    reverses there has both signs.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.excitation import BSplines, DenseCheck, Limits
@@ -149,9 +150,20 @@ class DenseCheck:
         both = _torque(self._network, jnp.asarray(self._k), jnp.asarray(self._smooth), q, qd, qdd)
         torque, smooth = (np.asarray(x) for x in both)
         second = np.abs(np.diff(smooth, 2, axis=0)).max(0) / 2
-        uses = {"torque": (np.abs(torque).max(0) + second) / self.limits.usable_torque}
+        largest = np.abs(torque)
+        # Where friction reverses between two samples, it has both signs at one instant.
+        jump = torque - smooth
+        flips = np.sign(jump[1:]) != np.sign(jump[:-1])
+        beside = np.zeros(jump.shape, bool)
+        beside[1:] |= flips
+        beside[:-1] |= flips
+        friction = np.abs(jump)
+        friction[1:] = np.maximum(friction[1:], np.abs(jump[:-1]))
+        friction[:-1] = np.maximum(friction[:-1], np.abs(jump[1:]))
+        largest = np.where(beside, np.abs(smooth) + friction, largest)
+        uses = {"torque": (largest.max(0) + second) / self.limits.usable_torque}
         if np.isfinite(self.limits.power).any():
-            power = (np.abs(torque) + second) * np.abs(derivatives[1])
+            power = (largest + second) * np.abs(derivatives[1])
             uses["power"] = power.max(0) / self.limits.usable_power
         return uses
 

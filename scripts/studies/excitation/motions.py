@@ -45,6 +45,12 @@ def noise(estimator: str = "likelihood") -> Noise:
     return Noise(TORQUE_NOISE, sim.puma560().encoder_resolution, 1 / INTERVAL, None, estimator)
 
 
+def limits() -> Limits:
+    """The arm's, with torques up to where its drives stop being linear (7.2.3)."""
+    linear = sim.DISTURBANCES["motor linearity"]["linear_torque"]
+    return Limits.of(jc.puma560(), {"torque": list(linear), "torque_margin": 0.05})
+
+
 def knowledge() -> Knowledge:
     """The machine's coefficients as a prior model; no information about them."""
     k = np.asarray(true_coefficients(network(), sim.puma560()))
@@ -55,7 +61,7 @@ def puma_design(name: str, quick: bool = False) -> Design:
     """A designed motion by its name in `DESIGNED`."""
     return design_motion(
         network(),
-        Limits.of(jc.puma560()),
+        limits(),
         noise(),
         duration=DURATION,
         criterion=DESIGNED[name],
@@ -70,7 +76,7 @@ def puma_design(name: str, quick: bool = False) -> Design:
 def fourier_planner() -> Planner:
     """Of random Fourier series."""
     family = FourierSeries(DURATION, 8, periodic=False)
-    return Planner.of(network(), Limits.of(jc.puma560()), noise(), family, knowledge=knowledge())
+    return Planner.of(network(), limits(), noise(), family, knowledge=knowledge())
 
 
 def random_motion(seed: int) -> Path:

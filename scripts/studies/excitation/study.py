@@ -8,7 +8,7 @@ A simulated PUMA 560 performs motions of 6.6 s, and is identified from the recor
 - **regression**, **likelihood**: encoders and white torque noise alone; predicted standard errors
   over those obtained, coefficient by coefficient.
 - **arms**: designs of random arms of two to four joints under random limits, looked at on a grid of
-  20,001 instants: the most that is used of any limit.
+  20,001 instants, the most that is used of any limit.
 - **panda**: a Panda's URDF with its meshes over a floor, 20 s: feasible, condition numbers, time.
 
 Rows of finished tasks are kept in `rows.jsonl`; an interrupted run goes on from there.
@@ -22,6 +22,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -52,27 +53,26 @@ def panda_urdf() -> Path | None:
     return None
 
 
-def design_paths(folder: Path, quick: bool) -> dict[str, Any]:
+def design_paths(folder: Path, quick: bool, names: Sequence[str]) -> dict[str, Any]:
     """The designed motions, made once and kept."""
-    file = folder / "designs.json"
-    kept = json.loads(file.read_text()) if file.exists() else {}
-    for name in DESIGNED:
-        if name not in kept:
+    folder.mkdir(parents=True, exist_ok=True)
+    designs: dict[str, Any] = {}
+    for name in names:
+        file = folder / f"{name.replace(' ', '_')}.json"
+        if not file.exists():
             begun = time.process_time()
             design = puma_design(name, quick)
             instants = INTERVAL * np.arange(round(DURATION / INTERVAL) + 1)
             motion = design.family.motion(design.parameters, instants)
-            kept[name] = {
+            document = {
                 "seconds": time.process_time() - begun,
                 "text": str(design),
                 "motion": [np.asarray(x).round(12).tolist() for x in motion],
             }
-            print(
-                f"{name}: {kept[name]['seconds']:.0f} s of processor time\n{design}\n", flush=True
-            )
-            folder.mkdir(parents=True, exist_ok=True)
-            file.write_text(json.dumps(kept))
-    return kept
+            file.write_text(json.dumps(document))
+        designs[name] = json.loads(file.read_text())
+        print(f"{name}: {designs[name]['seconds']:.0f} s\n{designs[name]['text']}\n", flush=True)
+    return designs
 
 
 _designs: dict[str, Any] = {}
@@ -99,7 +99,7 @@ def row_of(task: Task, urdf: str, steps: int) -> dict[str, Any]:
     elif part in ("regression", "likelihood"):
         row = tasks.repeated(part, number, _designs)
     elif part == "arms":
-        row = tasks.random_arm(number)
+        row = tasks.random_arms(number)
     else:
         row = tasks.panda(number, urdf, steps)
     return {"part": part, "name": name, "number": number, **row}
@@ -114,7 +114,7 @@ def compare_text(rows: Sequence[dict[str, Any]]) -> str:
         if not of_motion:
             continue
         line = [name, str(len(of_motion))]
-        for quantity in ("epsilon", "standard error", "error"):
+        for quantity in ("epsilon", "median error", "error", "standard error"):
             values = [row[quantity] for row in of_motion]
             ratios = [
                 row[quantity] / ours[row["number"]][quantity]
@@ -126,7 +126,8 @@ def compare_text(rows: Sequence[dict[str, Any]]) -> str:
             line.append(f"{np.median(ratios):.2f} ({low:.2f} to {high:.2f})")
         lines.append(line)
     header = ["motion", "seeds", "ε [N m]", "over design's"]
-    header += ["standard error", "over design's", "error", "over design's"]
+    header += ["median error", "over design's", "mean error", "over design's"]
+    header += ["mean standard error", "over design's"]
     return text_table(header, lines, left=("motion",))
 
 
@@ -160,9 +161,10 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
         if len(parts[part]) > 1:
             texts.append(repeated_text(parts[part], part))
     if arms := parts["arms"]:
-        worst = [row["worst"] for row in arms if row["worst"] is not None]
+        worst = [value for row in arms for value in row["worst"]]
+        infeasible = sum(len(row["infeasible"]) for row in arms)
         texts.append(
-            f"random arms: {len(arms)} designs, {len(arms) - len(worst)} wishes infeasible;"
+            f"random arms: {len(arms)} arms, {len(worst)} designs, {infeasible} wishes infeasible;"
             f" most used of any limit {100 * max(worst):.4f} %, median"
             f" {100 * np.median(worst):.2f} %; over 100.1 %: {sum(x > 1.001 for x in worst)}"
         )
@@ -182,18 +184,23 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 def study(options: argparse.Namespace) -> int:
     """Runs what is missing, prints the tables."""
-    designs = design_paths(options.output, options.quick)
-    files = [Path(__file__).with_name(name) for name in ("tasks.py", "motions.py")]
-    # Rows follow from the study's files; the packages' are left out, so that a page can be mended.
-    digest = made_of({"quick": options.quick, "designs": list(designs)}, files)
-    finished = Rows(options.output / "rows.jsonl", ("part", "name", "number"), digest)
-    urdf = options.panda or panda_urdf()
+    if options.design:
+        design_paths(options.output, options.quick, [options.design])
+        return 0
     tasks: list[Task] = [("arms", "", i) for i in range(options.arms)]
     tasks += [("regression", "", i) for i in range(options.repeats)]
     tasks += [("compare", name, i) for i in range(options.seeds) for name in MOTIONS]
-    tasks += [("panda", "", i) for i in range(options.pandas if urdf else 0)]
-    tasks += [("likelihood", "", i) for i in range(options.fits)]
+    urdf = options.panda or panda_urdf()
+    others: list[Task] = [("panda", "", i) for i in range(options.pandas if urdf else 0)]
+    fits: list[Task] = [("likelihood", "", i) for i in range(options.fits)]
+    # In turns, so that a run that is stopped has some of both.
+    tasks += [task for pair in zip_longest(fits, others) for task in pair if task]
+    files = [Path(__file__).with_name(name) for name in ("tasks.py", "motions.py")]
+    digest = made_of({"quick": options.quick}, files)
+    finished = Rows(options.output / "rows.jsonl", ("part", "name", "number"), digest)
+    needed = DESIGNED if options.seeds or options.repeats or options.fits else ()
     missing = [task for task in tasks if task not in finished]
+    designs = design_paths(options.output, options.quick, tuple(needed))
     begin(designs, options.cache)
     if missing:
         _run(missing, finished, designs, str(urdf or ""), options)
@@ -228,18 +235,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=50, help="of compare")
     parser.add_argument("--repeats", type=int, default=200, help="of regression")
     parser.add_argument("--fits", type=int, default=200, help="of likelihood")
-    parser.add_argument("--arms", type=int, default=1000, help="designs of random arms")
+    parser.add_argument("--arms", type=int, default=50, help="random arms, of 20 designs each")
     parser.add_argument("--pandas", type=int, default=100, help="designs of a Panda")
     parser.add_argument("--panda", type=Path, default=None, help="its URDF")
+    parser.add_argument("--design", choices=list(DESIGNED), help="make this design, no more")
     parser.add_argument("--steps", type=int, default=40, help="of a Panda's design, in a round")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--minutes", type=float, default=1e4, help="at most")
     parser.add_argument("--cache", default=".cache/jax", help="of compiled programs")
-    quick = {"seeds": 1, "repeats": 3, "fits": 0, "arms": 2, "pandas": 0, "jobs": 1}
+    quick = {"seeds": 1, "repeats": 3, "fits": 0, "arms": 0, "pandas": 0, "jobs": 1}
     options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=0, repeats=0, fits=0, arms=0, pandas=0, jobs=1)
     seconds = 200 + 25 * options.seeds + options.repeats + 10 * options.fits
-    seconds += options.arms + 30 * options.pandas
+    seconds += 60 * options.arms + 60 * options.pandas
     return command.run(
         parser, lambda: study(options), options.output / "rows.jsonl", seconds=seconds
     )

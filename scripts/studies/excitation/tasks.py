@@ -13,6 +13,7 @@ import jaxcslc as jc
 import sim
 from jaxcslc.excitation import (
     BSplines,
+    Design,
     Knowledge,
     Limits,
     Noise,
@@ -28,21 +29,25 @@ from .motions import TORQUE_NOISE, Path, network, performed
 jax.config.update("jax_enable_x64", True)
 
 SETTINGS = jc.Settings(jc.Preparation(torque_alignment="mean"), jc.LeastSquares(cutoff=15.0))
-ARMS_PER_STRUCTURE = 40
+ARMS_PER_STRUCTURE = 20
 
 
 def compared(name: str, seed: int, designs: dict[str, Path]) -> dict[str, Any]:
     """A motion with all disturbances: ε on the comparison trajectory, errors of coefficients."""
     machine = sim.disturbed(sim.puma560())
     recording, _ = performed(machine, name, designs, seed)
-    judged = moving_patterns(sim.simulate(machine, sim.comparison(), seed=10_000 + seed))
+    # Static and asymmetric friction, which no coefficient describes, leave 0.53 N m of ε on any.
+    undisturbed = sim.undisturbed(machine)
+    judged = moving_patterns(sim.simulate(undisturbed, sim.comparison(), seed=10_000 + seed))
     fit = SETTINGS.fit(network(), SETTINGS.patterns(recording))
     k, true = np.asarray(fit.k), np.asarray(true_coefficients(network(), machine))
     size = np.abs(true)
     return {
         "epsilon": epsilon(network(), k, judged),
         "standard error": float(np.mean(np.asarray(fit.standard_error) / size)),
+        "median standard error": float(np.median(np.asarray(fit.standard_error) / size)),
         "error": float(np.mean(np.abs(k - true) / size)),
+        "median error": float(np.median(np.abs(k - true) / size)),
         "condition": float(fit.condition),
     }
 
@@ -65,39 +70,44 @@ def repeated(estimator: str, seed: int, designs: dict[str, Path]) -> dict[str, A
     }
 
 
-_planners: dict[int, Planner] = {}
+def random_arms(structure: int, count: int = ARMS_PER_STRUCTURE) -> dict[str, Any]:
+    """Quick designs of a random arm under random limits, looked at on a fine grid."""
+    planner = _arm_planner(structure)
+    worst, scales, infeasible = [], [], []
+    for index in range(count):
+        rng = np.random.default_rng([structure, index])
+        wish = _planner_within(planner, _random_limits(planner, rng))
+        try:
+            design = wish.design(index, 1, 3, 12, lambda _: None)
+        except ValueError as error:
+            infeasible.append(str(error))
+            continue
+        worst.append(_most_used(design))
+        scales.append(design.scale)
+    return {"worst": worst, "scales": scales, "infeasible": infeasible}
 
 
-def random_arm(index: int) -> dict[str, Any]:
-    """A quick design of a random arm under random limits, looked at on a fine grid."""
-    structure = index // ARMS_PER_STRUCTURE
-    if structure not in _planners:
-        _planners.clear()
-        _planners[structure] = _arm_planner(structure)
-    planner = _planners[structure]
-    rng = np.random.default_rng(1_000_000 + index)
-    limits = _random_limits(planner, rng)
-    planner = Planner.of(
+def _planner_within(planner: Planner, limits: Limits) -> Planner:
+    return Planner.of(
         planner.problem.information.network,
         limits,
         planner.noise,
         planner.family,
         knowledge=planner.knowledge,
     )
-    try:
-        design = planner.design(index, 1, 3, 12, lambda _: None)
-    except ValueError as error:
-        return {"infeasible": str(error), "worst": None, "scale": None}
-    instants = np.linspace(0.0, planner.family.duration, 20_001)
+
+
+def _most_used(design: Design) -> float:
+    """The largest part of any limit that a motion uses at 20,001 instants."""
+    instants = np.linspace(0.0, design.family.duration, 20_001)
     values = [design.family.derivative(design.parameters, instants, i) for i in range(4)]
     used = [
         np.max(np.abs(x - middle) / half)
-        for x, (middle, half) in zip(values, map(limits.symmetric, range(4)), strict=True)
+        for x, (middle, half) in zip(values, map(design.limits.symmetric, range(4)), strict=True)
     ]
-    k = jnp.asarray(planner.knowledge.k)
+    k = jnp.asarray(design.prediction.k)
     torque = design.network.torque(k, *(jnp.asarray(x) for x in values[:3]))
-    used.append(np.max(np.abs(np.asarray(torque)) / limits.usable_torque))
-    return {"infeasible": None, "worst": float(max(used)), "scale": design.scale}
+    return float(max(*used, np.max(np.abs(np.asarray(torque)) / design.limits.usable_torque)))
 
 
 def _arm_planner(structure: int) -> Planner:
@@ -162,20 +172,15 @@ def panda(seed: int, urdf: str, steps: int) -> dict[str, Any]:
     planner = _pandas["panda"]
     begun = time.process_time()
     design = planner.design(seed, 1, 5, steps, lambda _: None)
-    instants = np.linspace(0.0, 20.0, 20_001)
-    values = [design.family.derivative(design.parameters, instants, i) for i in range(4)]
-    used = [
-        float(np.max(np.abs(x - middle) / half))
-        for x, (middle, half) in zip(values, map(planner.limits.symmetric, range(4)), strict=True)
-    ]
+    instants = np.linspace(0.0, 20.0, 2001)
+    poses = np.asarray(design.family.derivative(design.parameters, instants))
+    used = _most_used(design)
     assert planner.bodies is not None
     wanted = planner.bodies.wanted
-    gap = min(
-        float(np.min(planner.bodies.distances(pose, 0.3)[0] - wanted)) for pose in values[0][::10]
-    )
+    gap = min(float(np.min(planner.bodies.distances(pose, 0.3)[0] - wanted)) for pose in poses)
     return {
-        "feasible": design.use.feasible and max(used) <= 1.0 and gap >= 0.0,
-        "used": max(used),
+        "feasible": design.use.feasible and used <= 1.0 and gap >= 0.0,
+        "used": used,
         "gap": gap,
         "scale": design.scale,
         "condition": design.prediction.condition,
