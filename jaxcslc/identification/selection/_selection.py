@@ -224,7 +224,9 @@ class _Trials:
         patterns = preparation.patterns(self.recording, self._motion(preparation))
         motion = _motion_part(preparation)
         if self._regressor is None or self._regressor[0] != motion:
-            self._regressor = motion, np.asarray(regressor_of(self.network, patterns))
+            memory = None if self._regressor is None else self._regressor[1]
+            regressor = regressor_of(self.network, patterns, memory=memory)
+            self._regressor = motion, np.asarray(regressor)
         error = settings.solver.held_out_errors(
             self.network, patterns, self.scoring.fold, self._regressor[1]
         )

@@ -67,15 +67,21 @@ def on_host(tree: Any) -> bool:
 
 
 def regressor_of(
-    network: AbstractLinearNetwork, patterns: Patterns, least: int = 0
+    network: AbstractLinearNetwork,
+    patterns: Patterns,
+    least: int = 0,
+    *,
+    memory: Float[np.ndarray, "samples joints coefficients"] | None = None,
 ) -> Float[Array | np.ndarray, "samples joints coefficients"]:
     """The regressor of patterns: by NumPy, or compiled once for all recordings of similar lengths.
 
     - `least`: rows that are compiled for.
+    - `memory`: an earlier regressor of the network, of as many samples, that is not used any more:
+      NumPy writes over it. To be handed new memory takes as long as to compute what goes into it.
     """
     motion = (patterns.q, patterns.qd, patterns.qdd)
     if computed_on_host(network, *motion):
-        return _host_regressor(network, *motion)
+        return _host_regressor(network, memory, *motion)
     q, qd, qdd = (filled_up(x, least) for x in motion)
     filled = _regressor(network, q, qd, qdd)
     # NumPy's slice shares the memory; JAX's is a program to compile for each number of samples.
@@ -137,10 +143,13 @@ def _host_columns(
 
 
 def _host_regressor(
-    network: AbstractLinearNetwork, *motion: Any
+    network: AbstractLinearNetwork, memory: np.ndarray | None, *motion: Any
 ) -> Float[np.ndarray, "samples joints coefficients"]:
     samples = len(motion[0])
-    regressor = np.zeros((samples, network.joint_count, network.size))
+    shape = (samples, network.joint_count, network.size)
+    usable = memory is not None and memory.shape == shape and memory.flags.writeable
+    regressor = memory if usable else np.zeros(shape)
+    assert regressor is not None
     supports = [np.array(support, int) for support in network.support]
     # Columns are turned into rows while they are in the processor's cache.
     for start in range(0, samples, _HOST_BLOCK):

@@ -124,7 +124,8 @@ class Equations(eqx.Module):
         rows: list[np.ndarray] = []
         counts: list[np.ndarray] = []
         for all_rows, sample in zip(self.rows, self.sample, strict=True):
-            parts = [all_rows[fold[sample] == number] for number in range(folds)]
+            of_rows = fold[sample]
+            parts = [all_rows[samples_of(of_rows, number)] for number in range(folds)]
             padded = np.zeros((folds, max(map(len, parts)), all_rows.shape[1]))
             for filled, part in zip(padded, parts, strict=True):
                 filled[: len(part)] = part
@@ -140,6 +141,16 @@ class Equations(eqx.Module):
             tuple(rows[counts] for rows, counts in zip(self.rows, kept, strict=True)),
             tuple(sample[counts] for sample, counts in zip(self.sample, kept, strict=True)),
         )
+
+
+def samples_of(
+    fold: Int[np.ndarray, " samples"], number: int
+) -> slice | Int[np.ndarray, " of_fold"]:
+    """An index of the samples of a fold: a slice, which copies nothing, where it is a stretch."""
+    samples = np.flatnonzero(fold == number)
+    if samples.size and samples[-1] - samples[0] + 1 == samples.size:
+        return slice(int(samples[0]), int(samples[-1]) + 1)
+    return samples
 
 
 def equations_of(

@@ -19,7 +19,7 @@ from ._compiled import (
     traced,
     untraced,
 )
-from ._equations import Equations, equations_of, pattern_factors
+from ._equations import Equations, equations_of, pattern_factors, samples_of
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 from ._identification import RESULTS, Identification, result_of
@@ -275,7 +275,8 @@ class LeastSquares:
         k = self._fit_folds(network, patterns, regressor, fold)
         errors = np.array(patterns.torque, float)
         for number, coefficients in enumerate(k):
-            errors[fold == number] -= regressor[fold == number] @ coefficients
+            rows = samples_of(fold, number)
+            errors[rows] -= regressor[rows] @ coefficients
         return errors
 
     def _fit_folds(
