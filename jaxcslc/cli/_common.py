@@ -75,7 +75,7 @@ FrictionOption = Annotated[
     typer.Option(
         metavar="TERMS",
         help="Friction terms of every joint in place of the file's, as in viscous,dry,static"
-        " (docs/friction.md).",
+        " (docs/friction.md); identify also takes auto, which chooses them joint by joint.",
     ),
 ]
 CoupledOption = Annotated[

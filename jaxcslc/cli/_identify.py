@@ -1,13 +1,23 @@
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import typer
 
-from ..identification import EstimatorChoice, Report, Settings, identify, load_prior
+from ..identification import (
+    EstimatorChoice,
+    Report,
+    Settings,
+    choose_friction,
+    identify,
+    load_prior,
+)
 from ..identification.possible import Choice
 from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
 from ..manipulator import Manipulator
+from ..motion import Recording
+from ..network import CSLC
 from ._cluster import identified_on_cluster
 from ._common import (
     BaseOption,
@@ -116,21 +126,69 @@ def identify_command(
         else:
             arm = robot_named(robot, base, tip, fix)
             saved = _previous_report(context, arm, previous)
-            network = saved.network if saved else network_of(arm, lengths, friction, coupled)
-            reading = RecordingOptions.of(context.params)
-            report = identify(
-                network,
-                recordings_of(train, lambda path: reading.read(path, network.robot)),
-                None if validate is None else reading.read(validate, network.robot),
-                _settings(settings, saved),
-                **_as_they_are(context.params),
+            options = {
                 **_refitted(saved, reidentify),
-                options=without_none(torque_lag=torque_lag, loss=loss),
                 **_choices(estimator, possible, prior),
-                progress=step,
+                "options": without_none(torque_lag=torque_lag, loss=loss),
+            }
+            files = train, validate
+            report = _identified(
+                context, arm, saved, files, _settings(settings, saved), options, step
             )
         text = _written(report, output, context, step)
     typer.echo(text)
+
+
+def _identified(
+    context: CommandContext,
+    robot: Manipulator,
+    saved: SavedReport | None,
+    files: tuple[Sequence[Path], Path | None],
+    settings: Settings | None,
+    options: Mapping[str, Any],
+    step: Callable[[str], None],
+) -> Report:
+    """The report of a robot.
+
+    - `files`: recordings to fit, and one to judge the fit on or none.
+    - `options`: further arguments of `identify`.
+    """
+    train, validate = files
+    reading = RecordingOptions.of(context.params)
+    recordings = recordings_of(train, lambda path: reading.read(path, robot))
+    network, notes = _network(context, robot, saved, recordings, settings, step)
+    report = identify(
+        network,
+        recordings,
+        None if validate is None else reading.read(validate, robot),
+        settings,
+        **_as_they_are(context.params),
+        **options,
+        progress=step,
+    )
+    return dataclasses.replace(report, notes=(*notes, *report.notes))
+
+
+def _network(
+    context: CommandContext,
+    robot: Manipulator,
+    saved: SavedReport | None,
+    recordings: Mapping[str, Recording],
+    settings: Settings | None,
+    step: Callable[[str], None],
+) -> tuple[CSLC, tuple[str, ...]]:
+    """The network, and how its friction terms were chosen where that was asked for."""
+    if saved is not None:
+        return saved.network, ()
+    lengths, friction = context.params["lengths"], context.params["friction"]
+    pairs: list[str] = list(context.params["coupled"] or ())
+    coupled = pairs or None
+    if friction != "auto":
+        return network_of(robot, lengths, friction, coupled), ()
+    longest = max(recordings.values(), key=lambda recording: recording.samples)
+    network = network_of(robot, lengths, None, coupled)
+    choice = choose_friction(network, longest, settings, progress=step)
+    return choice.network, choice.sentences
 
 
 def _previous_report(

@@ -85,8 +85,11 @@ from .report import (
 )
 from .selection import (
     Candidates as Candidates,
+    FrictionChoice as FrictionChoice,
+    FrictionTrial as FrictionTrial,
     Selection as Selection,
     Trial as Trial,
+    choose_friction as choose_friction,
     choose_settings as choose_settings,
 )
 from .several import (

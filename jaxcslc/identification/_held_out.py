@@ -280,7 +280,7 @@ class RelativeError:
     >>> parts = [np.ones((50, 2)), 1.1 * np.ones((50, 2)), 0.9 * np.ones((50, 2))]
     >>> masks = [np.ones((50, 2), bool)] * 3
     >>> smaller = RelativeError.of([0.8 * errors for errors in parts], parts, masks)
-    >>> round(smaller.change, 3), smaller.beyond_chance
+    >>> round(smaller.change, 3), smaller.beyond_chance()
     (-0.223, True)
     """
 
@@ -310,15 +310,14 @@ class RelativeError:
         spread = float(np.std(logarithms, ddof=1) / np.sqrt(len(logarithms)))
         return cls(float(np.mean(logarithms)), spread, len(errors))
 
-    @property
-    def beyond_chance(self) -> bool:
+    def beyond_chance(self, chance: float = 0.05) -> bool:
         """Whether errors are smaller by 1 % at least, and by more than chance explains.
 
-        One such gain in twenty is chance (Student's t, one-sided).
+        - `chance`: the part of such gains that is chance (Student's t, one-sided).
         """
         if self.parts < 2:
             return False
-        limit = self.change + scipy.special.stdtrit(self.parts - 1, 0.95) * self.change_error
+        limit = self.change + scipy.special.stdtrit(self.parts - 1, 1 - chance) * self.change_error
         return bool(limit < 0.0 and self.change < np.log1p(-_LEAST_GAIN))
 
     def __str__(self) -> str:

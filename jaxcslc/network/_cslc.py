@@ -18,6 +18,7 @@ from .terms import (
     RigidBodyTables,
     StaticFriction,
     carrier,
+    input_terms,
     payload_term,
 )
 
@@ -163,6 +164,36 @@ class CSLC(AbstractTermSum):
         return CSLC(
             algebra=dataclasses.replace(self.algebra, robot=robot),
             terms=tuple(term for term in terms if term.kind != kind or term.size),
+        )
+
+    def with_joint_friction(self, kinds: Sequence[Sequence[str]]) -> "CSLC":
+        """The same network with other friction laws, and springs, of its joints.
+
+        **Arguments**
+
+        - `kinds`: of each joint.
+
+        **Raises**
+
+        - `RobotError`: kinds that are unknown, listed twice or collinear.
+        - `ValueError`: for a network with a payload, or another number of joints.
+
+        >>> import jaxcslc as jc
+        >>> network = jc.derive(jc.puma560())
+        >>> network.with_joint_friction([("dry", "offset")] * 6).names[-7:]
+        ('kd6', 'ko1', 'ko2', 'ko3', 'ko4', 'ko5', 'ko6')
+        """
+        if self.payload is not None or len(kinds) != self.joint_count:
+            raise ValueError(
+                f"expected a network without payload and {self.joint_count} joints' friction,"
+                f" got {len(kinds)}"
+            )
+        robot = self.robot
+        for joint, kinds_of_joint in enumerate(kinds, start=1):
+            robot = robot.with_friction(*kinds_of_joint, joint=joint)
+        return CSLC(
+            algebra=dataclasses.replace(self.algebra, robot=robot),
+            terms=(self.terms[0], *input_terms(robot)),
         )
 
     @property

@@ -59,7 +59,7 @@ class TestAuto:
         comparison = coarse.estimators
         assert comparison is not None
         assert (comparison.source, comparison.used) == ("validation", "maximum-likelihood")
-        assert comparison.relative.beyond_chance
+        assert comparison.relative.beyond_chance()
         assert_allclose(coarse.k, comparison.likelihood.k)
         # Its errors are those that the report has of the same coefficients.
         rms = coarse.errors["validation"].rms[0]
@@ -89,7 +89,7 @@ class TestAuto:
         report = jc.identify(network, slow, estimator="auto", **QUICK)
         assert report.estimators is not None
         assert report.estimators.used == "least-squares"
-        assert not report.estimators.relative.beyond_chance
+        assert not report.estimators.relative.beyond_chance()
         alone = jc.identify(network, slow, **QUICK)
         assert_allclose(report.k, alone.k)
 

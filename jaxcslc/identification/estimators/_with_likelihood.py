@@ -141,7 +141,7 @@ class _Judged:
         relative = self._relative(unfitted, predicted)
         better: Estimator = (
             "maximum-likelihood"
-            if estimator == "maximum-likelihood" or relative.beyond_chance
+            if estimator == "maximum-likelihood" or relative.beyond_chance()
             else "least-squares"
         )
         comparison = EstimatorComparison(

@@ -1,0 +1,202 @@
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...manipulator import RobotError
+from ...motion import Recording
+from ...network import CSLC
+from .._held_out import RelativeError
+from .._settings import Settings
+from .._slopes import fit_slopes
+from ..solver import regressor_of
+from ._selection import choose_settings
+
+
+# In the order in which they are tried: a constant decides more, on real arms, than all others.
+FRICTION_CANDIDATES = ("offset", "static", "root", "quadratic", "spring")
+# Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
+_ROUNDS, _FOLDS = 3, 8
+
+
+@dataclasses.dataclass(frozen=True)
+class FrictionTrial:
+    """A friction term, tried at one joint.
+
+    **Attributes**
+
+    - `joint`: counted from 1; `kind`: of the term.
+    - `relative`: the joint's held-out error with the term over that without it.
+    - `used`: whether the joint has the term in the end.
+    """
+
+    joint: int
+    kind: str
+    relative: RelativeError
+    used: bool
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.relative}{', used' if self.used else ''}"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrictionChoice:
+    """Friction terms chosen joint by joint, and what each was worth.
+
+    **Attributes**
+
+    - `network`: with the terms; the robot that it was derived from is `network.robot`.
+    - `trials`: in the order in which they were made.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import choose_friction
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> t = np.arange(800)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    >>> true = jc.derive(pendulum.with_friction("viscous", "dry", "offset"), lengths="numeric")
+    >>> torque = np.asarray(true.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.1, 0.4]), q, qd, qdd))
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> choice = choose_friction(network, jc.Recording(t[:, 0], q, torque), jc.Settings())
+    >>> choice.network.robot.friction_per_joint
+    (('viscous', 'dry', 'offset'),)
+    """
+
+    network: CSLC
+    trials: tuple[FrictionTrial, ...]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One a joint: what was tried, and what it changed of held-out errors."""
+        by_joint: dict[int, list[str]] = {}
+        for trial in self.trials:
+            by_joint.setdefault(trial.joint, []).append(str(trial))
+        names = self.network.output_names
+        return tuple(
+            f"friction of {names[joint - 1]}, held-out error with a term over that without:"
+            f" {'; '.join(tried)}"
+            for joint, tried in sorted(by_joint.items())
+        )
+
+    def __str__(self) -> str:
+        return "\n".join(self.sentences)
+
+
+def choose_friction(
+    network: CSLC,
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    candidates: Sequence[str] = FRICTION_CANDIDATES,
+    progress: Callable[[str], None] = lambda _: None,
+) -> FrictionChoice:
+    """Friction terms that predict motion better that was not fitted, joint by joint.
+
+    Starts with the network's terms. In each round every candidate is added to all joints that lack
+    it, and a joint gets the one that makes its error smallest on stretches that were left out of
+    the fit, if it falls by 1 % at least and by more than chance explains (Student's t over the
+    stretches, one-sided, at 5 % divided by the number of candidates); until no joint gets another.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `recording`: to choose on.
+    - `settings`: of preparation and fit; chosen on the recording if None.
+    - `candidates`: kinds of friction. Those that are collinear with a joint's terms are left out.
+    - `progress`: is called with a few words at each trial.
+
+    **Returns** a `FrictionChoice`.
+
+    **Raises** `ValueError`, `RuntimeError`: as `choose_settings`, `LeastSquares.fit`.
+    """
+    if settings is None:
+        progress("choosing settings")
+        settings = choose_settings(network, recording).settings
+    trials: list[FrictionTrial] = []
+    chance = 0.05 / max(len(candidates), 1)
+    for _ in range(_ROUNDS):
+        before, _ = _held_out(network, recording, settings)
+        tried: list[FrictionTrial] = []
+        for kind in candidates:
+            richer, joints = _with(network, kind)
+            if not joints:
+                continue
+            progress(f"trying friction: {kind}")
+            try:
+                errors, mask = _held_out(richer, recording, settings)
+            except (ValueError, RuntimeError):  # nothing in the motion determines it
+                continue
+            for joint in joints:
+                relative = _relative(errors, before, mask, joint)
+                tried.append(FrictionTrial(joint, kind, relative, used=False))
+        best = _best(tried, chance)
+        trials += [dataclasses.replace(trial, used=trial in best.values()) for trial in tried]
+        if not best:
+            break
+        network = network.with_joint_friction(
+            [
+                (*kinds, best[joint].kind) if joint in best else kinds
+                for joint, kinds in enumerate(network.robot.friction_per_joint, start=1)
+            ]
+        )
+    return FrictionChoice(network, tuple(trials))
+
+
+def _with(network: CSLC, kind: str) -> tuple[CSLC, list[int]]:
+    """With a kind of friction at all joints that may have it, and which these are, from 1."""
+    kinds_of_joints = list(network.robot.friction_per_joint)
+    joints: list[int] = []
+    for joint, kinds in enumerate(kinds_of_joints, start=1):
+        if kind in kinds:
+            continue
+        try:
+            network.robot.with_friction(*kinds, kind, joint=joint)
+        except RobotError:  # collinear
+            continue
+        kinds_of_joints[joint - 1] = (*kinds, kind)
+        joints.append(joint)
+    return (network.with_joint_friction(kinds_of_joints) if joints else network), joints
+
+
+def _held_out(
+    network: CSLC, recording: Recording, settings: Settings
+) -> tuple[Float[np.ndarray, "samples joints"], Bool[np.ndarray, "samples joints"]]:
+    """Errors of each stretch under a fit to the others, and what is judged.
+
+    Slopes of static friction are those of all stretches: one number a joint of thousands of rows.
+    """
+    suited = settings.for_network(network)
+    patterns = suited.patterns(recording)
+    if "static" in network.robot.friction_terms:
+        network = fit_slopes(network, patterns, solver=suited.solver).network
+    fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
+    regressor = np.asarray(regressor_of(network, patterns))
+    errors = suited.solver.held_out_errors(network, patterns, fold, regressor)
+    return errors, np.asarray(patterns.mask)
+
+
+def _relative(
+    errors: Float[np.ndarray, "samples joints"],
+    before: Float[np.ndarray, "samples joints"],
+    mask: Bool[np.ndarray, "samples joints"],
+    joint: int,
+) -> RelativeError:
+    """Of one joint, counted from 1, stretch by stretch."""
+    column = slice(joint - 1, joint)
+    stretch = np.arange(len(mask)) * _FOLDS // len(mask)
+    return RelativeError.of(
+        *(
+            [values[stretch == number, column] for number in range(_FOLDS)]
+            for values in (errors, before, mask)
+        )
+    )
+
+
+def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionTrial]:
+    """By joint, the trial with the smallest error, of those that are better beyond chance."""
+    best: dict[int, FrictionTrial] = {}
+    for trial in sorted(trials, key=lambda trial: trial.relative.change, reverse=True):
+        if trial.relative.beyond_chance(chance):
+            best[trial.joint] = trial
+    return best

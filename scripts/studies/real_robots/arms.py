@@ -1,0 +1,88 @@
+"""Recordings of real arms, each divided once and for all into what is fitted and what is judged."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import jaxcslc as jc
+from jaxcslc.manipulator import tx40
+from jaxcslc.motion import Recording, resample
+from scripts.examples import franka_panda, staubli_tx40
+
+
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
+# Of 1 kHz and 5 kHz recordings, one of so many samples is used, by every method.
+PANDA_STEP, TX40_STEP = 5, 10
+
+
+class Arm(NamedTuple):
+    """A robot, the recording to fit, and recordings to judge by name.
+
+    - `source`: where the recordings are published.
+    - `split`: in words.
+    """
+
+    robot: jc.Manipulator
+    training: Recording
+    tests: Mapping[str, Recording]
+    source: str
+    split: str
+
+
+def kr300(folder: Path) -> Arm:
+    """KUKA Quantec Ultra KR300: motor positions and torques of three motions of 10 s."""
+    first, second, third = (jc.load_recording(folder / f"{name}.csv") for name in "ABC")
+    return Arm(
+        jc.load_robot(folder / "kr300.toml"),
+        first,
+        {"B": second, "C": third},
+        "JonasWeigand/Robot_Identification, MIT licence",
+        "motion A is fitted, B and C are judged; 2,501 samples at 250 Hz each",
+    )
+
+
+def panda(folder: Path) -> Arm:
+    """Franka Emika Panda: joint positions and torques of joint sensors."""
+    recording = franka_panda.read_recording(folder)
+    even = resample(recording, franka_panda.PERIOD)
+    every = slice(None, None, PANDA_STEP)
+    end = float(even.time[-1] - even.time[0])
+    cut = 2 * end / 3
+    return Arm(
+        jc.panda().with_friction("viscous", "dry", "offset"),
+        even.between(0.0, cut).rows(every),
+        {"last third": even.between(cut, end).rows(every)},
+        "marcocognetti/FrankaEmikaPandaDynModel, GPL-3.0",
+        "the first two thirds of 21 s are fitted, the last third is judged; resampled to 200 Hz",
+    )
+
+
+def staubli(folder: Path) -> Arm:
+    """Stäubli TX40: motor positions in encoder counts and motor torques, a coupled wrist."""
+    recording = staubli_tx40.read_recording(folder)
+    every = slice(None, None, TX40_STEP)
+    return Arm(
+        tx40(),
+        recording.rows(staubli_tx40.FITTED).rows(every),
+        {"last third": recording.rows(staubli_tx40.JUDGED).rows(every)},
+        "thanhndv212/figaroh-examples, Apache-2.0",
+        "rows 0 to 24,750 are fitted, 29,250 to 45,000 judged; every tenth, 500 Hz",
+    )
+
+
+READERS: Mapping[str, tuple[str, Callable[[Path], Arm]]] = {
+    "KUKA KR300": ("kuka_kr300", kr300),
+    "Franka Panda": ("franka_panda", panda),
+    "Stäubli TX40": ("staubli_tx40", staubli),
+}
+
+
+def read(name: str, data: Path = DATA) -> Arm:
+    """An arm of `READERS`.
+
+    **Raises** `ValueError` if its folder is missing or does not hold its recordings.
+    """
+    folder, reader = READERS[name]
+    if not (data / folder).is_dir():
+        raise ValueError(f"{data / folder}: no such folder; expected the recordings of a {name}")
+    return reader(data / folder)

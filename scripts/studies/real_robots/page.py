@@ -1,0 +1,83 @@
+"""The page of the documentation about real arms, from the study's rows."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+
+_INTRODUCTION = """\
+# Real robots
+
+What `jaxcslc identify` reaches on published recordings of real arms, by its defaults, beside the
+usual pipeline. Each recording is divided once and for all into motion that is fitted and motion
+that is judged; nothing is chosen on the latter. Numbers are 100·‖error‖/‖torque‖ of each joint
+[%], of the raw torque, on motion smoothed in one way for all: over all samples and, after the
+stroke, over those that masks leave in (no slow motion, where friction is not known). In bold: the
+least error over all samples, joint by joint, and those within 2 % of it.
+
+- **usual pipeline**: 20 Hz Butterworth of order 4, forwards and backwards, on positions and
+  torques, central differences, ordinary (OLS) or weighted (WLS) least squares; what examples of
+  Pinocchio do. It is judged on its own motion too, and the better of both counts.
+- **least-squares**: `--estimator least-squares`, the default: settings chosen by
+  cross-validation.
+- **maximum-likelihood**: `--estimator maximum-likelihood`: no smoothing, positions are estimated
+  along ([page](likelihood.md)).
+- **possible bodies**: the same with `--possible always` ([page](uncertainty.md#possible-bodies)).
+- **auto**: `--estimator auto --possible auto`, which decides within the fitted motion.
+
+    python -m scripts.studies.real_robots.study --page docs/real_robots.md
+
+The recordings are not part of this repository; `--data` names the folder that holds them.
+"""
+
+
+def page_text(results: Sequence[Mapping[str, Any]], date: str) -> str:
+    """The page.
+
+    - `results`: of the study, an arm each.
+    - `date`: of the figures.
+    """
+    sections = [_INTRODUCTION, *(_arm(result) for result in results)]
+    return "\n".join(sections) + f"\nFigures of {date}.\n"
+
+
+def _arm(result: Mapping[str, Any]) -> str:
+    lines = [
+        f"## {result['arm']}",
+        "",
+        f"From {result['source']}: {result['split']}.",
+        "",
+    ]
+    rows = result["rows"]
+    for recording in dict.fromkeys(row["recording"] for row in rows):
+        of_recording = [row for row in rows if row["recording"] == recording]
+        lines += [*_table(recording, of_recording), ""]
+    notes = [row for row in rows if row["recording"] == rows[0]["recording"] and row["note"]]
+    lines += [
+        f"- {row['method']}: {row['note']}." for row in notes if "possible" not in row["method"]
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _table(recording: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    errors = np.array([row["all"] for row in rows])
+    least = errors.min(axis=0)
+    joints = " | ".join(str(joint + 1) for joint in range(errors.shape[1]))
+    lines = [
+        f"| {recording} | {joints} | mean | processor [s] |",
+        "|---" * (errors.shape[1] + 3) + "|",
+    ]
+    for row, values in zip(rows, errors, strict=True):
+        cells = [
+            f"{_bold(f'{value:.1f}', value <= 1.02 * best)} / {inside:.1f}"
+            for value, inside, best in zip(values, row["judged"], least, strict=True)
+        ]
+        mean = f"{values.mean():.1f} / {np.nanmean(row['judged']):.1f}"
+        lines.append(f"| {row['method']} | {' | '.join(cells)} | {mean} | {row['seconds']:.2g} |")
+    share = " | ".join(f"{value:.0f} %" for value in rows[-1]["share"])
+    return [*lines, f"| *judged samples* | {share} | | |"]
+
+
+def _bold(text: str, condition: bool) -> str:
+    return f"**{text}**" if condition else text

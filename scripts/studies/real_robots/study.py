@@ -1,0 +1,168 @@
+"""Real arms: torque errors on motion that was not fitted, by ways of this library and of others.
+
+Every recording is divided once and for all (`arms.py`), and every method identifies by its
+defaults: nothing is chosen on the motion that is judged. Methods:
+
+- **usual pipeline**: 20 Hz Butterworth of order 4, zero phase, on positions and torques, central
+  differences, ordinary or weighted least squares.
+- **least-squares**, **maximum-likelihood**: `jaxcslc identify --estimator`, coefficients of the
+  free fit, or of the possible bodies that are nearest to it.
+- **auto**: `--estimator auto --possible auto`, judged within the training recording.
+
+The error is 100 |e| / |torque| of each joint, of the raw torque, over all samples and over those
+that the settings' masks leave in. All are judged on the same motion, smoothed as `jaxcslc identify`
+chose on the training recording; the usual pipeline also on its own, and the better of both counts.
+
+Rows of finished arms are kept in `rows.jsonl`; an interrupted run goes on from there. `--page`
+writes the page of the documentation.
+"""
+
+import argparse
+import datetime
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+import jaxcslc as jc
+from jaxcslc.identification import predicted_torque
+from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc.motion import Recording
+from scripts.studies import command
+from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+from scripts.studies.real_robots.methods import FAMILIES, USUAL, Model
+from scripts.studies.real_robots.page import page_text
+from scripts.studies.rows import Rows, made_of
+
+
+jax.config.update("jax_enable_x64", True)
+
+# Seconds on two cores, all methods.
+SECONDS = {"KUKA KR300": 150.0, "Franka Panda": 900.0, "Stäubli TX40": 220.0}
+
+
+def errors_of(model: Model, settings: jc.Settings, recording: Recording) -> dict[str, list[float]]:
+    """In percent of the raw torque, joint by joint: over all samples, and over judged ones."""
+    patterns = settings.patterns(recording)
+    torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
+    error = torque - np.asarray(predicted_torque(model.network, patterns, model.k))
+    shares = {}
+    for name, counts in (("all", np.ones_like(mask)), ("judged", mask)):
+        left, whole = (np.sum(np.where(counts, x, 0.0) ** 2, axis=0) for x in (error, torque))
+        ratio = np.where(whole > 0.0, left / np.where(whole > 0.0, whole, 1.0), np.nan)
+        shares[name] = (100.0 * np.sqrt(ratio)).tolist()
+    return shares | {"share": (100.0 * mask.mean(axis=0)).tolist()}
+
+
+def judged(model: Model, common: jc.Settings, recording: Recording) -> dict[str, list[float]]:
+    """Errors on the common motion; of the usual pipeline on its own if they are smaller there."""
+    raw = common.with_options(torque_alignment="sample", smooth_torque=False)
+    errors = errors_of(model, raw, recording)
+    if not any(model.method.endswith(name) for name in USUAL):
+        return errors
+    own_motion = common.with_options(
+        smoothing=model.settings.preparation.smoothing,
+        torque_alignment="sample",
+        smooth_torque=False,
+    )
+    others = errors_of(model, own_motion, recording)
+    return min(errors, others, key=lambda values: sum(values["all"]))
+
+
+def rows_of(name: str, arm: Arm, families: Sequence[str]) -> list[dict[str, Any]]:
+    """A row for each method and each recording that is judged."""
+    models: list[Model] = []
+    for family in families:
+        models += FAMILIES[family](arm)
+    common = next((m.settings for m in models if m.method == "least-squares"), models[0].settings)
+    return [
+        {
+            "arm": name,
+            "recording": test,
+            "method": model.method,
+            "seconds": model.seconds,
+            "note": model.note,
+            **judged(model, common, recording),
+        }
+        for model in models
+        for test, recording in arm.tests.items()
+    ]
+
+
+def table_text(rows: Sequence[dict[str, Any]], kind: str) -> str:
+    """Errors of an arm's methods, joint by joint."""
+    joints = len(rows[0][kind])
+    header = ["recording", "method", *(str(joint + 1) for joint in range(joints)), "mean"]
+    cells = [
+        [row["recording"], row["method"]]
+        + [f"{value:.1f}" for value in (*row[kind], float(np.mean(row[kind])))]
+        for row in rows
+    ]
+    return text_table(header, cells, left=header[:2])
+
+
+def study(options: argparse.Namespace) -> int:
+    """Makes what is missing, prints the tables and writes the rows."""
+    code = [
+        Path(__file__),
+        Path(__file__).with_name("arms.py"),
+        Path(__file__).with_name("methods.py"),
+    ]
+    digest = made_of({"families": options.methods}, code)
+    finished = Rows(options.output / "rows.jsonl", ("arm",), digest)
+    for name in command.progress(options.arms, desc="arms", unit="arm"):
+        if (name,) not in finished:
+            arm = read(name, options.data)
+            rows = rows_of(name, arm, options.methods)
+            finished.add({"arm": name, "source": arm.source, "split": arm.split, "rows": rows})
+            tqdm.write(f"{name}: {len(rows)} rows", sys.stderr)
+    results = [finished[(name,)] for name in options.arms]
+    for result in results:
+        print(f"{result['arm']}: {result['split']}; error [%] over all samples, then judged ones")
+        for kind in ("all", "judged"):
+            print(table_text(result["rows"], kind), end="\n\n")
+    flat = [row for result in results for row in result["rows"]]
+    write_csv(
+        options.output / "errors.csv",
+        [
+            {name: row[name] for name in ("arm", "recording", "method", "seconds", "note")}
+            | {"joint": joint, "all": row["all"][joint - 1], "judged": row["judged"][joint - 1]}
+            | {"share": row["share"][joint - 1]}
+            for row in flat
+            for joint in range(1, len(row["all"]) + 1)
+        ],
+    )
+    print(f"wrote {options.output / 'errors.csv'}")
+    if options.page is not None:
+        text = page_text(results, datetime.date.today().isoformat())
+        options.page.write_text(text, encoding="utf-8")
+        print(f"wrote {options.page}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "real_robots")
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of the arms' folders")
+    parser.add_argument("--arms", nargs="+", default=list(READERS), help="which arms")
+    parser.add_argument("--methods", nargs="+", default=list(FAMILIES), help="usual, ours, auto")
+    parser.add_argument("--page", type=Path, help="page of the documentation to write")
+    options = command.parse(parser, argv, arms=["KUKA KR300"], methods=["usual"])
+    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
+    command.require_some_of(parser, "family of methods", options.methods, tuple(FAMILIES))
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=sum(
+            SECONDS[name] if {"ours", "auto"} & {*options.methods} else 20.0
+            for name in options.arms
+        ),
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,78 @@
+"""The study of real arms: rows of a small arm, the page, resumption, and what is missing."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxcslc as jc
+from scripts.studies.real_robots import arms, study
+from scripts.studies.real_robots.methods import Model
+from scripts.studies.real_robots.page import page_text
+
+
+def pendulum(folder: Path) -> arms.Arm:
+    """Exact motion of a pendulum, at 200 Hz."""
+    del folder
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(robot, lengths="numeric")
+    t = 0.005 * np.arange(600)[:, None]
+    q, qd, qdd = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
+    torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.1]), q, qd, qdd))
+    recording = jc.Recording(t[:, 0], q, torque)
+    return arms.Arm(robot, recording, {"again": recording}, "a pendulum", "all is fitted")
+
+
+def test_rows_page_and_resumption(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls: list[Path] = []
+
+    def read(folder: Path) -> arms.Arm:
+        calls.append(folder)
+        return pendulum(folder)
+
+    monkeypatch.setitem(arms.READERS, "pendulum", ("pendulum", read))  # type: ignore[arg-type]
+    (tmp_path / "pendulum").mkdir()
+    monkeypatch.setitem(study.SECONDS, "pendulum", 1.0)
+    page = tmp_path / "page.md"
+    arguments = ["--data", str(tmp_path), "--arms", "pendulum", "--methods", "usual"]
+    arguments += ["-o", str(tmp_path / "out"), "--page", str(page)]
+    assert study.main(arguments) == study.main(arguments) == 0
+    assert len(calls) == 1
+    assert "usual pipeline, 20 Hz, OLS" in capsys.readouterr().out
+    table = [line for line in page.read_text("utf-8").splitlines() if "20 Hz, WLS |" in line]
+    error = float(table[0].split("|")[2].split("/")[0].strip(" *"))
+    assert 0.0 < error < 5.0  # the ends of the filter, and a 20 Hz low pass of 3 rad/s
+
+
+def test_the_least_error_is_bold() -> None:
+    row: dict[str, Any] = {"recording": "B", "seconds": 1.0, "note": "", "share": [50.0, 60.0]}
+    rows = [
+        row | {"method": "first", "all": [10.0, 3.0], "judged": [5.0, 2.0]},
+        row | {"method": "second", "all": [9.0, 3.02], "judged": [6.0, 2.0]},
+    ]
+    text = page_text([{"arm": "arm", "source": "s", "split": "w", "rows": rows}], "2026-11-22")
+    assert "| first | 10.0 / 5.0 | **3.0** / 2.0 | 6.5 / 3.5 | 1 |" in text
+    assert "| second | **9.0** / 6.0 | **3.0** / 2.0 |" in text
+    assert text.endswith("Figures of 2026-11-22.\n")
+
+
+def test_errors_are_parts_of_the_raw_torque() -> None:
+    arm = pendulum(Path())
+    network = jc.derive(arm.robot, lengths="numeric")
+    settings = jc.Settings()
+    model = Model("zero", network, np.zeros(network.size), settings, 0.0, "")
+    errors = study.errors_of(model, settings, arm.training)
+    np.testing.assert_allclose(errors["all"], 100.0)
+    np.testing.assert_allclose(errors["judged"], 100.0)
+
+
+def test_missing_recordings_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--data", str(tmp_path), "--arms", "KUKA KR300", "-o", str(tmp_path / "out")]
+    with pytest.raises(SystemExit):
+        study.main(arguments)
+    assert "no such folder; expected the recordings of a KUKA KR300" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        study.main(["--arms", "R2D2"])
