@@ -49,7 +49,7 @@ from ._standard_errors import (
     correlated_covariance as correlated_covariance,
     effective_counts as effective_counts,
 )
-from ._streaming import factors_of_stream as factors_of_stream
+from ._streaming import core_count as core_count, factors_of_stream as factors_of_stream
 from ._weighted_equations import (
     WeightedEquations as WeightedEquations,
     changes_of as changes_of,

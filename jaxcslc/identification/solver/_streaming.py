@@ -38,7 +38,7 @@ def factors_of_stream(
     """
     devices = jax.local_devices()
     on_cpu = devices[0].platform == "cpu"
-    workers = workers or ((os.cpu_count() or 1) if on_cpu else _GPU_WORKERS * len(devices))
+    workers = workers or (core_count() if on_cpu else _GPU_WORKERS * len(devices))
     parts: list[JointFactors] = []
     preconditioner: Preconditioner | None = None
     with ThreadPoolExecutor(workers) as pool:
@@ -57,6 +57,12 @@ def factors_of_stream(
     if not parts:
         raise ValueError("there are no patterns in the stream")
     return joined_factors(parts)
+
+
+def core_count() -> int:
+    """How many cores this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def are_many(patterns: Patterns) -> bool:
