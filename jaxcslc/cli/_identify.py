@@ -50,6 +50,7 @@ from ._identify_options import (
     EstimatorOption,
     FleetOption,
     FoldsOption,
+    HorizonOption,
     LossOption,
     MemoryOption,
     OffsetsOption,
@@ -109,6 +110,7 @@ def identify_command(
     possible: PossibleOption = "auto",
     prior: PriorOption = None,
     memory: MemoryOption = 2.0,
+    horizon: HorizonOption = False,
     dask: DaskOption = None,
     fleet: FleetOption = False,
 ) -> None:
@@ -214,7 +216,7 @@ def _refitted(saved: SavedReport | None, groups: str | None) -> dict[str, Any]:
 
 def _as_they_are(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options that are arguments of `identify`, by its names."""
-    names = {name: name for name in ("offsets", "folds", "systematic", "memory")}
+    names = {name: name for name in ("offsets", "folds", "systematic", "memory", "horizon")}
     return {argument: options[name] for argument, name in {**names, "checks": "check"}.items()}
 
 

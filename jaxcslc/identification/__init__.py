@@ -61,6 +61,7 @@ from .possible import (
     PossibleFit as PossibleFit,
     physical_parameters as physical_parameters,
 )
+from .prediction import HorizonError as HorizonError, prediction_error as prediction_error
 from .prior import Known as Known, Prior as Prior, load_prior as load_prior
 from .report import (
     DerivationReport as DerivationReport,

@@ -16,6 +16,7 @@ from .._systematic import SystematicError
 from ..checks import DataCheck
 from ..likelihood import EstimatorComparison
 from ..possible import PhysicalParameters, PossibleFit
+from ..prediction import HorizonError
 from ..prior import Prior
 from ..selection import Selection
 from ..several import SeveralFit
@@ -63,6 +64,7 @@ class Report:
     - `data_check`: what was read, and what looks wrong with it; None if it was not checked.
     - `notes`: what readers of the robot and of the recordings decided, one sentence each.
     - `estimators`: least squares and maximum likelihood beside each other; None unless asked for.
+    - `horizon`: position error of open-loop simulation; None unless asked for.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -98,6 +100,7 @@ class Report:
     judged_part: str | None = None
     notes: tuple[str, ...] = ()
     estimators: EstimatorComparison | None = None
+    horizon: HorizonError | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -179,6 +182,7 @@ class Report:
             several=self.several,
             judged_part=self.judged_part,
             estimators=self.estimators,
+            horizon=self.horizon,
             findings=self._findings,
             notes=self.notes,
         )
@@ -215,6 +219,8 @@ class Report:
         yield held_out_lines(self.held_out)
         if self.estimators is not None:
             yield [str(self.estimators)]
+        if self.horizon is not None:
+            yield ["simulated open loop, median absolute error of positions", str(self.horizon)]
         if self.possible is not None:
             yield [str(self.possible)]
         if self._findings:

@@ -126,6 +126,8 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         document["possible"] = report.possible.document()
     if report.estimators is not None:
         document["estimators"] = report.estimators.document()
+    if report.horizon is not None:
+        document["horizon"] = report.horizon.document()
     if report.held_out is not None:
         document["held_out"] = _held_out(report.held_out)
     return document | {

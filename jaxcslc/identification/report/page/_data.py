@@ -12,6 +12,7 @@ from ..._held_out import HeldOut
 from ..._settings import Settings, settings_document
 from ...likelihood import EstimatorComparison
 from ...possible import PhysicalParameters, PossibleFit
+from ...prediction import HorizonError
 from ...selection import Selection
 from ...several import SeveralFit
 from ...solver import Identification
@@ -69,6 +70,7 @@ def report_data(
     several: SeveralFit | None = None,
     judged_part: str | None = None,
     estimators: EstimatorComparison | None = None,
+    horizon: HorizonError | None = None,
     findings: Sequence[str] = (),
     notes: Sequence[str] = (),
     command: str | None = None,
@@ -84,6 +86,7 @@ def report_data(
     - `several`: of several training recordings.
     - `judged_part`: of a long recording, in words.
     - `estimators`: beside each other.
+    - `horizon`: errors of open-loop simulation.
     - `findings`: about the recordings, a sentence each, beside the report's own warnings.
     - `notes`: what readers decided, a sentence each.
     - `command`: that repeats it.
@@ -139,6 +142,7 @@ def report_data(
         "bodies": None,
         "several": None if several is None else several.document(),
         "estimators": None if estimators is None else estimators.document(),
+        "horizon": None if horizon is None else horizon.document(),
         "versions": versions(),
         "judged_part": judged_part,
         "command": command,

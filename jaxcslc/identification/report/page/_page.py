@@ -22,6 +22,7 @@ from ....page import (
 )
 from ._bodies import arm_chart
 from ._estimators import estimators_section
+from ._horizon import horizon_section
 from ._summary import VERDICT_TONES, counted, summary
 
 
@@ -47,6 +48,7 @@ def report_page(data: Mapping[str, Any], *, charts: bool = True) -> Page:
         _errors(data),
         *([_curves(data)] if charts else []),
         *([estimators_section(data)] if data["estimators"] else []),
+        *([horizon_section(data)] if data["horizon"] else []),
         _coefficients(data),
         _excitation(data, charts=charts),
         *([_friction(data)] if charts and data["friction"] else []),

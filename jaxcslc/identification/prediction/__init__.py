@@ -1,0 +1,6 @@
+from ._horizon import (
+    HorizonError as HorizonError,
+    file_coefficients as file_coefficients,
+    prediction_error as prediction_error,
+)
+from ._simulation import simulate as simulate

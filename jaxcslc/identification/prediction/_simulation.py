@@ -1,0 +1,104 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...network import CSLC
+from ...network.terms import JointTerm
+
+
+# Longest step of integration [s].
+_LONGEST_STEP = 2e-3
+# Speed at which friction of either direction is read off [rad/s or m/s].
+_SLOWEST = 1e-9
+# By which the inertia of a joint at standstill is multiplied, so that it does not move.
+_STANDSTILL = 1e9
+
+
+@eqx.filter_jit
+def simulate(
+    network: CSLC,
+    k: Float[Array | np.ndarray, " coefficients"],
+    q: Float[Array | np.ndarray, "starts joints"],
+    qd: Float[Array | np.ndarray, "starts joints"],
+    torque: Float[Array | np.ndarray, "intervals starts joints"],
+    interval: float,
+) -> Float[Array, "instants starts joints"]:
+    """Motion under torques that are held for an interval each, without feedback.
+
+    Midpoint rule. Friction keeps its direction within a step; a joint whose velocity would change
+    its sign stops where friction bears what drives it, and moves on when that exceeds friction.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients; `k`: (p,).
+    - `q`, `qd`: positions and velocities to start from, (starts, n) [rad, rad/s or m, m/s].
+    - `torque`: (intervals, starts, n) [N m or N].
+    - `interval`: its length [s].
+
+    **Returns** positions at the beginning of each interval and at the end, (intervals + 1, starts,
+    n). They are not finite where the model's mass matrix is that of no body.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification.prediction import simulate
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(pendulum.with_friction("dry"), lengths="numeric")
+    >>> start, push = np.zeros((2, 1)), np.full((100, 2, 1), 1.5)
+    >>> push[:, 1] = 0.4  # less than dry friction
+    >>> path = simulate(network, np.array([2.0, 0.5]), start, start, push, 0.01)
+    >>> np.round(path[-1, :, 0], 4).tolist()  # (1.5 - 0.5) / 2.0 / 2
+    [0.25, 0.0]
+    """
+    steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
+    h = interval / steps
+    k = jnp.asarray(k)
+
+    def step(state: tuple[Array, Array], force: Array) -> tuple[Array, Array]:
+        q, qd = state
+        forwards = _joint_torque(network, k, q, jnp.full_like(qd, _SLOWEST))
+        backwards = _joint_torque(network, k, q, jnp.full_like(qd, -_SLOWEST))
+        drive = force - _other_torque(network, k, q, qd)
+        still = qd == 0.0
+        borne = (drive <= forwards) & (drive >= backwards)  # by friction at standstill
+        stuck = still & borne
+        sign = jnp.where(still, jnp.where(drive > forwards, 1.0, -1.0), jnp.sign(qd))
+
+        def acceleration(q: Array, qd: Array) -> Array:
+            moving = sign * jnp.maximum(sign * qd, _SLOWEST)
+            net = force - _other_torque(network, k, q, qd) - _joint_torque(network, k, q, moving)
+            heavy = _STANDSTILL * stuck[:, :, None] * jnp.eye(q.shape[1])[None]
+            mass = network.mass_matrix(k, q) * (1.0 + heavy)
+            return jnp.linalg.solve(mass, net[..., None])[..., 0]
+
+        middle = qd + 0.5 * h * acceleration(q, qd)
+        after = qd + h * acceleration(q + 0.5 * h * qd, middle)
+        stops = stuck | (borne & (after * sign < 0.0) & jnp.isfinite(after))
+        after = jnp.where(stops, 0.0, after)
+        return q + 0.5 * h * (qd + after), after
+
+    def through(state: tuple[Array, Array], force: Array) -> tuple[tuple[Array, Array], Array]:
+        after = jax.lax.fori_loop(0, steps, lambda _, carry: step(carry, force), state)
+        return after, after[0]
+
+    start = jnp.asarray(q), jnp.asarray(qd)
+    _, path = jax.lax.scan(through, start, jnp.asarray(torque))
+    return jnp.concatenate([start[0][None], path])
+
+
+def _joint_torque(network: CSLC, k: Array, q: Array, qd: Array) -> Array:
+    """Of friction laws and springs of single joints."""
+    return _sum(network, k, (q, qd, jnp.zeros_like(q)), of_joints=True)
+
+
+def _other_torque(network: CSLC, k: Array, q: Array, qd: Array) -> Array:
+    """Of all else, without acceleration."""
+    return _sum(network, k, (q, qd, jnp.zeros_like(q)), of_joints=False)
+
+
+def _sum(network: CSLC, k: Array, motion: tuple[Array, ...], *, of_joints: bool) -> Array:
+    total = jnp.zeros_like(motion[0])
+    for term in network.terms:
+        if isinstance(term, JointTerm) == of_joints:
+            total = total + term.torque(k[network.layout.of(term)], *motion)
+    return total
