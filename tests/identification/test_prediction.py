@@ -120,9 +120,25 @@ class TestHorizon:
         network = jc.derive(jc.puma560())
         robot = network.robot
         (k,) = file_coefficients(network).values()
+        assert robot.links is not None
         expected = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
         assert_allclose(k, expected)
         assert file_coefficients(pendulum("dry")) == {}
+
+    def test_the_distance_of_the_last_frame(self) -> None:
+        """Joint 2, half a metre from joint 1's axis, is off by the chord of joint 1's error."""
+        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)])
+        network = jc.derive(robot, lengths="numeric")
+        link = jc.manipulator.LinkParameters(1.0, np.array([0.2, 0.0, 0.0]), 0.02 * np.eye(3))
+        k = np.array(network.coefficients_from([link, link], viscous=[1.0, 1.0], dry=[0.0, 0.0]))
+        t = 0.01 * np.arange(300)[:, None]
+        motion = [np.tile(x, 2) for x in (np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t))]
+        torque = np.asarray(network.torque(k, *motion))
+        recording = jc.Recording(t[:, 0], motion[0], torque)
+        result = prediction_error(network, {"other": 1.1 * k}, recording)
+        off = result.error["other"][:, 0]
+        np.testing.assert_allclose(result.distance["other"], np.sin(off / 2), rtol=1e-6)
+        assert "last frame [mm]" in str(result)
 
     def test_a_body_that_is_none_diverges(
         self, recording: tuple[jc.CSLC, np.ndarray, jc.Recording]

@@ -1,15 +1,18 @@
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..._text_table import text_table
+from ...manipulator import Manipulator, RobotError
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
+from ._poses import link_poses
 from ._simulation import simulate
 
 
@@ -27,6 +30,8 @@ class HorizonError:
     - `horizons`: (h,) times after the start [s].
     - `error`: by coefficients, (h, n) median over starts of the absolute error of each joint [rad
       or m]; infinite where simulations diverge.
+    - `distance`: by coefficients, (h,) median distance of the origin of the last joint's frame from
+      where it was recorded [m]; empty for a robot with lengths of no value.
     - `starts`: (h,) how many simulations are that long.
     - `units`: of each joint's position.
 
@@ -35,6 +40,7 @@ class HorizonError:
 
     horizons: Float[np.ndarray, " horizons"]
     error: Mapping[str, Float[np.ndarray, "horizons joints"]]
+    distance: Mapping[str, Float[np.ndarray, " horizons"]]
     starts: tuple[int, ...]
     units: tuple[str, ...]
 
@@ -46,6 +52,10 @@ class HorizonError:
                 name: [[x if np.isfinite(x) else None for x in row] for row in errors.tolist()]
                 for name, errors in self.error.items()
             },
+            "distance": {
+                name: [x if np.isfinite(x) else None for x in values.tolist()]
+                for name, values in self.distance.items()
+            },
             "starts": list(self.starts),
             "units": list(self.units),
         }
@@ -54,9 +64,11 @@ class HorizonError:
         joints = range(len(self.units))
         header = ["horizon [s]", "starts", "coefficients"]
         header += [f"joint {joint + 1} [{self.units[joint]}]" for joint in joints]
+        header += ["last frame [mm]"] if self.distance else []
         cells = [
             [f"{horizon:g}", str(self.starts[row]), name]
             + [f"{error[row, joint]:.3g}" for joint in joints]
+            + [f"{1e3 * values[row]:.3g}" for x, values in self.distance.items() if x == name]
             for row, horizon in enumerate(self.horizons)
             for name, error in self.error.items()
         ]
@@ -129,16 +141,20 @@ def prediction_error(
     rows = np.array([round(horizon / interval) for horizon in possible])
     within = instants[rows] <= time[-1] + 1e-9
     error: dict[str, np.ndarray] = {}
+    distance: dict[str, np.ndarray] = {}
     for name, k in coefficients.items():
-        path = np.asarray(simulate(network, k, *states, torque, interval))
-        off = np.abs(path - truth)[rows]
-        off = np.where(np.isfinite(off), off, np.inf)
-        error[name] = np.stack(
-            [np.median(of_row[used], axis=0) for of_row, used in zip(off, within, strict=True)]
-        )
+        path = np.asarray(simulate(network, k, *states, torque, interval))[rows]
+        error[name] = _median(np.abs(path - truth[rows]), within)
+        with contextlib.suppress(RobotError):  # lengths without values
+            off = _origins(network.robot, path) - _origins(network.robot, truth[rows])
+            distance[name] = _median(np.linalg.norm(off, axis=-1), within)
     units = tuple("m" if unit == "N" else "rad" for unit in network.output_units)
     return HorizonError(
-        np.array(possible), MappingProxyType(error), tuple(map(int, within.sum(axis=1))), units
+        np.array(possible),
+        MappingProxyType(error),
+        MappingProxyType(distance),
+        tuple(map(int, within.sum(axis=1))),
+        units,
     )
 
 
@@ -154,6 +170,23 @@ def file_coefficients(network: CSLC) -> dict[str, Float[Array, " coefficients"]]
         if value is not None and all(kind in kinds for kinds in robot.friction_per_joint)
     }
     return {"file": network.coefficients_from(robot.links, **friction)}
+
+
+def _median(
+    error: Float[np.ndarray, "..."], within: Bool[np.ndarray, "horizons starts"]
+) -> Float[np.ndarray, "..."]:
+    """Of (horizons, starts, ...) over the starts whose recording is long enough."""
+    error = np.where(np.isfinite(error), error, np.inf)
+    return np.stack([np.median(row[used], axis=0) for row, used in zip(error, within, strict=True)])
+
+
+def _origins(
+    robot: Manipulator, q: Float[np.ndarray, "horizons starts joints"]
+) -> Float[np.ndarray, "horizons starts 3"]:
+    """Of the last joint's frame [m]."""
+    flat = np.where(np.isfinite(q), q, np.nan).reshape(-1, q.shape[-1])
+    origins = np.stack([link_poses(robot, position)[-1, :3, 3] for position in flat])
+    return origins.reshape(*q.shape[:-1], 3)
 
 
 def _torques(

@@ -19,8 +19,11 @@ def horizon_section(data: Mapping[str, Any]) -> Section:
             for joint, unit in zip(data["joints"], horizon["units"], strict=True)
         ),
     ]
+    if horizon["distance"]:
+        columns.append(Column("last frame [m]", "distance of its origin", digits=3))
     rows = tuple(
         (length, horizon["starts"][row], name, *errors[row])
+        + ((horizon["distance"][name][row],) if horizon["distance"] else ())
         for row, length in enumerate(horizon["horizons"])
         for name, errors in horizon["error"].items()
     )
