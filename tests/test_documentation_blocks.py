@@ -16,7 +16,15 @@ from jaxcslc.identification import settings_from
 
 DOCS = Path(__file__).parents[1] / "docs"
 # Blocks that take longer: that each defines and imports what it uses is checked without running it.
-SLOW = ("simulator.md", "recordings.md", "checks.md", "likelihood.md", "ultrasound.md", "peral.md")
+SLOW = (
+    "simulator.md",
+    "recordings.md",
+    "checks.md",
+    "likelihood.md",
+    "ultrasound.md",
+    "peral.md",
+    "excitation.md",
+)
 # Run in `test_readme.py`, which looks at what they print.
 PRINTING = ("networks.md", "friction.md", "payload.md", "control.md")
 PAGES = ("robots.md", "uncertainty.md", "export.md", "settings.md", "report.md")

@@ -26,7 +26,12 @@ from scripts.studies.truth import true_coefficients
 DURATION = 6.6  # of the thesis's training trajectory [s]
 INTERVAL = 0.002
 TORQUE_NOISE = (0.5, 0.8, 0.4, 0.1, 0.1, 0.1)  # [N m]
-DESIGNED = {"error": "error", "D-optimal": "D", "condition number": "condition"}
+DESIGNED = {
+    "error": "error",
+    "torque on the task": "torque",
+    "D-optimal": "D",
+    "condition number": "condition",
+}
 THESIS, RANDOM = "thesis", "random Fourier"
 MOTIONS = (*DESIGNED, RANDOM, THESIS)
 
@@ -57,6 +62,15 @@ def knowledge() -> Knowledge:
     return Knowledge(k, None, np.full(len(k), np.inf))
 
 
+def comparison_motion() -> Path:
+    """The comparison trajectory, on which ε is judged."""
+    path = sim.comparison()
+    assert path.path is not None
+    instants = 0.02 * np.arange(126)[:, None]
+    reference = path.path.reference(instants, np.tile(path.start, (len(instants), 1)))
+    return reference.q, reference.qd, reference.qdd
+
+
 def puma_design(name: str, quick: bool = False) -> Design:
     """A designed motion by its name in `DESIGNED`."""
     return design_motion(
@@ -65,6 +79,7 @@ def puma_design(name: str, quick: bool = False) -> Design:
         noise(),
         duration=DURATION,
         criterion=DESIGNED[name],
+        task=comparison_motion() if DESIGNED[name] == "torque" else None,
         knowledge=knowledge(),
         starts=1 if quick else 3,
         rounds=2 if quick else 7,

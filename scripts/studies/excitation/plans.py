@@ -1,0 +1,167 @@
+"""Durations: what friction or a payload alone need, and recordings one after the other.
+
+- **durations**: seconds of a motion, repeated as often as needed, until predicted standard errors
+  are 5 % of the wanted coefficients' sizes. Friction and payload, with the rigid body known from
+  an earlier recording of 6.6 s: a motion designed for them, one designed for all coefficients,
+  and a random Fourier series.
+- **sequence**: recordings of 3 s until 5 % on every coefficient, each designed for what is worst
+  after those before, against the first one repeated.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxcslc.excitation import (
+    Design,
+    Knowledge,
+    Noise,
+    Planner,
+    design_motion,
+    family_named,
+    random_parameters,
+    wanted_indices,
+)
+from jaxcslc.identification.report import text_table
+from scripts.studies import command
+
+from .motions import TORQUE_NOISE, knowledge, limits, network, noise
+
+
+jax.config.update("jax_enable_x64", True)
+
+GOAL = 0.05
+PIECE = 3.0  # [s]
+MOST = 20  # recordings of a sequence
+
+
+def rigid_body_known(design: Design, net: Any = None) -> Knowledge:
+    """The knowledge of the rigid body that a motion brings, and of nothing else."""
+    net = net or design.network
+    known, rigid = design.prediction, np.arange(*design.network.layout.inertial.indices(10_000))
+    rigid = rigid[rigid < design.network.size]
+    information = np.zeros((net.size, net.size))
+    part = known.covariance[np.ix_(rigid, rigid)]
+    unit = np.sqrt(np.diag(part))
+    inverse = np.linalg.inv(part / np.outer(unit, unit)) / np.outer(unit, unit)
+    information[np.ix_(rigid, rigid)] = inverse
+    error = np.full(net.size, np.inf)
+    error[rigid] = known.standard_error[rigid]
+    k = np.zeros(net.size)
+    k[: design.network.size] = known.k
+    return Knowledge(k, information, error)
+
+
+def seconds_of(planner: Planner, parameters: Any, wanted: Sequence[str]) -> float:
+    """Seconds of a motion until the goal."""
+    motion = planner.family.motion(np.asarray(parameters), planner.time)
+    indices = wanted_indices(planner.problem.information.network, wanted)
+    worst = float(np.max(planner.prediction(motion).relative_error[indices]))
+    return planner.family.duration * (worst / GOAL) ** 2
+
+
+def durations(wanted: Sequence[str], net: Any, known: Knowledge, steps: int) -> dict[str, float]:
+    """Seconds until the goal, by motion."""
+    family = family_named("splines", PIECE)
+    ways: dict[str, tuple[Sequence[str] | None, str]] = {
+        "designed for it": (wanted, "worst"),
+        "designed for all": (None, "error"),
+    }
+    seconds: dict[str, float] = {}
+    for name, (names, criterion) in ways.items():
+        planner = Planner.of(
+            net, limits(), noise(), family, wanted=names, criterion=criterion, knowledge=known
+        )
+        design = planner.design(0, 1, 4, steps, lambda _: None)
+        seconds[name] = seconds_of(planner, design.parameters, wanted)
+    fourier = family_named("fourier", PIECE)
+    planner = Planner.of(net, limits(), noise(), fourier, knowledge=known)
+    draws = []
+    for seed in range(9):
+        rng = np.random.default_rng(seed)
+        parameters = random_parameters(planner.check, planner.rest_pose(rng), rng)
+        parameters = planner.check.scaled(parameters)[0]
+        draws.append(seconds_of(planner, parameters, wanted))
+    seconds["random Fourier, median of 9"] = float(np.median(draws))
+    return seconds
+
+
+def sequence(steps: int, say: Callable[[str], None]) -> tuple[list[float], float]:
+    """The worst standard error over size after each recording; seconds of the first repeated."""
+    loud = Noise(tuple(5 * x for x in TORQUE_NOISE), noise().resolution, torque_bandwidth=20.0)
+    known, worst, repeated = knowledge(), [], np.inf
+    while len(worst) < MOST:
+        design = design_motion(
+            network(),
+            limits(),
+            loud,
+            duration=PIECE,
+            criterion="error" if not worst else "worst",
+            knowledge=known,
+            starts=1,
+            rounds=4,
+            steps=steps,
+        )
+        if not worst:
+            repeated = design.seconds_for(GOAL)
+        known = known.after(design.prediction.covariance)
+        worst.append(float(np.max(design.prediction.relative_error)))
+        say(f"{PIECE * len(worst):g} s: worst {100 * worst[-1]:.3g} %")
+        if worst[-1] <= GOAL:
+            break
+    return worst, repeated
+
+
+def study(options: argparse.Namespace) -> int:
+    say = lambda text: print(text, flush=True)
+    first = design_motion(
+        network(),
+        limits(),
+        noise(),
+        duration=6.6,
+        knowledge=knowledge(),
+        starts=1,
+        rounds=3,
+        steps=options.steps,
+    )
+    rows: dict[str, dict[str, float]] = {}
+    known = rigid_body_known(first)
+    rows["friction"] = durations(["viscous", "dry"], network(), known, options.steps)
+    say(json.dumps(rows))
+    if not options.quick:
+        loaded = network().with_payload()
+        loaded_knowledge = rigid_body_known(first, loaded)
+        friction = network().layout.friction
+        assert loaded_knowledge.information is not None
+        loaded_knowledge.information[friction, friction] = (
+            1 / first.prediction.standard_error[friction] ** 2
+        )
+        loaded_knowledge.k[loaded.names.index("pm")] = 2.0
+        rows["mass of a payload of 2 kg"] = durations(
+            ["pm"], loaded, loaded_knowledge, options.steps
+        )
+        say(json.dumps(rows))
+    header = list(next(iter(rows.values())))
+    cells = [[name, *(f"{row[x]:.3g}" for x in header)] for name, row in rows.items()]
+    print(text_table([f"seconds to {100 * GOAL:g} %", *header], cells))
+    worst, repeated = sequence(options.steps, say)
+    print(
+        f"in sequence {PIECE * len(worst):g} s to {100 * worst[-1]:.3g} %; the first repeated:"
+        f" {repeated:.3g} s"
+    )
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "excitation")
+    parser.add_argument("--steps", type=int, default=40, help="of each design, in a round")
+    options = command.parse(parser, argv, steps=5)
+    return command.run(parser, lambda: study(options), seconds=900)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
