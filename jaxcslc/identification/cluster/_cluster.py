@@ -214,10 +214,12 @@ def _client_or_local(distributed: Any, client: Any) -> Generator[Any]:
         yield client
         return
     # One thread a worker: several that all use all cores would wait for each other.
-    environment = {"OPENBLAS_NUM_THREADS": "1", "PJRT_NPROC": "1", "JAX_PLATFORMS": "cpu"}
+    environment = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "PJRT_NPROC"), "1")
     with (
         distributed.LocalCluster(
-            threads_per_worker=1, dashboard_address=":0", env=environment
+            threads_per_worker=1,
+            dashboard_address=":0",
+            env={**environment, "JAX_PLATFORMS": "cpu"},
         ) as cluster,
         distributed.Client(cluster) as local,
     ):

@@ -69,9 +69,9 @@ def factors_of_shards(
 
     - `motion`: q, qd, qdd (samples, m), torque and weight (samples, n).
     """
-    step = max(len(motion[0]) // SAMPLE, 1)
-    rows, counts = _sample(network, step, mesh, *motion)
-    preconditioner = Preconditioner.of_rows([np.asarray(x).T for x in rows])
+    rows, counts = _sample(network, mesh, *motion)
+    samples = [np.swapaxes(np.asarray(x), 1, 2) for x in rows]
+    preconditioner = Preconditioner.of_rows([x.reshape(-1, x.shape[-1]) for x in samples])
     on_gpu = mesh.devices.flat[0].platform != "cpu"
 
     def grams_behind(preconditioner: Preconditioner) -> list[list[np.ndarray]]:
@@ -88,20 +88,22 @@ def factors_of_shards(
         )
 
     factors, _ = refined(preconditioner, grams_behind, reflected)
-    return JointFactors(factors.triangles, np.asarray(counts))
+    return JointFactors(factors.triangles, np.asarray(counts).sum(axis=0))
 
 
 @eqx.filter_jit
 def _sample(
-    network: AbstractLinearNetwork, step: int, mesh: Mesh, *motion: Array
-) -> tuple[tuple[Float[Array, "_ _"], ...], Float[Array, " joints"]]:
-    """Rows of some patterns, and the numbers of equations, on every device."""
-    everywhere = NamedSharding(mesh, PartitionSpec())
-    sample = (jnp.swapaxes(x[::step][:SAMPLE], 0, 1) for x in motion)
-    sample = (jax.lax.with_sharding_constraint(x, everywhere) for x in sample)
-    counts = jnp.sum(motion[-1] != 0, axis=0).astype(float)
-    results = weighted_rows(network, *sample), counts
-    return jax.lax.with_sharding_constraint(results, everywhere)
+    network: AbstractLinearNetwork, mesh: Mesh, *motion: Array
+) -> tuple[tuple[Float[Array, "devices _ _"], ...], Float[Array, "devices joints"]]:
+    """Rows of some patterns of each device, and its numbers of equations."""
+
+    # On each device by itself: slices across devices would bring all patterns to all of them.
+    def of_device(*shard: Array) -> Any:
+        step = max(len(shard[0]) * mesh.size // SAMPLE, 1)
+        sample = (jnp.swapaxes(x[::step][:SAMPLE], 0, 1) for x in shard)
+        return weighted_rows(network, *sample), jnp.sum(shard[-1] != 0, axis=0) * 1.0
+
+    return _on_all(of_device, mesh, motion)
 
 
 @eqx.filter_jit
@@ -126,12 +128,10 @@ def _reflected(
     return _on_all(of_device, mesh, motion)
 
 
-def _on_all(
-    of_device: Callable[..., tuple[Array, ...]], mesh: Mesh, motion: tuple[Array, ...]
-) -> tuple[Array, ...]:
+def _on_all(of_device: Callable[..., Any], mesh: Mesh, motion: tuple[Array, ...]) -> Any:
     """What a function makes of each device's patterns, with a leading axis of devices, on all."""
 
-    def gathered(*shard: Array) -> tuple[Array, ...]:
+    def gathered(*shard: Array) -> Any:
         return jax.tree.map(lambda x: jax.lax.all_gather(x, _AXIS), of_device(*shard))
 
     # Not checked: the checker does not know that what is gathered is the same everywhere.
