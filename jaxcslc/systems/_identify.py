@@ -206,7 +206,7 @@ def _correction(
     if not any(levels.values()):
         return None, ()
     try:
-        correction = correct_for_noise(system, training, patterns, settings, fit, levels)
+        correction = correct_for_noise(system, training, patterns, settings, fit, noise)
     except EquationsUndefined as error:
         return None, (f"{error}; no bias is taken off",)
     return correction, correction.warnings

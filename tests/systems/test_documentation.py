@@ -33,6 +33,24 @@ def test_the_page_shows_what_is_printed(blocks: dict[str, list[str]], system: Sy
     assert blocks["text"][0].strip() == str(system)
 
 
+def test_the_blocks_run_one_after_another(
+    blocks: dict[str, list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for block in blocks["python"]:
+        exec(compile(block, PAGE.name, "exec"), names)
+    report, search = names["report"], names["search"]
+    truth = {"k1": 0.075, "b": 0.6, "k3": 0.0225, "k4": 1.25}
+    for name, value, (low, high) in zip(
+        report.network.names, report.k, report.fit.confidence_interval(0.999), strict=True
+    ):
+        assert low < truth[name] < high, (name, value)
+    assert not report.warnings and abs(float(search.values["n"]) - 0.5) < 1e-4
+
+
 def test_the_file_describes_the_same_system(
     blocks: dict[str, list[str]], system: System, tmp_path: Path
 ) -> None:

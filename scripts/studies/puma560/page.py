@@ -31,10 +31,12 @@ _TOPICS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
         "Predicted against measured torque of the comparison trajectory, to which nothing was"
         " fitted (Figs. 7.6-1 to 7.6-3). mean |e1|: mean modulus of joint 1's error. ε: half the"
         " root mean square of the joints' errors in one sample, averaged over samples. CSLC: the"
-        " network's coefficients identified from the training trajectory, by the direct solve; CSLC"
-        " trained: by the thesis's route. Ar+LS: links as Armstrong et al. measured them on another"
-        " arm, with the friction of Leahy and Saridis. Ar+Rg: the same links, friction regressed"
-        " from this arm's training trajectory. true: the coefficients of the simulated arm itself.",
+        " network's coefficients identified from the training trajectory, by the direct solve."
+        " CSLC trained: by the thesis's route, which ends long before the minimum, so that its"
+        " errors are the largest here (see Networks trained as in 7.5). Ar+LS: links as"
+        " Armstrong et al. measured them on another arm, with the friction of Leahy and Saridis."
+        " Ar+Rg: the same links, friction regressed from this arm's training trajectory. true:"
+        " the coefficients of the simulated arm itself.",
         ("errors",),
         ("7.6-1", "7.6-2"),
     ),
@@ -48,8 +50,12 @@ _TOPICS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
     ),
     (
         "Networks trained as in 7.5",
-        "Backpropagation until ε is that of Ar+LS, then PERAL; beside it the direct solve of the"
-        " same patterns.",
+        "The route of the thesis: backpropagation until ε of the training patterns is that of"
+        " Ar+LS, then PERAL takes turns with it until an epoch lowers ε by less than 0.001 N m."
+        " That is long before the minimum, which the direct solve of the same patterns has at"
+        " once (last column): ε is several times as large, larger than with measured"
+        " coefficients. Where samples in possible backlash are left out, half of the patterns"
+        " are missing, and the direct solve suffers, too.",
         ("training",),
         (),
     ),

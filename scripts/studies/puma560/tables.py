@@ -64,7 +64,7 @@ def training_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
                 {
                     "left out": masks,
                     "thresholds": thresholds,
-                    "training ε at hand-over [N m]": stage.hand_over,
+                    "training ε when PERAL begins [N m]": stage.hand_over,
                     "epochs of backpropagation": backpropagation,
                     "epochs of PERAL": peral,
                     "ended": next(iter(stage.training.outcomes())),

@@ -28,8 +28,8 @@ def threshold_rows(puma: IdentifiedMachine, refined: Refinement) -> Rows:
 
     Residuals are of the fit; of the true friction of the rotors at their true speeds, where
     neither smoothing nor a wrong model is in the way; and of the same with friction that is equal
-    in both directions and depends on the rotor's speed alone. A passage is the stretch from the
-    reversal to the threshold: what smoothing has to resolve.
+    in both directions and depends on the rotor's speed alone. The last column is how long a joint
+    takes from a reversal to the threshold: what smoothing has to resolve.
     """
     velocity = puma.training.truth.rotor_velocity
     thesis = sim.thesis_coefficients(puma.letter).insignificant_from
@@ -41,13 +41,19 @@ def threshold_rows(puma: IdentifiedMachine, refined: Refinement) -> Rows:
                 "joint": joint + 1,
                 "thesis, and five γ of the plant [rad/s]": float(thesis[joint]),
                 "from residuals [rad/s]": float(refined.rounds[-1][joint]),
-                "seen in residuals": str(bool(refined.static_friction.significant[joint])),
-                "seen in true friction": str(bool(true.significant[joint])),
-                "seen without asymmetry and compliance": str(bool(ideal.significant[joint])),
-                "median passage [samples]": passage(velocity[:, joint], float(thesis[joint])),
+                "seen in residuals": _yes_or_no(refined.static_friction, joint),
+                "seen in true friction": _yes_or_no(true, joint),
+                "seen without asymmetry and compliance": _yes_or_no(ideal, joint),
+                "from rest to the thesis's speed [samples]": passage(
+                    velocity[:, joint], float(thesis[joint])
+                ),
             }
         )
     return rows
+
+
+def _yes_or_no(friction: StaticFriction, joint: int) -> str:
+    return "yes" if friction.significant[joint] else "no"
 
 
 def true_ramps(machine: sim.Machine, truth: sim.Truth) -> tuple[StaticFriction, StaticFriction]:

@@ -30,9 +30,11 @@ the tables of one run (`make demo`, seed 1).
 Mean moduli of the torque error in the comparison trajectory, and the error cost ε, half the root
 mean square over joints [N m] (Figs. 7.6-3 and 7.6-4). Ar+LS: links of Armstrong et al., friction of
 Leahy and Saridis. Ar+Rg: the same links, regressed friction. CSLC trained: the [thesis's
-route](#the-thesiss-own-route). CSLC: the direct solve, under settings that `jaxcslc identify` would
-choose. True: the machine's own coefficients, in a model without its disturbances. What they leave
-is about what any model of this form leaves; a fit may make up for a part of a disturbance.
+route](#the-thesiss-own-route), which on these machines ends long before the minimum, at errors
+larger than with any other coefficients here. CSLC: the direct solve, under settings that `jaxcslc
+identify` would choose. True: the machine's own coefficients, in a model without its disturbances.
+What they leave is about what any model of this form leaves; a fit may make up for a part of a
+disturbance.
 """
 
 _EPSILON = """\
@@ -94,8 +96,9 @@ _ROUTE = """\
 Section 7.5 trains the network, from zero weights: backpropagation until ε is that of Ar+LS on the
 training patterns, then bouts of both rules until neither lowers ε by 0.001 N m in an epoch. Pairs
 in possible backlash (Eqn. 2.5-7) and below a hundredth of each joint's top speed are left out;
-then thresholds are taken from the residuals, and training goes on. The last column is the least
-squares solution on the same patterns, which training without end would come near.
+then thresholds are taken from the residuals, and training goes on. "When PERAL begins" is ε at
+the end of backpropagation's first bout. The last column is the least squares solution on the same
+patterns, which training without end would come near.
 """
 
 _ROUTE_RESULT = """\
@@ -110,16 +113,17 @@ _THRESHOLDS = """\
 ## Thresholds of static friction
 
 The machines' static friction is insignificant from the speeds of Figs. B.6-1 and B.6-2 on: it was
-made so. `jc.refine_thresholds` takes thresholds from the residuals, as 7.5 does by eye. A passage
-is how many samples a joint takes from rest to that speed.
+made so. `jc.refine_thresholds` takes thresholds from the residuals, as 7.5 does by eye. "Seen" says
+whether the criterion finds static friction at all. The last column is how many samples a joint
+takes from rest to the thesis's speed, in the median.
 """
 
 _THRESHOLDS_WHY = """\
 The last three columns say why so few are seen. In friction by Eqn. 2.5-4, the criterion sees the
 ramps of every joint that has them. In the rotors' true friction, without any smoothing or noise,
 asymmetry and the compliant wrist hide some: they are no function of the rotor's speed alone. What
-is left has to be seen through smoothing that is as wide as the passage itself, and beside
-backlash.
+is left has to be seen through smoothing that is as wide as the way from rest to that speed, and
+beside backlash.
 
 What would better thresholds gain? The fit of the table above, under others:
 """

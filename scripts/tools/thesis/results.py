@@ -86,7 +86,7 @@ def comparison_errors(machine: str, model: str) -> list[float]:
 def hand_over_errors() -> list[float]:
     """ε on the training patterns at which PERAL takes part, of PUMA A and PUMA B [N m]."""
     tables = (rows("demo", f"training_{machine}.csv") for machine in ("a", "b"))
-    return [float(table[0]["training ε at hand-over [N m]"]) for table in tables]
+    return [float(table[0]["training ε when PERAL begins [N m]"]) for table in tables]
 
 
 def fine_tuning(problem: str, variant: str, goal: str) -> list[float]:

@@ -274,11 +274,11 @@ def test_thresholds_are_those_of_the_plant_and_of_the_residuals(demo: Demo, lett
     patterns = QUICK.patterns(demo.recording(letter, "training"))
     least = 0.01 * np.abs(np.asarray(patterns.qd)).max(axis=0)
     thresholds = demo.column(f"thresholds_{letter}", "from residuals [rad/s]")
-    seen = np.array([row["seen in residuals"] == "True" for row in rows])
+    seen = np.array([row["seen in residuals"] == "yes" for row in rows])
     assert_allclose(thresholds[~seen], least[~seen])
     assert np.all(thresholds[seen] > least[seen])
     # By the thesis's law alone, every joint that moves slowly at all shows its static friction.
-    ideal = [row["seen without asymmetry and compliance"] == "True" for row in rows]
+    ideal = [row["seen without asymmetry and compliance"] == "yes" for row in rows]
     assert sum(ideal) >= 5
     fits = {row["thresholds"]: row for row in demo.rows(f"threshold_fits_{letter}")}
     errors = {row[""]: row for row in demo.rows(f"errors_{letter}")}

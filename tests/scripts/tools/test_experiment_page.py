@@ -67,7 +67,7 @@ def test_what_the_page_says_in_words(letter: str) -> None:
     assert outside == {"a": ["kM17"], "b": []}[letter]
     thresholds = results.rows("demo", f"thresholds_{letter}.csv")
     seen = [
-        sum(row[column] == "True" for row in thresholds)
+        sum(row[column] == "yes" for row in thresholds)
         for column in (
             "seen in residuals",
             "seen in true friction",
