@@ -128,7 +128,7 @@ def parallel_filter(
         weight = zero_phase(valid.astype(np.float64), interval, cutoff=cutoff, order=order)
         sides = np.concatenate([regressor[:, joint], torque[:, joint, None]], axis=1)
         # Empty columns, of coefficients that have no part in this joint, are not worth a filter.
-        present = np.flatnonzero(np.any(sides[valid] != 0.0, axis=0))
+        present = np.flatnonzero(valid.astype(float) @ np.abs(sides))
         filtered = np.zeros((kept.size, coefficients + 1))
         filtered[:, present] = zero_phase(
             np.where(valid[:, None], sides[:, present], 0.0), interval, cutoff=cutoff, order=order

@@ -88,15 +88,16 @@ class _LowPass(NamedTuple):
         blocks = -(-samples // _BLOCK)
         filled = np.zeros((blocks * _BLOCK, columns))
         filled[:samples] = signal
-        together = filled.reshape(blocks, _BLOCK, columns).swapaxes(0, 1).reshape(_BLOCK, -1)
-        gathered = (self.gathered @ together).reshape(-1, blocks, columns)
-        states = np.empty((len(self.steady), blocks, columns))
+        together = filled.reshape(blocks, _BLOCK, columns)
+        gathered = self.gathered @ together
+        states = np.empty((blocks, len(self.steady), columns))
         state = self.steady[:, None] * signal[0]
         for block in range(blocks):
-            states[:, block] = state
-            state = self.kept @ state + gathered[:, block]
-        output = self.response @ together + self.of_state @ states.reshape(len(states), -1)
-        return output.reshape(_BLOCK, blocks, columns).swapaxes(0, 1).reshape(-1, columns)[:samples]
+            states[block] = state
+            state = self.kept @ state + gathered[block]
+        output = self.response @ together
+        output += self.of_state @ states
+        return output.reshape(-1, columns)[:samples]
 
 
 @lru_cache(maxsize=256)  # selection designs the same few filters for every candidate and fold

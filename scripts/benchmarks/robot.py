@@ -54,7 +54,7 @@ def file_to_coefficients(path: Path, tip: str | None) -> Iterator[Metric]:
     """`jaxcslc identify` on 20,000 samples: settings selected by the command, then from a file."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        jc.save_recording(_recording(path, tip), folder / "train.csv")
+        jc.save_recording(recording_of(path, tip), folder / "train.csv")
         command = [_IDENTIFY, "identify", str(path), str(folder / "train.csv")]
         command += ["-o", str(folder / "out"), *(["--tip", tip] if tip else [])]
         for run in ("first", "second"):
@@ -70,7 +70,8 @@ def file_to_coefficients(path: Path, tip: str | None) -> Iterator[Metric]:
         yield Metric("urdf.identify", time.perf_counter() - start, "s", "lower", 0.5)
 
 
-def _recording(path: Path, tip: str | None) -> jc.Recording:
+def recording_of(path: Path, tip: str | None) -> jc.Recording:
+    """A motion in sines by the torques of the file's links, with friction and noise."""
     robot = jc.load_robot(path, tip=tip)
     assert robot.links is not None
     network = jc.derive(robot, lengths="numeric")
