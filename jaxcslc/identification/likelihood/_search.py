@@ -171,9 +171,12 @@ def search(
                 problem, linear, factored, counted, torque_noise, position_noise, least
             )
             size = np.maximum(np.abs(linear.residuals.torque), 1e-300)
-            outlier_weight = np.where(
-                counted, np.minimum(1.0, _OUTLIER * torque_noise[of_equation] / size), 1.0
+            # Uncertain friction is within break-away; what pushes a joint at its limit is not.
+            deviation = np.sqrt(
+                torque_noise[of_equation] ** 2 + np.where(signs.uncertain, extra, 0)
             )
+            robust = (counted | signs.uncertain) & ~without
+            outlier_weight = np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)
         moved = np.abs(point.border - border_before)
         settled = bool(np.all(moved <= _SETTLED * problem.scale * _deviation(factored)))
         same = before is not None and np.array_equal(before.samples, signs.samples)

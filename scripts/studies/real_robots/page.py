@@ -74,10 +74,16 @@ def _table(recording: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
             for value, inside, best in zip(values, row["judged"], least, strict=True)
         ]
         mean = f"{values.mean():.1f} / {np.nanmean(row['judged']):.1f}"
-        lines.append(f"| {row['method']} | {' | '.join(cells)} | {mean} | {row['seconds']:.2g} |")
+        lines.append(
+            f"| {row['method']} | {' | '.join(cells)} | {mean} | {_seconds(row['seconds'])} |"
+        )
     share = " | ".join(f"{value:.0f} %" for value in rows[-1]["share"])
     return [*lines, f"| *judged samples* | {share} | | |"]
 
 
 def _bold(text: str, condition: bool) -> str:
     return f"**{text}**" if condition else text
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"

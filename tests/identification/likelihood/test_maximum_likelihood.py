@@ -217,6 +217,29 @@ def test_a_joint_that_never_moves_is_undetermined() -> None:
     assert np.all(np.isfinite(np.asarray(result.k)))
 
 
+def test_a_coarse_encoder() -> None:
+    """500 counts a turn: the bound is wide, and holds."""
+    time, position, torque = swing(1200, static=0.0)
+    step = 2 * np.pi / 500
+    recording = jc.Recording(time, step * np.round(position / step), torque)
+    result = jc.MaximumLikelihood(errors="independent").fit(pendulum("viscous", "dry"), recording)
+    true = np.array([INERTIA, WEIGHT / 9.81, 0.0, VISCOUS, DRY])
+    assert np.all(np.abs(np.asarray(result.k) - true) < 4.0 * np.asarray(result.fit.standard_error))
+    assert_allclose(result.k[0], INERTIA, rtol=0.1)
+
+
+def test_a_joint_that_is_long_at_its_limit() -> None:
+    """There its torque is anything, and says nothing."""
+    time, position, torque = swing(1200, static=0.0)
+    turn = 500 + int(np.flatnonzero(np.diff(np.sign(np.diff(position[500:, 0]))))[0]) + 1
+    stopped = np.where(np.arange(1200)[:, None] > turn, position[turn], position)
+    pushed = np.where(np.arange(1200)[:, None] > turn, torque + 30.0, torque)
+    network, estimator = pendulum("viscous", "dry"), jc.MaximumLikelihood()
+    result = estimator.fit(network, jc.Recording(time, stopped, pushed))
+    alone = estimator.fit(network, jc.Recording(time[:turn], position[:turn], torque[:turn]))
+    assert_allclose(result.k, alone.k, atol=0.05)
+
+
 def test_ten_samples(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     time, position, torque = clean
     network = pendulum("viscous")
