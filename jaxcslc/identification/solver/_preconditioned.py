@@ -93,7 +93,7 @@ def factors_of(
         preconditioner = sample_of(network, motion)
 
     def grams_behind(preconditioner: Preconditioner) -> list[list[np.ndarray]]:
-        return [[np.asarray(x) for x in _grams(network, preconditioner.inverses, *motion)]]
+        return [list(jax.device_get(_grams(network, preconditioner.inverses, *motion)))]
 
     def reflected() -> JointFactors:
         return jax.tree.map(np.asarray, _reflected(network, *(jnp.asarray(x) for x in motion)))

@@ -69,14 +69,15 @@ def factors_of_shards(
 
     - `motion`: q, qd, qdd (samples, m), torque and weight (samples, n).
     """
-    rows, counts = _sample(network, mesh, *motion)
-    samples = [np.swapaxes(np.asarray(x), 1, 2) for x in rows]
+    rows, counts = jax.device_get(_sample(network, mesh, *motion))
+    samples = [np.swapaxes(x, 1, 2) for x in rows]
     preconditioner = Preconditioner.of_rows([x.reshape(-1, x.shape[-1]) for x in samples])
     on_gpu = mesh.devices.flat[0].platform != "cpu"
 
     def grams_behind(preconditioner: Preconditioner) -> list[list[np.ndarray]]:
-        products = _grams(network, preconditioner.inverses, mesh, on_gpu, *motion)
-        return [[gram[i] for gram in map(np.asarray, products)] for i in range(mesh.size)]
+        # Fetched together: copies to the host wait for each other otherwise.
+        grams = jax.device_get(_grams(network, preconditioner.inverses, mesh, on_gpu, *motion))
+        return [[gram[i] for gram in grams] for i in range(mesh.size)]
 
     def reflected() -> JointFactors:
         triangles = [np.asarray(x) for x in _reflected(network, mesh, *motion)]
@@ -88,7 +89,7 @@ def factors_of_shards(
         )
 
     factors, _ = refined(preconditioner, grams_behind, reflected)
-    return JointFactors(factors.triangles, np.asarray(counts).sum(axis=0))
+    return JointFactors(factors.triangles, counts.sum(axis=0))
 
 
 @eqx.filter_jit
