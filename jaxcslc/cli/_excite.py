@@ -42,6 +42,7 @@ from ._common import (
     recording_of,
     recordings_of,
     robot_named,
+    typed_options,
 )
 from ._excite_options import (
     AfterOption,
@@ -99,6 +100,8 @@ def excite_command(
         before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
         network = before.network
         bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
+        if before.sampling is not None and "rate" not in typed_options(context):
+            rate = 1.0 / before.sampling.interval
         noise = _noise(before, bounds, rate, torque_noise, encoder, estimator)
         names = None if wanted is None else names_in(wanted)
         if reached := _reached(before, names, reach):

@@ -11,7 +11,12 @@ MotionOption = Annotated[
     ),
 ]
 DurationOption = Annotated[float, typer.Option(help="Of the motion [s].")]
-RateOption = Annotated[float, typer.Option(help="Rows a second, and of the recording [Hz].")]
+RateOption = Annotated[
+    float,
+    typer.Option(
+        help="Rows a second, and of the recording [Hz]; that of --prior or --after if omitted."
+    ),
+]
 FamilyOption = Annotated[
     str,
     typer.Option(

@@ -237,8 +237,11 @@ class Planner:
         except KeyboardInterrupt:
             interrupted = True
             progress("interrupted: the best motion so far is checked")
-        parameters = self._of_variables(best if search.best is None else search.best)
-        parameters, use, scale = self.check.scaled(parameters)
+        # A search that was interrupted may not have reached what an earlier one had.
+        reached = [search.best] if not interrupted and search.best is not None else []
+        reached = reached or [x for x in (best, search.best) if x is not None]
+        scaled = [self.check.scaled(self._of_variables(x)) for x in reached]
+        parameters, use, scale = min(scaled, key=lambda motion: self.criterion_of(motion[0]))
         notes = (*self.limits.notes, *self._notes(interrupted))
         return self.described(parameters, use, self.criterion_of(parameters), scale, notes)
 

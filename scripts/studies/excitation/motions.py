@@ -62,13 +62,13 @@ def knowledge() -> Knowledge:
     return Knowledge(k, None, np.full(len(k), np.inf))
 
 
-def comparison_motion() -> Path:
+def comparison_motion() -> tuple[Any, Any, Any]:
     """The comparison trajectory, on which ε is judged."""
     path = sim.comparison()
     assert path.path is not None
     instants = 0.02 * np.arange(126)[:, None]
     reference = path.path.reference(instants, np.tile(path.start, (len(instants), 1)))
-    return reference.q, reference.qd, reference.qdd
+    return np.asarray(reference.q), np.asarray(reference.qd), np.asarray(reference.qdd)
 
 
 def puma_design(name: str, quick: bool = False) -> Design:

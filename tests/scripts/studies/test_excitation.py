@@ -1,0 +1,38 @@
+"""The study of designs: its tables, on rows that are made up."""
+
+from typing import Any
+
+from scripts.studies.excitation.study import compare_text, tables
+
+
+QUANTITIES = ("epsilon", "standard error", "error", "median error")
+
+
+def compared(name: str, number: int, value: float) -> dict[str, Any]:
+    row = dict.fromkeys(QUANTITIES, value)
+    return {"part": "compare", "name": name, "number": number, **row}
+
+
+def test_ratios_are_seed_by_seed() -> None:
+    rows = [compared("error", seed, 1.0 + seed) for seed in range(3)]
+    rows += [compared("thesis", seed, 2.0 * (1.0 + seed)) for seed in range(3)]
+    lines = compare_text(rows).splitlines()
+    assert [line.split()[0] for line in lines[1:]] == ["error", "thesis"]
+    assert lines[2].count("2.00 (2.00 to 2.00)") == 4
+
+
+def test_arms_beyond_a_limit_are_counted() -> None:
+    rows = [
+        {"part": "arms", "name": "", "number": 0, "worst": [0.9, 1.002], "infeasible": []},
+        {"part": "arms", "name": "", "number": 1, "worst": [1.0], "infeasible": ["torque"]},
+    ]
+    (text,) = tables(rows)
+    assert "2 arms, 3 designs, 1 wishes infeasible" in text
+    assert "over 100.1 %: 1" in text
+
+
+def test_pandas_are_summed_up() -> None:
+    row = {"condition": 90.0, "scaled condition": 14.0, "seconds": 30.0, "scale": 1.0}
+    rows = [{"part": "panda", "name": "", "number": i, "feasible": i > 0, **row} for i in (0, 1)]
+    (text,) = tables(rows)
+    assert text.startswith("Panda: 1 of 2 seeds feasible; condition 90 to 90, median 90")
