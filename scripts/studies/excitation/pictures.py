@@ -33,7 +33,7 @@ def figure(rows: Sequence[dict[str, Any]], motion: Any, path: Path) -> None:
     left.set_xscale("log")
     readable_decades(left)
     left.set_xlabel("ε on the comparison trajectory [N m]")
-    left.set_title("50 recordings with all disturbances", fontsize=10)
+    left.set_title("recordings with all disturbances", fontsize=10)
     left.grid(alpha=0.25, axis="x", which="both")
     for part, marker, colour in (("regression", "o", 1), ("likelihood", "x", 0)):
         errors = np.array([row["errors"] for row in rows if row["part"] == part])
