@@ -272,8 +272,7 @@ def test_only_the_command_line_configures_jax() -> None:
         for path in sources(ROOT / "jaxcslc")
         if configures_jax(path.read_text())
     }
-    # What a worker of a cluster runs has a process of its own.
-    assert touching <= {"jaxcslc/cli/_app.py", "jaxcslc/identification/cluster/_blocks.py"}
+    assert touching <= {"jaxcslc/cli/_app.py"}
 
 
 @pytest.mark.parametrize(

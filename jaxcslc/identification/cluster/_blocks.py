@@ -88,10 +88,12 @@ class Work:
 
 
 def block_factors(path: str, work: Work) -> JointFactors:
-    """The factors of the equations of one file: what a worker of a cluster computes."""
-    # The process is the cluster's and not the user's: nobody else has set it up.
-    if not jax.config.read("jax_enable_x64"):
-        jax.config.update("jax_enable_x64", True)
+    """The factors of the equations of one file, in float64: what a worker of a cluster computes."""
+    with jax.enable_x64(True):  # a worker's process is the cluster's: nobody has set it up
+        return _block_factors(path, work)
+
+
+def _block_factors(path: str, work: Work) -> JointFactors:
     network = derived(work.derivation)
     if work.settings is None:
         return factors_of_stream(network, _patterns_as_recorded(path, network), workers=1)
