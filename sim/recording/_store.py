@@ -26,13 +26,19 @@ def save(folder: Path, name: str, result: SimulatedRecording) -> None:
         if field.name != "time"
     }
     with unfinished(folder / f"{name}.npz", clean=False) as path:
-        np.savez(
-            path,
-            time=result.recording.time,
-            reading=result.recording.position,
-            demand=result.recording.torque,
-            **truth,
-        )
+        try:
+            np.savez(
+                path,
+                time=result.recording.time,
+                reading=result.recording.position,
+                demand=result.recording.torque,
+                **truth,
+            )
+        except ValueError as error:
+            # Interrupted within an array, the archive complains of it as it is closed.
+            if isinstance(error.__context__, KeyboardInterrupt):
+                raise error.__context__ from None
+            raise
 
 
 def load(folder: Path, name: str) -> SimulatedRecording | None:

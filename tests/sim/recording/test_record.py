@@ -77,6 +77,20 @@ def test_an_interrupted_batch_keeps_what_it_finished(
     assert len(list(tmp_path.iterdir())) == len(jobs)
 
 
+def test_an_interruption_within_an_array_is_one(
+    jobs: list[sim.Job], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Not the archive's complaint that it is closed too early."""
+
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np.lib.format, "write_array", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sim.record(jobs[:1], store=tmp_path)
+    assert list(tmp_path.glob("*.npz")) == []
+
+
 def test_a_file_that_is_no_recording_is_named(jobs: list[sim.Job], tmp_path: Path):
     sim.record(jobs[:1], store=tmp_path)
     (path,) = tmp_path.iterdir()
