@@ -83,9 +83,12 @@ def test_an_interruption_within_an_array_is_one(
     """Not the archive's complaint that it is closed too early."""
 
     def interrupted(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise ValueError("Can't close the ZIP file while there is an open writing handle")
 
-    monkeypatch.setattr(np.lib.format, "write_array", interrupted)
+    monkeypatch.setattr(np, "savez", interrupted)
     with pytest.raises(KeyboardInterrupt):
         sim.record(jobs[:1], store=tmp_path)
     assert list(tmp_path.glob("*.npz")) == []
