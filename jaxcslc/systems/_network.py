@@ -106,11 +106,12 @@ class SystemTerm(AbstractTerm):
 
     def columns(
         self,
-        q: Float[Array, "variables samples"],
-        qd: Float[Array, "variables samples"],
-        qdd: Float[Array, "variables samples"],
-    ) -> tuple[Float[Array, "_ samples"], ...]:
-        values = dict(zip(self.entries, self.inputs(list(q), list(qd), list(qdd)), strict=True))
+        q: Float[Array | np.ndarray, "variables samples"],
+        qd: Float[Array | np.ndarray, "variables samples"],
+        qdd: Float[Array | np.ndarray, "variables samples"],
+    ) -> tuple[Float[Array | np.ndarray, "_ samples"], ...]:
+        motion = (list(map(jnp.asarray, rows)) for rows in (q, qd, qdd))
+        values = dict(zip(self.entries, self.inputs(*motion), strict=True))
         empty = jnp.zeros((0, q.shape[1]), q.dtype)
         return tuple(
             jnp.stack([values[i, j] for j in support]) if support else empty

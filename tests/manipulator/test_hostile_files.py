@@ -1,6 +1,7 @@
 """Files that are broken, contradictory or hostile: one line that names what, and no more."""
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import pytest
@@ -177,7 +178,7 @@ PARTS = [
 
 
 @pytest.mark.parametrize(("part", "expected"), PARTS)
-def test_parts_that_are_not_there(tmp_path: Path, part: dict[str, str], expected: str) -> None:
+def test_parts_that_are_not_there(tmp_path: Path, part: dict[str, Any], expected: str) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(urdf(*ARM))
     with pytest.raises(jc.RobotError, match=expected):
@@ -228,7 +229,8 @@ def test_inertias_matter_where_they_move(tmp_path: Path, name: str) -> None:
     x = NO_BODIES[name]
     hand = (link("c"), joint("k", "b", "c"))
     path.write_text(urdf(*ARM, *hand, x, joint("fixed to c", "c", "x", "fixed")))
-    for part in ({}, {"tip": "c"}, {"tip": "b"}):  # x is fixed at zero on a moving link
+    parts: tuple[dict[str, Any], ...] = ({}, {"tip": "c"}, {"tip": "b"})
+    for part in parts:  # x is fixed at zero on a moving link
         robot = jc.load_robot(path, **part)
         assert robot.links is None and robot.joint_count == (1 if part == {"tip": "b"} else 2)
         (note,) = notes(robot)

@@ -116,7 +116,7 @@ def test_the_tx40_is_pinocchios(rng: np.random.Generator) -> None:
     is_pinocchios(rng, TX40)
 
 
-def is_pinocchios(rng: np.random.Generator, path: Path, **part: str) -> None:
+def is_pinocchios(rng: np.random.Generator, path: Path, **part: Any) -> None:
     robot = jc.load_robot(path, **part)
     oracle = Oracle.of(path, robot)
     state = tuple(states(rng, STATES, robot.joint_count))
@@ -145,7 +145,7 @@ def test_inertial_origins_turn_the_tensor(rng: np.random.Generator, tmp_path: Pa
         ("two_arms.xml", {"base": "torso", "tip": "right forearm"}),
     ],
 )
-def test_mjcf_is_mujocos(rng: np.random.Generator, file: str, part: dict[str, str]) -> None:
+def test_mjcf_is_mujocos(rng: np.random.Generator, file: str, part: dict[str, Any]) -> None:
     """Rigid torque, armature included, on 1,000 states; joints off the part fixed at zero."""
     robot = jc.load_robot(DATA / file, **part)
     assert robot.source is not None

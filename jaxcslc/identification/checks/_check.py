@@ -151,7 +151,8 @@ def _with_fewest_coefficients(network: CSLC) -> CSLC:
     if network.algebra.lengths == "numeric" or not network.robot.has_all_lengths:
         return smooth
     numeric = derive(smooth.robot, lengths="numeric")
-    return CSLC(numeric.algebra, (numeric.rigid_body, *smooth.terms[1:]))
+    terms = (numeric.rigid_body, *smooth.terms[1:])
+    return CSLC(algebra=numeric.algebra, terms=terms)
 
 
 class _Check:

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.identification import Errors
 
 
 STEP, SUBSTEPS = 0.005, 50
@@ -182,7 +183,7 @@ def test_errors_allow_for_noise_that_is_not_white() -> None:
     """Slow errors of torque, as a model that lacks something leaves them."""
     network = pendulum("viscous", "dry")
     time, position, torque = swing(1200, static=0.0)
-    spread: dict[str, list[float]] = {"independent": [], "correlated": []}
+    spread: dict[Errors, list[float]] = {"independent": [], "correlated": []}
     for seed in range(8):
         rng = np.random.default_rng(seed)
         slow = np.zeros_like(torque)
