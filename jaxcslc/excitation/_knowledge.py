@@ -66,12 +66,13 @@ class Knowledge:
             )
         k = np.asarray(fit.k, float)
         rows = information_rows(fit, k)
-        # The fit's equations as they count for independent errors, fewer where they are correlated.
+        # Correlations are those for independent errors, standard errors those that the fit reports.
         independent = np.diag(np.asarray(fit.independent_covariance))
         variance = np.diag(np.asarray(fit.covariance))
         counted = (independent > 0.0) & (variance > 0.0)
-        ratio = np.median(variance[counted] / independent[counted]) if counted.any() else 1.0
-        return cls(k, rows.T @ rows / max(float(ratio), 1.0), np.asarray(fit.standard_error))
+        ratio = np.divide(variance, independent, out=np.ones_like(variance), where=counted)
+        rows = rows / np.sqrt(ratio)
+        return cls(k, rows.T @ rows, np.asarray(fit.standard_error))
 
     def after(
         self, covariance: Square, k: Float[Array | np.ndarray, " coefficients"] | None = None

@@ -109,6 +109,23 @@ def test_prior_information_adds(pendulum: jc.CSLC, motion: Motion) -> None:
     )
 
 
+def test_a_fit_is_known_to_its_standard_errors(
+    pendulum: jc.CSLC, motion: Motion, rng: np.random.Generator
+) -> None:
+    """Its information has the standard errors that it reports, correlated noise included."""
+    torque = np.asarray(pendulum.torque(K, *motion))
+    slow = np.convolve(rng.normal(size=len(torque)), np.ones(40) / 40, "same")[:, None]
+    everything = np.ones(torque.shape, bool)
+    time = np.arange(len(torque)) / RATE
+    patterns = jc.Patterns(time, *motion, torque + slow, everything, everything)
+    fit = jc.LeastSquares().fit(pendulum, patterns)
+    knowledge = Knowledge.of_fit(pendulum, fit)
+    assert knowledge.information is not None
+    known = np.sqrt(np.diag(np.linalg.inv(knowledge.information)))
+    np.testing.assert_allclose(known, np.asarray(fit.standard_error), rtol=1e-6)
+    assert not np.allclose(fit.standard_error, np.sqrt(np.diag(fit.independent_covariance)))
+
+
 def test_correlated_torque_noise_costs_more(pendulum: jc.CSLC, motion: Motion) -> None:
     white, slow = (
         prediction_of(pendulum, Noise(0.1, rate=RATE, torque_bandwidth=b), motion).standard_error
