@@ -13,7 +13,8 @@ What `jaxcslc identify` reaches on published recordings of real arms, by its def
 usual pipeline. Each recording is divided once and for all into motion that is fitted and motion
 that is judged, and nothing of a fit is chosen on the latter. (One default was set with these
 figures known: possible bodies are used at odds of one in five. At one in twenty, `auto` was least
-squares without them on the KR300.) Numbers are 100·‖error‖/‖torque‖ of each joint [%], of the raw torque, on motion smoothed in one way for all: over all samples and, after the
+squares without them on the KR300.) Numbers are 100·‖error‖/‖torque‖ of each joint
+[%], of the raw torque, on motion smoothed in one way for all: over all samples and, after the
 stroke, over those that masks leave in (no slow motion, where friction is not known). In bold: the
 least error over all samples, joint by joint, and those within 2 % of it.
 
