@@ -42,11 +42,11 @@ One ε, judged in two ways. *mean ε* is judged as in the thesis, alike for both
 smoothed by splines of 17 samples, the mean of the demands before and after a sample, joints that
 move faster than 0.01 rad/s. *As jaxcslc identify judges*: the recording is prepared by the settings
 that were chosen for the fit, which differ in the speed from which on a joint counts. The command
-gives the same number:
+gives the same number of free coefficients, which possible bodies may replace by default:
 
 ```sh
 .venv/bin/jaxcslc identify puma560 build/demo/puma_a_training.csv \\
-    --validate build/demo/puma_a_comparison.csv
+    --validate build/demo/puma_a_comparison.csv --possible never
 ```
 """
 
