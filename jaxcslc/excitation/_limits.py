@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from .._toml_document import toml_document
 from ..manipulator import Manipulator
 
 
@@ -197,12 +198,7 @@ def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundi
     (1.5, -0.6)
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such file of limits") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not valid TOML: {error}") from None
+    document = toml_document(path, "file of limits", ValueError)
     if unknown := sorted(document.keys() - {"joints", "surroundings"}):
         raise ValueError(f"{path}: unknown entry {unknown[0]!r}; expected joints or surroundings")
     for name, table in document.items():

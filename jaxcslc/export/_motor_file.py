@@ -1,7 +1,8 @@
 import contextlib
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+
+from .._toml_document import toml_document
 
 
 _HEADER = """\
@@ -83,10 +84,7 @@ def read_motor_inertias(path: str | Path) -> dict[str, float]:
     ...     read_motor_inertias(path)
     {'elbow': 0.25}
     """
-    try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not valid TOML: {error}") from None
+    document = toml_document(path, "file of motor inertias", ValueError)
     table = document.get("motor_inertia")
     if not isinstance(table, dict):
         raise ValueError(f"{path}: expected a table [motor_inertia] of numbers by joint")

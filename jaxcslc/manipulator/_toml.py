@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .._toml_document import toml_document
 from ._errors import RobotError
 from ._friction import STATIC_SLOPE, Coupling, couplings
 from ._inertia import LinkInertia
@@ -48,14 +49,7 @@ def read_toml(path: Path) -> Manipulator:
     - `RobotError`: one line that names the file, the joint and the key that is missing, unknown
       or contradictory, and what was expected.
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RobotError(f"{path}: no such robot file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path}: cannot be read: {error}") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RobotError(f"{path}: not valid TOML: {error}") from None
+    document = toml_document(path, "robot file", RobotError)
     robot = _robot(document, str(path))
     n = robot.joint_count
     names = _joint_names(document["joint"], str(path))

@@ -1,10 +1,10 @@
 import keyword
 import os
-import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from .._toml_document import toml_document
 from ._system import System
 from .description import RESERVED, Constant, DescriptionError, Variable, parse_equation
 
@@ -53,14 +53,7 @@ def load_system(path: str | os.PathLike[str]) -> System:
     SystemNetwork(tank: 1 equation, 2 variables, 1 coefficient)
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DescriptionError(f"{path}: no such system file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DescriptionError(f"{path}: cannot be read: {error}") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise DescriptionError(f"{path}: not valid TOML: {error}") from None
+    document = toml_document(path, "system file", DescriptionError)
     try:
         return system_from(document, default_name=path.stem)
     except DescriptionError as error:

@@ -1,10 +1,10 @@
 import dataclasses
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..._toml_document import toml_document
 from ...inertia import KNOWN_PARAMETERS, Known, LinkKnowledge
 from ...manipulator import Manipulator
 from ...network import AbstractLinearNetwork
@@ -145,12 +145,7 @@ def load_prior(path: str | Path) -> Prior:
     link 3: mass 2.4 ± 0.1
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such file of priors") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not valid TOML: {error}") from None
+    document = toml_document(path, "file of priors", ValueError)
     if unknown := sorted(document.keys() - {"coefficients", "links"}):
         raise ValueError(f"{path}: unknown entry {unknown[0]!r}; expected coefficients or links")
     coefficients = _known_values(document.get("coefficients", {}), f"{path}, coefficients")

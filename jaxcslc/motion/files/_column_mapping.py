@@ -1,12 +1,11 @@
 import dataclasses
 import math
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from ..._toml_document import toml_document
 from .. import RecordingError
 from ._layout import QUANTITIES, Column, Header, Layout
 from ._units import listed_units, si_factor
@@ -82,14 +81,7 @@ class ColumnMapping:
         ...     ColumnMapping.load(path).quantities["time"].unit
         'ms'
         """
-        try:
-            document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise RecordingError(f"{path}: no such file of column names") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise RecordingError(f"{path}: cannot be read: {error}") from None
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise RecordingError(f"{path}: not valid TOML: {error}") from None
+        document = toml_document(path, "file of column names", RecordingError)
         return cls.of(document, str(path))
 
     @classmethod

@@ -1,0 +1,36 @@
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+
+def toml_document(
+    path: str | os.PathLike[str], what: str, error: type[ValueError]
+) -> dict[str, Any]:
+    """What a TOML file holds.
+
+    **Arguments**
+
+    - `path`: of the file, in UTF-8.
+    - `what`: the file is, for the message if it is missing, as in `"robot file"`.
+    - `error`: the class of what is raised.
+
+    **Raises**
+
+    - `error`: the file is missing, cannot be read, or is not valid TOML; one line that names it.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "arm.toml"
+    ...     _ = file.write_text("a = 0.5", encoding="utf-8")
+    ...     toml_document(file, "robot file", ValueError)
+    {'a': 0.5}
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise error(f"{path}: no such {what}") from None
+    except (OSError, UnicodeDecodeError) as reason:
+        raise error(f"{path}: cannot be read: {reason}") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as reason:
+        raise error(f"{path}: not valid TOML: {reason}") from None
