@@ -6,7 +6,7 @@ from typing import Any
 
 from flint import fmpq
 
-from ..manipulator import Manipulator
+from ..manipulator import Joint, Manipulator
 from ._exact import exact_cos_sin
 from ._vectors import (
     ZERO,
@@ -90,10 +90,19 @@ class Chain:
 
     @classmethod
     def from_robot(cls, robot: Manipulator) -> "Chain":
+        """The chain or tree of a robot's joints."""
+        return cls.from_joints(robot.joints, robot.parents)
+
+    @classmethod
+    def from_joints(cls, joints: Sequence[Joint], parents: Sequence[int]) -> "Chain":
+        """
+        - `joints`: in the order of their links.
+        - `parents`: the index of the link that carries each link; -1 for the base.
+        """
         links: list[ChainLink] = []
         angles: list[Angle] = []
-        wide = len(robot.joints) > 9
-        for i, (joint, parent) in enumerate(zip(robot.joints, robot.parents, strict=True)):
+        wide = len(joints) > 9
+        for i, (joint, parent) in enumerate(zip(joints, parents, strict=True)):
             branch, twist = exact_cos_sin(joint.gamma), exact_cos_sin(joint.alpha)
             joins = parent >= 0 and twist[1] == 0
             if joins:

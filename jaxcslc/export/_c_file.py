@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC
+from ..network.straight_line import Value
 from ._c_functions import CFunction
 from ._c_text import definitions, statements
-from ._expressions import Value
 
 
 _WIDTH = 100  # of a line of declarations [characters]

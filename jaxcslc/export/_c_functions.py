@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC
+from ..network.straight_line import Expressions, Motion, Value
 from ._c_inputs import input_entries, input_inertias
-from ._expressions import Expressions, Motion, Value
 from ._rigid_body import (
     AbstractRigidBody,
     RecursiveRigidBody,

@@ -2,7 +2,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC, AbstractFunctions
-from ._expressions import Expressions, Motion, Value
+from ..network.straight_line import Expressions, Motion, Value
 
 
 class CFunctions(AbstractFunctions):

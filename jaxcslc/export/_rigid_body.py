@@ -1,23 +1,18 @@
 import abc
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from .._rank import numerical_rank
-from ..derivation import BODY, Algebra, NewtonEuler, link_frames
+from ..derivation import BODY, NewtonEuler
 from ..inertia import body_map
-from ..manipulator import Joint
 from ..network import CSLC
-from ._closed_form import ClosedForm
-from ._expressions import Expressions, Motion, Value
+from ..network.straight_line import ClosedForm, Motion, Value, newton_euler
 
 
 # Coefficients that bodies can have are reproduced by bodies to this part of the largest.
 _ROUNDING = 1e-13
-# An angle this close to a multiple of 90 degrees is meant to be it [rad].
-_RIGHT_ANGLE = 1e-14
 
 
 class AbstractRigidBody(abc.ABC):
@@ -66,7 +61,7 @@ class RecursiveRigidBody(AbstractRigidBody):
         self._motion, self._network = motion, network
         self._links = (bodies.links + bodies.payload).tolist()
         self._motors = bodies.motors.tolist()
-        self._recursion = newton_euler(motion, network.algebra)
+        self._recursion = _recursion(motion, network)
 
     def torque(self) -> list[Value]:
         motion = self._motion
@@ -102,8 +97,15 @@ class TabulatedRigidBody(AbstractRigidBody):
     ) -> None:
         self._motion, self._network = motion, network
         self._k = k[network.layout.inertial]
-        self._tables = ClosedForm(motion, network.algebra)
-        self._recursion = newton_euler(motion, network.algebra)
+        algebra = network.algebra
+        self._tables = ClosedForm(
+            motion,
+            algebra.ring,
+            mass=algebra.mass,
+            velocity=algebra.velocity,
+            gravity=algebra.gravity,
+        )
+        self._recursion = _recursion(motion, network)
         payload = payload_bodies(network, k)
         self._payload = payload.tolist() if np.any(payload) else None
 
@@ -133,49 +135,18 @@ class TabulatedRigidBody(AbstractRigidBody):
         return [x + y for x, y in zip(total, added, strict=True)]
 
     def regressor(self) -> list[list[Value]] | None:
-        motion = self._motion
+        motion, size = self._motion, len(self._network.algebra.coefficients)
+        entries, zero = self._tables.entries(), motion.graph.constant(0.0)
         added = self._recursion.columns(_payload_units(self._network), motion.qd, motion.qdd)
         return [
-            [*row, *motion.values(other)]
-            for row, other in zip(self._tables.columns(), added, strict=True)
+            [*(entries.get((j, p), zero) for p in range(size)), *motion.values(other)]
+            for j, other in enumerate(added)
         ]
 
 
-def newton_euler(motion: Motion, algebra: Algebra) -> NewtonEuler:
-    """The recursion of a robot over expressions of its motion."""
-    robot = algebra.robot
-    a, d, b = (
-        [float(getattr(joint, letter).value or 0.0) for joint in robot.joints] for letter in "adb"
-    )
-    frames = link_frames(
-        algebra.chain.in_numbers(float),
-        rotations=[
-            _rotation(motion.graph, joint, q)
-            for joint, q in zip(robot.joints, motion.q, strict=True)
-        ],
-        a=a,
-        d=[
-            offset + q if joint.kind == "P" else offset
-            for offset, joint, q in zip(d, robot.joints, motion.q, strict=True)
-        ],
-        b=b,
-    )
-    return NewtonEuler(frames, robot.gravity)
-
-
-def _rotation(graph: Expressions, joint: Joint, q: Value) -> tuple[Value, Value]:
-    """Cosine and sine of a joint's angle about z; multiples of 90 degrees are exact."""
-    quarters = round(joint.theta / (math.pi / 2))
-    remainder = joint.theta - quarters * (math.pi / 2)
-    if abs(remainder) < _RIGHT_ANGLE:
-        remainder = 0.0
-    if joint.kind == "P":
-        c, s = graph.constant(math.cos(remainder)), graph.constant(math.sin(remainder))
-    else:
-        c, s = graph.apply("cos", q + remainder), graph.apply("sin", q + remainder)
-    for _ in range(quarters % 4):
-        c, s = -s, c
-    return c, s
+def _recursion(motion: Motion, network: CSLC) -> NewtonEuler:
+    robot = network.algebra.robot
+    return newton_euler(motion, robot.joints, robot.parents, robot.gravity)
 
 
 def payload_bodies(

@@ -1,20 +1,17 @@
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 
 X = TypeVar("X")
 # Intermediate values of so many samples fit in a processor's second cache: a Panda's regressor
 # takes 4 microseconds a sample in blocks of 500 to 1,000 and 30 in one piece of 20,000.
 _BLOCK = 512
-# NumPy's calls take a microsecond each beside their work: fewer, larger blocks.
-_HOST_BLOCK = 4096
 
 
 def in_blocks(
@@ -43,24 +40,6 @@ def in_blocks(
         return results.reshape(blocks * _BLOCK, *results.shape[2:])[:samples]
     joined = jnp.moveaxis(results, 0, -2)
     return joined.reshape(*joined.shape[:-2], blocks * _BLOCK)[..., :samples]
-
-
-def in_host_blocks(
-    function: Callable[..., Sequence[np.ndarray]],
-    arrays: tuple[Float[np.ndarray, "_ samples"], ...],
-    rows: int,
-) -> Float[np.ndarray, "results samples"]:
-    """`function` of NumPy's arrays, computed block by block of samples.
-
-    - `rows`: how many arrays, of the block's samples, `function` returns.
-    """
-    samples = arrays[0].shape[-1]
-    results = np.empty((rows, samples), arrays[0].dtype)
-    for start in range(0, samples, _HOST_BLOCK):
-        block = slice(start, start + _HOST_BLOCK)
-        for row, values in zip(results, function(*(x[:, block] for x in arrays)), strict=True):
-            row[block] = values
-    return results
 
 
 def in_stage(function: Callable[[X], list[Any]], x: X) -> list[Any]:

@@ -8,12 +8,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._environment import array_namespace
 from ...manipulator import Joint
 
 
-Samples = Float[Array | np.ndarray, "joints samples"]
-States = Float[Array | np.ndarray, "frames 7 3 samples"]
+Samples = Float[Array, "joints samples"]
+States = Float[Array, "frames 7 3 samples"]
 
 
 class LinkMotion(NamedTuple):
@@ -23,11 +22,11 @@ class LinkMotion(NamedTuple):
     `acceleration` is that of the frame's origin, less gravity.
     """
 
-    axes: Float[Array | np.ndarray, "links 3 3 samples"]
-    origin: Float[Array | np.ndarray, "links 3 samples"]
-    angular_velocity: Float[Array | np.ndarray, "links 3 samples"]
-    angular_acceleration: Float[Array | np.ndarray, "links 3 samples"]
-    acceleration: Float[Array | np.ndarray, "links 3 samples"]
+    axes: Float[Array, "links 3 3 samples"]
+    origin: Float[Array, "links 3 samples"]
+    angular_velocity: Float[Array, "links 3 samples"]
+    angular_acceleration: Float[Array, "links 3 samples"]
+    acceleration: Float[Array, "links 3 samples"]
 
 
 class Geometry(NamedTuple):
@@ -96,15 +95,7 @@ def link_states(
     """
     (n, samples), dtype = q.shape, q.dtype
     at_rest = np.concatenate([np.eye(3), np.zeros((3, 3))]).astype(dtype)
-    xp = array_namespace(gravity)
-    at_base = xp.concatenate([at_rest, -xp.asarray(gravity, dtype)[None]])[:, :, None]
-    if isinstance(q, np.ndarray):
-        frames = np.zeros((n + 1, 7, 3, samples), dtype)
-        frames[0] = at_base
-        for link, (carrier, *step) in enumerate(zip(*geometry[:4], strict=True)):
-            rates = (rate[link][None, :] for rate in (q, qd, qdd))
-            frames[link + 1] = _next_frame(frames[carrier], *step, *rates)
-        return frames
+    at_base = jnp.concatenate([at_rest, -jnp.asarray(gravity, dtype)[None]])[:, :, None]
     states = jnp.zeros((n + 1, 7, 3, samples), dtype).at[0].set(at_base)
     steps = tuple(jnp.asarray(x) for x in geometry[:4])
     states, _ = lax.scan(_outwards, states, (jnp.arange(1, n + 1), steps, q, qd, qdd))
@@ -113,14 +104,11 @@ def link_states(
 
 def cross(x: Any, y: Any) -> Any:
     """Vector product along the last axis but one; `jnp.cross` would move it to the end and back."""
-    xp = array_namespace(x, y)
     (x0, x1, x2), (y0, y1, y2) = (_components(v) for v in (x, y))
-    return xp.stack([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0], axis=-2)
+    return jnp.stack([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0], axis=-2)
 
 
 def _components(x: Any) -> tuple[Any, ...]:
-    if isinstance(x, np.ndarray):
-        return tuple(x[..., i, :] for i in range(3))
     return tuple(lax.index_in_dim(x, i, -2, keepdims=False) for i in range(3))
 
 
@@ -134,23 +122,22 @@ def _outwards(states: States, at: tuple[Any, ...]) -> tuple[States, None]:
 
 
 def _next_frame(
-    before: Float[Array | np.ndarray, "7 3 samples"],
+    before: Float[Array, "7 3 samples"],
     turn: Float[Array | np.ndarray, "3 3"],
     step: Float[Array | np.ndarray, "3"],
     turning: Any,
-    q: Float[Array | np.ndarray, "1 samples"],
-    qd: Float[Array | np.ndarray, "1 samples"],
-    qdd: Float[Array | np.ndarray, "1 samples"],
-) -> Float[Array | np.ndarray, "7 3 samples"]:
+    q: Float[Array, "1 samples"],
+    qd: Float[Array, "1 samples"],
+    qdd: Float[Array, "1 samples"],
+) -> Float[Array, "7 3 samples"]:
     """The motion of a link, from that of the frame before it."""
-    xp = array_namespace(q)
     x, y, z, origin, w, wd, a = before
 
     def onward(column: Any) -> Any:
         return x * column[0] + y * column[1] + z * column[2]
 
     angle, way = turning * q, (1 - turning) * q
-    c, s = xp.cos(angle), xp.sin(angle)
+    c, s = jnp.cos(angle), jnp.sin(angle)
     first, second, axis = (onward(turn[:, i]) for i in range(3))
     along = onward(step) + way * axis
     spin, slide = turning * qd * axis, (1 - turning) * qd * axis
@@ -159,7 +146,7 @@ def _next_frame(
         *(c * first + s * second, c * second - s * first, axis),
         *(origin + along, w + spin, wd + turning * qdd * axis + cross(w, spin), a),
     )
-    return xp.stack(state)
+    return jnp.stack(state)
 
 
 def _placement(joint: Joint) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from ...derivation import BODY, Algebra, Coefficient
 from ...manipulator import Joint
-from ._compilation import in_blocks, in_host_blocks
+from ..straight_line import Motion, Program, newton_euler
+from ._compilation import in_blocks
 from ._link_motion import (
     Geometry,
     LinkMotion,
@@ -23,13 +24,12 @@ from ._term import (
     AbstractManipulatorTerm,
     Coefficients,
     Columns,
-    HostRows,
     Joints,
     Matrices,
     Regressor,
     Rows,
 )
-from ._unit_torques import combined, pairs_of, unit_torques
+from ._unit_torques import pairs_of, unit_torques
 
 
 class RigidBodyRecursion(AbstractManipulatorTerm):
@@ -98,21 +98,7 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:
-        # Joint j carries the links whose path it is on, and its motor.
-        return tuple(
-            tuple(
-                sorted(
-                    [
-                        index
-                        for path, indices in zip(self.paths, self.indices, strict=True)
-                        if joint in path
-                        for index in indices
-                    ]
-                    + [index for motor, index in self.motors if motor == joint]
-                )
-            )
-            for joint in range(len(self.joints))
-        )
+        return _support(self.indices, self.motors, self.paths)
 
     @property
     def has_host_columns(self) -> bool:
@@ -120,22 +106,12 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
 
     def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
         if isinstance(q, np.ndarray):
-            return self._host_columns(q, np.asarray(qd), np.asarray(qdd))
+            program = _program(
+                self.body, self.joints, self.gravity, self.indices, self.motors, self.paths
+            )
+            ends = np.cumsum([len(support) for support in self.support])[:-1]
+            return tuple(np.split(program(q, np.asarray(qd), np.asarray(qdd)), ends))
         return self._compiled_columns(q, qd, qdd)
-
-    def _host_columns(self, *motion: HostRows) -> Columns:
-        support = self.support
-        sums = [
-            self._rows(joint, index) for joint, indices in enumerate(support) for index in indices
-        ]
-
-        def of_block(*motion: HostRows) -> list[np.ndarray]:
-            torques = self._unit_torques(*motion)
-            return [combined(torques, rows) for rows in sums]
-
-        rows = in_host_blocks(of_block, motion, len(sums))
-        ends = np.cumsum([len(indices) for indices in support])[:-1]
-        return tuple(np.split(rows, ends))
 
     @eqx.filter_jit
     def _compiled_columns(self, q: Any, qd: Any, qdd: Any) -> Columns:
@@ -280,6 +256,56 @@ def _links(bodies: _Bodies) -> _Links:
     xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
     tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
     return _Links(tensor, ten[:, 6:9, None], ten[:, 9], ten[:, 10])
+
+
+@lru_cache(maxsize=256)
+def _support(
+    indices: tuple[tuple[int, ...], ...],
+    motors: tuple[tuple[int, int], ...],
+    paths: tuple[tuple[int, ...], ...],
+) -> tuple[tuple[int, ...], ...]:
+    """For each joint, the coefficients of the links whose path it is on, and of its motor."""
+    carried = [
+        [
+            index
+            for path, link in zip(paths, indices, strict=True)
+            if joint in path
+            for index in link
+        ]
+        for joint in range(len(paths))
+    ]
+    for joint, motor in motors:
+        carried[joint].append(motor)
+    return tuple(tuple(sorted(joint)) for joint in carried)
+
+
+@lru_cache(maxsize=64)
+def _program(
+    body: tuple[tuple[tuple[float, ...], ...], ...],
+    joints: tuple[Joint, ...],
+    gravity: tuple[float, float, float],
+    indices: tuple[tuple[int, ...], ...],
+    motors: tuple[tuple[int, int], ...],
+    paths: tuple[tuple[int, ...], ...],
+) -> Program:
+    """The columns of all joints, one behind the other, for NumPy's arrays."""
+    motion = Motion(len(joints))
+    parents = [path[-2] if len(path) > 1 else -1 for path in paths]
+    recursion = newton_euler(motion, joints, parents, gravity)
+    units = {
+        index: (link, column)
+        for link, (entries, of_link) in enumerate(zip(body, indices, strict=True))
+        for index, column in zip(of_link, zip(*entries, strict=True), strict=True)
+    }
+    rows = recursion.columns([*units.values()], motion.qd, motion.qdd)
+    torques = {
+        (joint, index): value
+        for joint, row in enumerate(rows)
+        for index, value in zip(units, motion.values(row), strict=True)
+    }
+    torques |= {(joint, index): motion.qdd[joint] for joint, index in motors}
+    supports = enumerate(_support(indices, motors, paths))
+    return Program.of(motion, [torques[joint, p] for joint, support in supports for p in support])
 
 
 # Functions of arrays alone: robots of as many joints share one program each.

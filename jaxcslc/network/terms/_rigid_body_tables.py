@@ -2,7 +2,7 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain, pairwise
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,13 +11,13 @@ from jaxtyping import Array, Float
 
 from ..._environment import array_namespace
 from ...derivation import Algebra, Coefficient, PositionRing, Table
-from ._compilation import in_host_blocks, in_stage
+from ..straight_line import ClosedForm, Motion, Program
+from ._compilation import in_stage
 from ._input_term import by_joint
 from ._term import (
     AbstractManipulatorTerm,
     Coefficients,
     Columns,
-    HostRows,
     Joints,
     Matrices,
     Regressor,
@@ -75,7 +75,9 @@ class RigidBodyTables(AbstractManipulatorTerm):
 
     def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
         if isinstance(q, np.ndarray):
-            return self._host_columns(q, np.asarray(qd), np.asarray(qdd))
+            rows = self._program()(q, np.asarray(qd), np.asarray(qdd))
+            ends = np.cumsum([len(support) for support in self.support])[:-1]
+            return tuple(np.split(rows, ends))
         entries = self._entries(list(q), list(qd), list(qdd))
         zero = jnp.zeros_like(q[0])
         return tuple(
@@ -85,18 +87,8 @@ class RigidBodyTables(AbstractManipulatorTerm):
             for joint, support in enumerate(self.support)
         )
 
-    def _host_columns(self, *motion: HostRows) -> Columns:
-        """The same entries of NumPy's arrays, by NumPy."""
-        supports = self.support
-        listed = [(joint, p) for joint, support in enumerate(supports) for p in support]
-
-        def of_block(*motion: HostRows) -> list[Any]:
-            entries = self._entries(*map(list, motion))
-            return [entries[entry] for entry in listed]
-
-        rows = in_host_blocks(of_block, motion, len(listed))
-        ends = np.cumsum([len(support) for support in supports])[:-1]
-        return tuple(np.split(rows, ends))
+    def _program(self) -> Program:
+        return _program(self.ring, self.mass, self.velocity, self.gravity, self.joint_count)
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
         if self.size == 0:
@@ -212,6 +204,17 @@ def _support(
             for joint in table.columns[link.column][:outputs]:
                 reach[joint] |= {coefficient for coefficient, _ in link.weights}
     return tuple(tuple(sorted(coefficients)) for coefficients in reach)
+
+
+@lru_cache(maxsize=64)
+def _program(
+    ring: PositionRing, mass: Table, velocity: Table, gravity: Table, joints: int
+) -> Program:
+    """The columns of all joints, one behind the other, for NumPy's arrays."""
+    motion = Motion(joints)
+    entries = ClosedForm(motion, ring, mass=mass, velocity=velocity, gravity=gravity).entries()
+    supports = enumerate(_support(mass, velocity, gravity, joints))
+    return Program.of(motion, [entries[joint, p] for joint, support in supports for p in support])
 
 
 Inputs = Callable[[tuple[int, ...]], Samples]

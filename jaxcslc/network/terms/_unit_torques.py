@@ -6,7 +6,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace
 from ._link_motion import Geometry, States, cross, link_states
 
 
@@ -21,20 +20,12 @@ def unit_torques(
     """Each joint's torque by each of the ten numbers of every link that it carries.
 
     - `paths`: the joints that carry each link.
-    - `q`, `qd`, `qdd`: (joints, samples), NumPy's arrays or JAX's, as the result is.
+    - `q`, `qd`, `qdd`: (joints, samples).
 
     **Returns** rows, of as many columns as samples: of `pairs_of` ten each, then the accelerations,
     then zeros.
     """
     states = link_states(geometry, gravity, q, qd, qdd)
-    if isinstance(q, np.ndarray):
-        rows = []
-        for link, path in enumerate(paths):  # all joints that carry a link at once
-            carrying = list(path)
-            turning = geometry.turning[carrying][:, None, None]
-            ten = _pair_torques(states[link + 1], states[1:][carrying].swapaxes(0, 1), turning)
-            rows.append(ten.reshape(10 * len(path), q.shape[1]))
-        return np.concatenate([*rows, qdd, np.zeros_like(q[:1])])
     links, joints = pairs_of(paths)
     turns = jnp.asarray(geometry.turning[joints])
     indices = jnp.asarray(links + 1), jnp.asarray(joints + 1), turns
@@ -52,18 +43,16 @@ def _unit_torques_of_pair(states: States, pair: tuple[Array, Array, Array]) -> t
 def _pair_torques(link: Any, joint: Any, turning: Any) -> Any:
     """A joint's torque by each of a link's (Ixx Iyy Izz Ixy Ixz Iyz hx hy hz m), (10, samples).
 
-    - `link`, `joint`: the states of their frames. Of several joints, (7, joints, 3, samples), the
-      torques are (joints, 10, samples).
+    - `link`, `joint`: the states of their frames.
     - `turning`: 1 for a revolute joint, 0 for a prismatic one.
     """
-    xp = array_namespace(link)
     x, y, z, origin, w, wd, a = link
     axis, pivot = joint[2], joint[3]
     angular = turning * axis
     linear = turning * cross(axis, origin - pivot) + (1 - turning) * axis
 
     def along_axes(vector: Any) -> list[Any]:  # of the link
-        return [xp.sum(vector * along, axis=-2) for along in (x, y, z)]
+        return [jnp.sum(vector * along, axis=-2) for along in (x, y, z)]
 
     # A moment of inertia about the link's x: torque (I wd + w x I w) along the joint's axis.
     turn, gain, rate, twist = (along_axes(x) for x in (angular, wd, w, cross(angular, w)))
@@ -74,19 +63,8 @@ def _pair_torques(link: Any, joint: Any, turning: Any) -> Any:
     ]
     # A first moment h: force wd x h + w x (w x h), moment h x a, both seen from h.
     ten += along_axes(cross(linear, wd) + cross(cross(linear, w), w) + cross(a, angular))
-    ten.append(xp.sum(linear * a, axis=-2))
-    return xp.stack(ten, axis=-2)
-
-
-def combined(
-    torques: Float[np.ndarray, "rows samples"], rows: Sequence[tuple[int, float]]
-) -> Float[np.ndarray, " samples"]:
-    """A sum of rows, each times a factor."""
-    (first, factor), *others = rows
-    total = torques[first] if factor == 1.0 else factor * torques[first]
-    for row, factor in others:
-        total = total + (torques[row] if factor == 1.0 else factor * torques[row])
-    return total
+    ten.append(jnp.sum(linear * a, axis=-2))
+    return jnp.stack(ten, axis=-2)
 
 
 def pairs_of(paths: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:

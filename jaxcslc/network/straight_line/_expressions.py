@@ -36,7 +36,7 @@ class Expressions:
         self._indices: dict[Operation, int] = {}
 
     def input(self, text: str) -> "Value":
-        """An argument of the C function, by its name there."""
+        """An input, by its name in generated code."""
         return self._value(Operation("input", text=text))
 
     def constant(self, number: float) -> "Value":
@@ -209,7 +209,7 @@ Number: TypeAlias = Value | float | int
 
 
 class Motion:
-    """Positions, velocities and accelerations of a robot's joints, as the inputs of a C function.
+    """Positions, velocities and accelerations of a robot's joints, as inputs of straight-line code.
 
     **Attributes**
 

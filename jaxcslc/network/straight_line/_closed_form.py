@@ -4,7 +4,7 @@ from fractions import Fraction
 import numpy as np
 from jaxtyping import Float
 
-from ..derivation import Algebra, Table
+from ...derivation import PositionRing, Table
 from ._expressions import Expressions, Motion, Value
 
 
@@ -19,13 +19,20 @@ class ClosedForm:
     on inside and outside of the bracket.
     """
 
-    def __init__(self, motion: Motion, algebra: Algebra) -> None:
-        self.graph, self.algebra = motion.graph, algebra
+    def __init__(
+        self, motion: Motion, ring: PositionRing, *, mass: Table, velocity: Table, gravity: Table
+    ) -> None:
+        """
+        - `motion`: of the joints.
+        - `ring`, `mass`, `velocity`, `gravity`: of an `Algebra`.
+        """
+        self.graph, self.ring = motion.graph, ring
         self.q, self.qd, self.qdd = motion.q, motion.qd, motion.qdd
+        self.tables = mass, velocity, gravity
         self.variables = self._position_variables()
 
     def _position_variables(self) -> list[Value]:
-        chain, variables = self.algebra.ring.chain, list[Value]()
+        chain, variables = self.ring.chain, list[Value]()
         for angle in chain.angles:
             total = self.graph.constant(0.0)
             for joint, sign in angle.terms:
@@ -37,8 +44,8 @@ class ClosedForm:
 
     def torque(self, k: Float[np.ndarray, " inertial"]) -> list[Value]:
         """Rigid-body torque of every joint, a polynomial in positions, rates and accelerations."""
-        n, algebra = self.algebra.robot.joint_count, self.algebra
-        size = len(self.variables)
+        n, size = len(self.q), len(self.variables)
+        mass, velocity, gravity = self.tables
         joints: list[Polynomial] = [{} for _ in range(n)]
 
         def put(joint: int, monomial: Monomial, rates: Sequence[int], value: float) -> None:
@@ -48,47 +55,48 @@ class ClosedForm:
             key = tuple(powers)
             joints[joint][key] = joints[joint].get(key, 0.0) + value
 
-        for column, monomial, value in _weighted(algebra.mass, k):
+        for column, monomial, value in _weighted(mass, k):
             j, m = column
             put(j, monomial, [n + m], value)
             if j != m:
                 put(m, monomial, [n + j], value)
-        for column, monomial, value in _weighted(algebra.velocity, k):
+        for column, monomial, value in _weighted(velocity, k):
             i, j, m = column
             put(i, monomial, [j, m], value if j == m else 2 * value)
-        for column, monomial, value in _weighted(algebra.gravity, k):
+        for column, monomial, value in _weighted(gravity, k):
             put(column[0], monomial, [], value)
         variables = [*self.variables, *self.qd, *self.qdd]
         return [nested(self.graph, polynomial, variables) for polynomial in joints]
 
     def mass_matrix(self, k: Float[np.ndarray, " inertial"]) -> list[list[Value]]:
-        n = self.algebra.robot.joint_count
-        elements = self._elements(self.algebra.mass, k)
+        n = len(self.q)
+        elements = self._elements(self.tables[0], k)
         zero = self.graph.constant(0.0)
         return [[elements.get((min(i, j), max(i, j)), zero) for j in range(n)] for i in range(n)]
 
     def gravity(self, k: Float[np.ndarray, " inertial"]) -> list[Value]:
-        elements = self._elements(self.algebra.gravity, k)
+        elements = self._elements(self.tables[2], k)
         zero = self.graph.constant(0.0)
-        return [elements.get((i,), zero) for i in range(self.algebra.robot.joint_count)]
+        return [elements.get((i,), zero) for i in range(len(self.q))]
 
-    def columns(self) -> list[list[Value]]:
-        """The regressor of the inertial coefficients."""
-        n, p = self.algebra.robot.joint_count, len(self.algebra.coefficients)
-        zero = self.graph.constant(0.0)
-        rows = [[zero] * p for _ in range(n)]
-        for column, coefficient, value in self._sums(self.algebra.mass):
-            j, m = column
-            rows[j][coefficient] = rows[j][coefficient] + value * self.qdd[m]
+    def entries(self) -> dict[tuple[int, int], Value]:
+        """The regressor's entries that are not always zero, by joint and coefficient."""
+        mass, velocity, gravity = self.tables
+        entries: dict[tuple[int, int], Value] = {}
+
+        def put(joint: int, coefficient: int, value: Value) -> None:
+            key = joint, coefficient
+            entries[key] = entries[key] + value if key in entries else value
+
+        for (j, m), coefficient, value in self._sums(mass):
+            put(j, coefficient, value * self.qdd[m])
             if j != m:
-                rows[m][coefficient] = rows[m][coefficient] + value * self.qdd[j]
-        for column, coefficient, value in self._sums(self.algebra.velocity):
-            i, j, m = column
-            product = self.qd[j] * self.qd[m] * (1.0 if j == m else 2.0)
-            rows[i][coefficient] = rows[i][coefficient] + value * product
-        for column, coefficient, value in self._sums(self.algebra.gravity):
-            rows[column[0]][coefficient] = rows[column[0]][coefficient] + value
-        return rows
+                put(m, coefficient, value * self.qdd[j])
+        for (i, j, m), coefficient, value in self._sums(velocity):
+            put(i, coefficient, value * (self.qd[j] * self.qd[m] * (1.0 if j == m else 2.0)))
+        for (j,), coefficient, value in self._sums(gravity):
+            put(j, coefficient, value)
+        return entries
 
     def _elements(
         self, table: Table, k: Float[np.ndarray, " inertial"]

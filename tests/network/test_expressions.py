@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from jaxcslc.export._closed_form import nested
-from jaxcslc.export._expressions import Expressions, Value
+from jaxcslc.network.straight_line import Expressions, Value, nested
 
 
 def value(graph: Expressions, index: int, inputs: dict[str, float]) -> float:
