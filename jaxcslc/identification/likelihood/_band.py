@@ -1,8 +1,10 @@
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 
 from ..._rank import rank_tolerance
 
@@ -74,8 +76,9 @@ class BandedEquations:
         below = np.concatenate(self._rows) - columns
         width = int(below.max()) + 1
         values = np.concatenate(self._values)
-        band = np.bincount(below * size + columns, values, minlength=width * size)
-        band = band.reshape(width, size)
+        # In LAPACK's order, a column of the band after the other.
+        band = np.bincount(below + columns * width, values, minlength=width * size)
+        band = band.reshape(size, width).T
         band[0] += damping
         factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
         return Factored(factor, self.mixed, self.border)
@@ -131,7 +134,6 @@ class Factored:
     **Attributes**
 
     - `information`: (border, border) of the border, when all else is eliminated.
-    - `eliminated`: (inner, border), minus the reply of unknowns in order of time to the border.
     """
 
     def __init__(
@@ -140,11 +142,17 @@ class Factored:
         mixed: Float[np.ndarray, "inner border"],
         border: Float[np.ndarray, "border border"],
     ) -> None:
-        self._factor, self._mixed = factor, mixed
-        self.eliminated = self._solve(mixed)
+        self._factor = factor
+        # Half of a solution: a step needs the other half of one column alone.
+        self._half = self._solve(mixed)
         self._diagonal = np.diag(border)
-        information = border - mixed.T @ self.eliminated
+        information = border - self._half.T @ self._half
         self.information = 0.5 * (information + information.T)
+
+    @cached_property
+    def eliminated(self) -> Float[np.ndarray, "inner border"]:
+        """Minus the reply of unknowns in order of time to the border."""
+        return self._solve(self._half, transposed=True)
 
     def step(
         self,
@@ -159,11 +167,16 @@ class Factored:
         - `inner`, `border`: the right side.
         - `damping`: of the border, as a part of its information.
         """
-        right_side = border - self.eliminated.T @ inner
+        half = self._solve(inner[:, None])[:, 0]
+        right_side = border - self._half.T @ half
         floor = 1e-14 * self._diagonal
         matrix = self.information + np.diag(damping * np.diag(self.information) + floor)
         change = np.linalg.lstsq(matrix, right_side, rcond=1e-15)[0]
-        return self._solve(inner) - self.eliminated @ change, change
+        remaining = half - self._half @ change
+        return self._solve(remaining[:, None], transposed=True)[:, 0], change
 
-    def _solve(self, right: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-        return cho_solve_banded((self._factor, True), right, check_finite=False)
+    def _solve(
+        self, right: Float[np.ndarray, "inner columns"], *, transposed: bool = False
+    ) -> Float[np.ndarray, "inner columns"]:
+        """With the triangle of the factorisation, or its transpose."""
+        return dtbtrs(self._factor, right, uplo="L", trans="T" if transposed else "N")[0]

@@ -11,8 +11,9 @@ from ...network.terms import JointTerm
 from ._friction_mean import mean_inputs
 
 
-# Step of positions in central differences [rad or m].
-_ANGLE = 1e-5
+# Steps of positions [rad or m] and velocities in forward differences. The error is this part of a
+# second derivative; that of velocities counts by half an interval beside accelerations.
+_ANGLE, _RATE = 1e-7, 1e-5
 Samples = Float[Array | np.ndarray, "samples joints"]
 Rows = Float[Array | np.ndarray, "equations joints"]
 
@@ -80,25 +81,18 @@ class MotionEquations(eqx.Module):
         motion = self._motion(q)
         position, velocity, acceleration, before, after = motion
 
-        by_q, by_v, by_a = self._smooth_derivatives(k, position, velocity, acceleration)
+        smooth, by_q, by_v, by_a = self._smooth_derivatives(k, position, velocity, acceleration)
 
         def friction(slopes: Array, q: Array, v: Array, b: Array, a: Array, turn: Array) -> Array:
             return self._friction(k, slopes, (q, v, v, b, a), turn, direction)[0]
 
         point = (position, velocity, before, after, turn)
-        one = jnp.ones_like(position)
-        value = friction(slopes, *point)
-
-        # One tangent for each argument: equation and joint by themselves.
-        tangents = tuple(
-            jnp.zeros((6, *x.shape)).at[index].set(one) for index, x in enumerate(point)
+        # Equation and joint by themselves: one product with ones has all derivatives but slopes'.
+        value, pulled_back = jax.vjp(lambda *point: friction(slopes, *point), *point)
+        f_q, f_v, f_b, f_a, f_turn = pulled_back(jnp.ones_like(position))
+        _, by_slope = jax.jvp(
+            lambda slopes: friction(slopes, *point), (slopes,), (jnp.ones_like(slopes),)
         )
-        of_slopes = jnp.zeros((6, n)).at[5].set(1.0)
-
-        def along(of_slopes: Array, *tangent: Array) -> Array:
-            return jax.jvp(friction, (slopes, *point), (of_slopes, *tangent))[1]
-
-        f_q, f_v, f_b, f_a, f_turn, by_slope = jax.vmap(along)(of_slopes, *tangents)
 
         eye = jnp.eye(n)
         h1, h2 = self._two_intervals()
@@ -115,7 +109,7 @@ class MotionEquations(eqx.Module):
         ]
         blocks[1] = blocks[1] + of_position
         return Linearisation(
-            self._smooth(k, position, velocity, acceleration) + value,
+            smooth + value,
             jnp.concatenate(blocks, axis=2),
             jnp.concatenate(
                 [
@@ -149,20 +143,27 @@ class MotionEquations(eqx.Module):
         return total
 
     def _smooth_derivatives(self, k: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, ...]:
-        """(equations, n, n) each, by position, velocity and acceleration.
+        """Torque, and (equations, n, n) each, by position, velocity and acceleration.
 
-        Central differences of one compiled function: torque is a quadratic of velocities and linear
-        in accelerations, where they are exact, and has sines of positions, where they are good to
-        1e-9. (Compiling the derivatives of a PUMA 560's tables took a minute.)
+        The last one is the mass matrix; the others are forward differences of one compiled
+        function. (Compiling the derivatives of a PUMA 560's tables took a minute.)
         """
-        n = q.shape[1]
-        steps = jnp.asarray(np.repeat([_ANGLE, 1.0, 1.0], n))
-        unit = jnp.asarray(np.eye(3 * n)) * steps[:, None]
-        shifts = jnp.concatenate([unit, -unit]).reshape(6 * n, 3, 1, n)
-        motion = jnp.stack([q, qd, qdd])[None] + shifts
-        torque = self._smooth(k, motion[:, 0], motion[:, 1], motion[:, 2])
-        derivative = (torque[: 3 * n] - torque[3 * n :]) / (2.0 * steps[:, None, None])
-        return tuple(jnp.moveaxis(x, 0, -1) for x in derivative.reshape(3, n, *q.shape))
+        n, network = q.shape[1], self.network
+        steps = jnp.asarray(np.repeat([_ANGLE, _RATE], n))
+        shifts = (jnp.eye(2 * n) * steps[:, None]).reshape(2 * n, 2, 1, n)
+        torque = self._smooth(k, q, qd, qdd)
+        shifted = self._smooth(
+            k,
+            q[None] + shifts[:, 0],
+            qd[None] + shifts[:, 1],
+            jnp.broadcast_to(qdd, (2 * n, *q.shape)),
+        )
+        by_q, by_v = ((shifted - torque[None]) / steps[:, None, None]).reshape(2, n, *q.shape)
+        mass = jnp.zeros((*q.shape, n))
+        for term in network.terms:
+            if not isinstance(term, JointTerm):
+                mass = mass + term.mass_matrix(k[network.layout.of(term)], q)
+        return torque, jnp.moveaxis(by_q, 0, -1), jnp.moveaxis(by_v, 0, -1), mass
 
     def _friction(
         self,

@@ -179,8 +179,10 @@ class Linear:
         heavy = np.swapaxes(self.by_position * weights.torque[:, :, None], 1, 2)
         result.add(self._stencil, heavy @ self.by_position)
         mixed = heavy @ self.by_border
+        of_sample = np.zeros((samples, n, len(scale)))
         for i in range(3):
-            result.mixed[order.position[i : samples - 2 + i]] += mixed[:, i * n : (i + 1) * n]
+            of_sample[i : samples - 2 + i] += mixed[:, i * n : (i + 1) * n]
+        result.mixed[order.position] = of_sample
         flat = self.by_border.reshape(-1, len(scale))
         result.border += flat.T @ (flat * weights.torque.reshape(-1, 1))
         result.border += np.diag(scale**2 * weights.border)
