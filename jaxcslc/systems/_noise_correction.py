@@ -5,16 +5,16 @@ from typing import Any, Literal
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..identification import Identification, Settings
 from ..identification.solver import WeightedEquations
 from ..motion import Derivatives, Patterns
-from ._measurement_noise import LEVEL_ERROR, check_noise, measurement_noise, with_simulated_noise
+from ._measurement_noise import check_noise, level_error, measurement_noise, with_simulated_noise
 from ._network import SystemNetwork
 from ._noise_errors import (
+    Draws,
     FilteredErrors,
-    OfEquations,
     error_ratio,
     judged_ratio,
     lasting_errors,
@@ -22,12 +22,14 @@ from ._noise_errors import (
 )
 from ._patterns import system_derivatives
 from ._recording import SystemRecording
-from ._smoothing_bias import SmoothingBias, motion_of, with_motion
+from ._smoothing_bias import REACHES, SmoothingBias, motion_of, with_motion
 from ._system import System
 
 
 # Errors of all equations that are so many times those that noise makes are not looked into further.
 _NEGLIGIBLE = 30.0
+# With more stretches of a recording, what is left uncertain is the level of its noise.
+_STRETCHES = 64
 
 
 class EquationsUndefined(ValueError):
@@ -110,10 +112,12 @@ def correct_for_noise(
 
     That linear part, draw by draw, is what the noise of this recording did to the coefficients by
     chance: its covariance replaces that of the residuals, which has as many degrees of freedom as
-    a short recording has independent stretches. Unless noise does not explain the errors of the
-    equations (their size, or what they would do to the coefficients, beyond a chance of one in a
-    thousand): noise that is not white, or a term that is missing. Then the standard errors of the
-    residuals remain, and a warning says so.
+    a short recording has independent stretches. Noise in stretches that are not neighbours moves
+    coefficients independently, so that products of such moves are left out of it: the rest is as
+    certain as several times as many draws would make it. Unless noise does not explain the errors
+    of the equations (their size, or what they would do to the coefficients, beyond a chance of one
+    in a thousand): noise that is not white, or a term that is missing. Then the standard errors of
+    the residuals remain, and a warning says so.
 
     Smoothing takes out the same part of the motion in every recording. Motion that is smoothed once
     more shows what: the difference of the coefficients that fit it is taken off, too, as it is of
@@ -178,15 +182,17 @@ def correct_for_noise(
     through = _Simulation(system, settings, patterns, smoothing, problem, k)
     noisy = lambda count: with_simulated_noise(recording, levels, count, seed)
     simulation = _simulated(through, noisy(draws), pairs)
-    ratio, factor = judged_ratio(problem, fit, simulation.errors)
+    ratio, factor = judged_ratio(problem, fit, simulation.errors, recording.samples)
     warnings = unexplained(system.network, ratio, factor)
     if not warnings:
         of_fit = np.sqrt(np.mean(problem.shifts(simulation.errors) ** 2, axis=1))
         refitted = lambda count: map(through.refitted, noisy(count))
-        warnings = lasting_errors(system.network, fit, of_fit, simulation.count, refitted)
+        warnings = lasting_errors(
+            system.network, fit, of_fit, simulation.count, recording.samples, refitted
+        )
     if np.any(ratio * factor < 1.0):  # noise that is too strong
         simulation = dataclasses.replace(simulation, even=np.zeros_like(simulation.even))
-    level_error = LEVEL_ERROR if noise == "estimated" else 0.0
+    of_level = level_error(recording.samples) if noise == "estimated" else 0.0
     determined = np.asarray(fit.determined)
     of_noise, of_smoothing, remainder = taken = [
         np.where(determined, x, 0.0) for x in (np.mean(simulation.even, axis=0), *bias)
@@ -200,7 +206,7 @@ def correct_for_noise(
         ratio,
         not warnings,
         simulation.count,
-        _corrected(fit, problem, taken, None if warnings else simulation, level_error),
+        _corrected(fit, problem, taken, None if warnings else simulation, of_level),
         tuple(warnings),
     )
 
@@ -220,6 +226,20 @@ class _Simulation:
     smoothing: SmoothingBias | None
     problem: WeightedEquations
     k: Float[np.ndarray, " coefficients"]
+
+    @property
+    def edges(self) -> Int[np.ndarray, " edges"]:
+        """Of stretches of the patterns so long that noise in none of them changes the equations of
+        others than its neighbours."""
+        time, samples = np.asarray(self.patterns.time), self.patterns.samples
+        states = max(len(self.system.states), 1)
+        preparation = dataclasses.replace(self.settings.preparation, trim=None)
+        reach = REACHES * preparation.trimmed_of(time, states)
+        cutoff = self.settings.solver.cutoff
+        if cutoff is not None:
+            reach += int(np.ceil((len(time) - 1) / (cutoff * np.ptp(time))))
+        stretches = min(samples // max(2 * reach, 1), _STRETCHES)
+        return np.linspace(0, samples, max(stretches, 1) + 1).astype(int)
 
     def again(self, motion: Derivatives) -> Derivatives:
         """Motion smoothed once more, if smoothing's bias is taken off."""
@@ -260,34 +280,7 @@ class _Simulation:
         return error
 
 
-@dataclasses.dataclass(frozen=True)
-class _Draws:
-    """What simulated noise does to the coefficients.
-
-    - `count`: of draws.
-    - `errors`: of the equations, that the noise makes draw by draw; its linear part.
-    - `linear`: (p, draws) changes of the corrected coefficients by the linear part.
-    - `even`: (pairs, p) changes of the corrected coefficients that both signs of a draw share.
-    """
-
-    count: int
-    errors: OfEquations
-    linear: Float[np.ndarray, "coefficients draws"]
-    even: Float[np.ndarray, "pairs coefficients"]
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
-        """Of the corrected coefficients: of the linear part, of the part of second order about its
-        mean, and of that mean over the pairs, which is taken off."""
-        covariance = self.linear @ self.linear.T / self.count
-        pairs = len(self.even)
-        if pairs > 1:
-            about = self.even - np.mean(self.even, axis=0)
-            covariance = covariance + about.T @ about / (pairs - 1) * (1.0 + 1.0 / pairs)
-        return covariance
-
-
-def _simulated(through: _Simulation, noisy: Iterator[SystemRecording], pairs: int) -> _Draws:
+def _simulated(through: _Simulation, noisy: Iterator[SystemRecording], pairs: int) -> Draws:
     """Sends draws of noise through smoothing, smoothing once more, and the fit."""
     network, cutoff = through.system.network, through.settings.solver.cutoff
     smoothing = through.smoothing
@@ -315,10 +308,11 @@ def _simulated(through: _Simulation, noisy: Iterator[SystemRecording], pairs: in
             ]
             even.append(np.mean(both, axis=0) - before)
         count += 1
-    linear = through.problem.shifts(errors.filtered())
+    edges = through.edges
+    linear = through.problem.shifts_of_stretches(errors.filtered(), edges)
     if smoothing is not None and further is not None:
-        linear = linear - smoothing.problem.shifts(further.filtered())
-    return _Draws(count, errors.filtered(), linear, np.array(even))
+        linear = linear - smoothing.problem.shifts_of_stretches(further.filtered(), edges)
+    return Draws(count, errors.filtered(), linear, np.array(even))
 
 
 def _less(motion: Derivatives, other: Derivatives) -> Derivatives:
@@ -345,7 +339,7 @@ def _corrected(
     fit: Identification,
     problem: WeightedEquations,
     taken: Sequence[Float[np.ndarray, " coefficients"]],
-    simulation: _Draws | None,
+    simulation: Draws | None,
     level_error: float,
 ) -> Identification:
     """The fit with other coefficients and standard errors.
@@ -367,7 +361,9 @@ def _corrected(
         "standard_error": jnp.asarray(error),
     }
     if simulation is not None:
-        # Variances scatter by twice as much as standard errors, draws by Student's t.
-        relative = 1.0 / simulation.count + 2.0 * level_error**2
-        changed |= {"degrees_of_freedom": jnp.asarray(1.0 / relative), "errors": "simulated"}
+        # A variance of so many degrees of freedom has a relative variance of two over them, and
+        # varies by twice as much as the level of the noise.
+        worst = np.max(simulation.variance_error, where=np.asarray(fit.determined), initial=0.0)
+        relative = max(worst**2 + 4.0 * level_error**2, np.finfo(float).eps)
+        changed |= {"degrees_of_freedom": jnp.asarray(2.0 / relative), "errors": "simulated"}
     return dataclasses.replace(fit, **changed)

@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -7,7 +8,7 @@ from jaxtyping import Float
 from ..identification import Identification
 from ..identification.solver import Equations, Unknowns, WeightedEquations
 from ..motion import Patterns
-from ._measurement_noise import LEVEL_ERROR
+from ._measurement_noise import level_error
 from ._network import SystemNetwork
 
 
@@ -15,11 +16,64 @@ from ._network import SystemNetwork
 _CHANCE = 0.001
 # Fits of noise alone that show how far the standard errors of residuals scatter.
 _REFITTED = 40
+# Of eigenvalues of a matrix whose diagonal is near one.
+_ROUNDING = 1e-9
 # Draws whose motion is in memory at a time, in numbers.
 _AT_ONCE = 1 << 22
 
 OfEquations = list[Float[np.ndarray, "_ draws"]]
 """For each equation of the system, changes of its rows draw by draw."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Draws:
+    """What simulated noise does to the coefficients.
+
+    - `count`: of draws.
+    - `errors`: of the equations, that the noise makes draw by draw; its linear part.
+    - `linear`: (stretches, p, draws) changes of the corrected coefficients by the linear part, from
+      the equations of stretches of the recording, of which only neighbours have errors in common.
+    - `even`: (pairs, p) changes of the corrected coefficients that both signs of a draw share.
+    """
+
+    count: int
+    errors: OfEquations
+    linear: Float[np.ndarray, "stretches coefficients draws"]
+    even: Float[np.ndarray, "pairs coefficients"]
+
+    @property
+    def products(self) -> Float[np.ndarray, "draws coefficients coefficients"]:
+        """Draw by draw, what has the covariance of the linear part for its mean: products of
+        changes by the same stretch and by neighbours."""
+        around = self.linear.copy()
+        around[1:] += self.linear[:-1]
+        around[:-1] += self.linear[1:]
+        products = np.einsum("spd,sqd->dpq", self.linear, around)
+        whole = np.sum(self.linear, axis=0)
+        size = np.sqrt(np.mean(whole**2, axis=1))
+        scale = np.where(size > 0.0, size, 1.0)
+        if np.linalg.eigvalsh(np.mean(products, axis=0) / np.outer(scale, scale))[0] < -_ROUNDING:
+            # So few draws that this is no covariance. That of whole recordings always is.
+            return np.einsum("pd,qd->dpq", whole, whole)
+        return products
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
+        """Of the corrected coefficients: of the linear part, of the part of second order about its
+        mean, and of that mean over the pairs, which is taken off."""
+        covariance = np.mean(self.products, axis=0)
+        pairs = len(self.even)
+        if pairs > 1:
+            about = self.even - np.mean(self.even, axis=0)
+            covariance = covariance + about.T @ about / (pairs - 1) * (1.0 + 1.0 / pairs)
+        return covariance
+
+    @property
+    def variance_error(self) -> Float[np.ndarray, " coefficients"]:
+        """Relative standard error of the variances, by how they scatter over the draws."""
+        squares = np.diagonal(self.products, axis1=1, axis2=2)
+        error = np.std(squares, axis=0, ddof=1) / np.sqrt(self.count)
+        return error / np.maximum(np.mean(squares, axis=0), np.finfo(float).tiny)
 
 
 class FilteredErrors:
@@ -77,14 +131,15 @@ def _ratio(left: np.ndarray, made: np.ndarray) -> np.ndarray:
 
 
 def judged_ratio(
-    problem: WeightedEquations, fit: Identification, made: OfEquations
+    problem: WeightedEquations, fit: Identification, made: OfEquations, samples: int
 ) -> tuple[Float[np.ndarray, " equations"], Float[np.ndarray, " equations"]]:
     """What is left of equations over what fits leave of errors that noise makes, and the factor by
     which the two may differ by chance.
 
     Each draw of noise is fitted like the recording: a fit of few independent errors leaves clearly
     less than there was. How much the draws' errors differ in size is the chance; it needs no model
-    of how the errors are correlated, or of where in a recording they are large.
+    of how the errors are correlated, or of where in a recording they are large. That of the noise's
+    level, which is estimated from so many samples, adds to it.
     """
     equations = problem.equations
     shifts = problem.shifts(made)
@@ -102,7 +157,7 @@ def judged_ratio(
     quantile = scipy.special.ndtri(1.0 - _CHANCE / (2 * len(typical)))
     relative = sizes / np.where(typical > 0.0, typical, 1.0)[:, None]
     spread = np.std(np.log(np.maximum(relative, np.finfo(float).tiny)), axis=1)
-    chance = np.sqrt(spread**2 * (1.0 + 1.0 / sizes.shape[1]) + LEVEL_ERROR**2)
+    chance = np.sqrt(spread**2 * (1.0 + 1.0 / sizes.shape[1]) + level_error(samples) ** 2)
     return _ratio(left, typical), np.exp(quantile * chance)
 
 
@@ -136,6 +191,7 @@ def lasting_errors(
     fit: Identification,
     simulated: Float[np.ndarray, " coefficients"],
     draws: int,
+    samples: int,
     refitted: Callable[[int], Iterator[Identification]],
 ) -> list[str]:
     """One sentence for the coefficient that errors of long duration move most beyond noise, if any.
@@ -146,6 +202,7 @@ def lasting_errors(
     components.
 
     - `simulated`: standard errors that the noise makes in the fit, by so many draws.
+    - `samples`: of the recording.
     - `refitted`: fits of so many draws of noise.
     """
     determined = np.asarray(fit.determined)
@@ -159,7 +216,7 @@ def lasting_errors(
     if np.max(larger) ** 2 <= limit:
         return []
     logs = np.log([np.max(_enlargement(other, simulated)) for other in refitted(_REFITTED)])
-    spread = np.hypot(np.std(logs, ddof=1), LEVEL_ERROR)
+    spread = np.hypot(np.std(logs, ddof=1), level_error(samples))
     quantile = scipy.special.stdtrit(_REFITTED - 1, 1.0 - _CHANCE)
     if np.log(np.max(larger)) <= np.mean(logs) + quantile * spread:
         return []

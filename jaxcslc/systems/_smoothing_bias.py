@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # Filters and splines ring at the ends for a few times what they reach: at once what they reach, the
 # rate of a sine that splines smoothed was off by 6 %.
-_REACHES = 3
+REACHES = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,7 @@ class SmoothingBias:
         if not system.states:
             return None
         sample = np.arange(patterns.samples)
-        ends = _REACHES * reach
+        ends = REACHES * reach
         mask = (sample >= ends) & (sample < patterns.samples - ends)
         margin = 2 * settings.preparation.reversal_margin
         for arguments in system.signs if margin else ():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.identification.solver import WeightedEquations
 from jaxcslc.motion import AbstractSmoothing
 from jaxcslc.systems import (
     Constant,
@@ -21,6 +22,7 @@ from jaxcslc.systems import (
     measurement_noise,
     system_patterns,
 )
+from jaxcslc.systems._measurement_noise import level_error
 
 from .conftest import INTERVAL, SAMPLES, TRUE_CART, cart_motion
 
@@ -102,6 +104,22 @@ class TestStrength:
         strength = measurement_noise(line, recording)
         assert strength == pytest.approx({"current": 0.02, "voltage": 0.3}, rel=0.06)
 
+    @pytest.mark.parametrize("samples", [300, 3000])
+    def test_it_is_as_certain_as_samples_are_many(
+        self, line: System, rng: np.random.Generator, samples: int
+    ) -> None:
+        time = np.arange(float(samples))
+        columns = {"current": rng.normal(size=samples), "voltage": rng.normal(size=samples)}
+        levels = [
+            measurement_noise(
+                line, SystemRecording(time, {n: rng.permutation(x) for n, x in columns.items()})
+            ).values()
+            for _ in range(100)
+        ]
+        spread = np.std([list(some) for some in levels])
+        # Of 200 values, the deviation is good to 5 %.
+        assert spread == pytest.approx(level_error(samples), rel=0.2)
+
     def test_an_encoder_that_mostly_rests_has_noise(self, line: System) -> None:
         time = np.arange(1000.0)
         columns = {"current": (time > 900) * (time % 2), "voltage": time}
@@ -139,11 +157,33 @@ class TestClosedForms:
         fit, correction = corrected(line, recording, settings, noise={"voltage": 0.1}, draws=600)
         patterns = system_patterns(line, recording)
         expected = 0.1 / np.linalg.norm(np.asarray(patterns.q)[:, 0])
-        assert correction.standard_error[0] == pytest.approx(expected, rel=0.12)  # 4 deviations
+        assert correction.standard_error[0] == pytest.approx(expected, rel=0.12)
         np.testing.assert_allclose(correction.bias, 0.0, atol=1e-12)
         assert correction.explained and correction.fit.errors == "simulated"
-        assert float(correction.fit.degrees_of_freedom) == 600
+        assert float(correction.fit.degrees_of_freedom) > 600
         np.testing.assert_allclose(correction.fit.k, fit.k)
+
+    def test_stretches_apart_make_standard_errors_as_certain_as_more_draws(
+        self, line: System, rng: np.random.Generator
+    ) -> None:
+        """Seeds scatter about the textbook's standard error as the degrees of freedom say."""
+        time = np.arange(2000) * 0.1
+        exact = {"current": np.sin(time), "voltage": 3.0 * np.sin(time)}
+        recording = noisy(SystemRecording(time, exact), {"voltage": 0.1}, rng)
+        patterns = system_patterns(line, recording)
+        expected = 0.1 / np.linalg.norm(np.asarray(patterns.q)[:, 0])
+        ratios, degrees = [], []
+        for seed in range(20):
+            _, correction = corrected(
+                line, recording, jc.Settings(), noise={"voltage": 0.1}, draws=20, seed=seed
+            )
+            ratios.append(correction.standard_error[0] / expected)
+            degrees.append(float(correction.fit.degrees_of_freedom))
+        typical = np.median(degrees)
+        assert typical > 10 * 20
+        # A deviation of 20 values is good to 16 %, their mean to a quarter of it.
+        assert np.std(ratios) == pytest.approx((2.0 * typical) ** -0.5, rel=0.5)
+        assert np.mean(ratios) == pytest.approx(1.0, abs=(2.0 * typical) ** -0.5)
 
     def test_the_linear_part_is_the_fit_s_derivative(
         self, cart: System, rng: np.random.Generator
@@ -195,6 +235,19 @@ def test_coefficients_of_a_cart_are_right_on_average(
     }
     assert off["plain"] < -3.5, off  # the mass shrinks
     assert abs(off["after"]) < 3.5 and abs(off["instrumental"]) < 3.5, off
+
+
+def test_changes_by_stretches_add_up(cart: System, rng: np.random.Generator) -> None:
+    """Where masks leave samples out, and a filter keeps every so many of the others."""
+    settings = settings_with(8.0)
+    patterns = system_patterns(cart, cart_motion(0.3), settings.preparation)
+    equations = settings.solver.equations(cart.network, patterns)
+    k = np.array([TRUE_CART[name] for name in cart.network.names])
+    problem = WeightedEquations.of(equations, k, settings.solver)
+    changes = [rng.normal(size=(len(rows), 3)) for rows in equations.rows]
+    parts = problem.shifts_of_stretches(changes, np.linspace(0, patterns.samples, 6).astype(int))
+    assert parts.shape == (5, cart.network.order, 3) and np.all(np.any(parts != 0.0, axis=(1, 2)))
+    np.testing.assert_allclose(np.sum(parts, axis=0), problem.shifts(changes), rtol=1e-9)
 
 
 def test_errors_that_are_no_white_noise_keep_the_residuals_standard_errors(

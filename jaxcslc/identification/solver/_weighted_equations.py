@@ -1,9 +1,10 @@
 import dataclasses
 from collections.abc import Sequence
+from itertools import pairwise
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..._rank import pseudo_inverse
 from ._equations import Equations
@@ -64,13 +65,31 @@ class WeightedEquations:
 
         - `torques`: for each joint (equations, changes).
         """
+        last = max((int(sample[-1]) for sample in self.equations.sample if sample.size), default=0)
+        return self.shifts_of_stretches(torques, np.array([0, last + 1]))[0]
+
+    def shifts_of_stretches(
+        self, torques: Sequence[Float[np.ndarray, "_ changes"]], edges: Int[np.ndarray, " edges"]
+    ) -> Float[np.ndarray, "stretches unknowns changes"]:
+        """Of `shifts`, the part of the equations in each stretch of the recording.
+
+        - `edges`: samples that stretches begin with, and the one after the last.
+        """
         unknowns = self.equations.unknowns
-        scores = np.zeros((unknowns.size, torques[0].shape[1]))
-        for support, rows, size, root, columns in zip(
-            unknowns.support, self.equations.rows, self.weights, self.roots, torques, strict=True
+        scores = np.zeros((len(edges) - 1, unknowns.size, torques[0].shape[1]))
+        for support, rows, sample, size, root, columns in zip(
+            unknowns.support,
+            self.equations.rows,
+            self.equations.sample,
+            self.weights,
+            self.roots,
+            torques,
+            strict=True,
         ):
-            square = (size * root) ** 2
-            scores[list(support)] += (square[:, None] * rows[:, :-1]).T @ columns
+            weighted = ((size * root) ** 2)[:, None] * rows[:, :-1]
+            bounds = pairwise(np.searchsorted(sample, edges))
+            for score, (start, stop) in zip(scores, bounds, strict=True):
+                score[list(support)] += weighted[start:stop].T @ columns[start:stop]
         return np.asarray(self.solution(self.equations).inverse_gram) @ scores
 
 
