@@ -25,7 +25,7 @@ def derive(
     robot: Manipulator,
     *,
     lengths: Literal["symbolic", "numeric", "auto"] | Sequence[str] = "symbolic",
-    evaluator: Literal["auto", "tables", "recursive"] = "auto",
+    evaluator: Literal["auto", "tables", "recursive", "rolled", "unrolled"] = "auto",
 ) -> CSLC:
     """Derive a robot's inverse dynamics and build the network that computes them.
 
@@ -39,7 +39,9 @@ def derive(
       in, mass and gravity coefficients apart (thesis 8.2.1). `"auto"`: symbolic for robots of up
       to 6 joints, numeric for others and for those from URDF and MJCF files.
     - `evaluator`: `"tables"`: straight-line code from the closed form; `"recursive"`:
-      Newton-Euler, numeric lengths only; `"auto"`: tables where they are small.
+      Newton-Euler, numeric lengths only, `"rolled"` as a loop over links or `"unrolled"` as
+      straight-line code, whichever was measured to be quicker (see `RigidBodyRecursion`);
+      `"auto"`: tables where they are small.
 
     **Raises**
 
@@ -78,9 +80,12 @@ def _has_many_lengths(robot: Manipulator) -> bool:
 def _rigid_body(algebra: Algebra, choice: str) -> RigidBodyTables | RigidBodyRecursion:
     if choice == "tables" or (choice == "auto" and _tables_are_small(algebra)):
         return RigidBodyTables.from_algebra(algebra)
-    if choice in ("recursive", "auto"):
-        return RigidBodyRecursion.from_algebra(algebra)
-    raise ValueError(f"evaluator must be 'auto', 'tables' or 'recursive', got {choice!r}")
+    forms = {"auto": None, "recursive": None, "rolled": False, "unrolled": True}
+    if choice in forms:
+        return RigidBodyRecursion.from_algebra(algebra, forms[choice])
+    raise ValueError(
+        f"evaluator must be 'auto', 'tables', 'recursive', 'rolled' or 'unrolled', got {choice!r}"
+    )
 
 
 def _tables_are_small(algebra: Algebra) -> bool:

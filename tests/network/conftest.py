@@ -121,6 +121,7 @@ NETWORKS: dict[str, tuple[Callable[[], Manipulator], Any, Any]] = {
     ),
     # Two joints: the recursion has operations of its own shape for every link.
     "prismatic-first-recursive": (lambda: SLIDE, "numeric", "recursive"),
+    "prismatic-first-unrolled": (lambda: SLIDE, "numeric", "unrolled"),
     "panda": (jaxcslc.panda, "numeric", "recursive"),
     "prismatic-first-tables": (lambda: SLIDE, "symbolic", "tables"),
 }

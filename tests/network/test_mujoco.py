@@ -9,6 +9,8 @@ import pytest
 
 import jaxcslc
 from jaxcslc.manipulator import LinkParameters, Manipulator
+from jaxcslc.network import RigidBodyRecursion
+from jaxcslc.network.straight_line import array_outputs, named, torque_code
 
 
 # Of the largest torque among a robot's samples. Both sides round at 1e-15 per operation.
@@ -49,6 +51,23 @@ def frictionless(robot: Manipulator, links: Any, lengths: Any, evaluator: str) -
     network = jaxcslc.derive(robot.with_friction(), lengths=lengths, evaluator=evaluator)  # type: ignore[arg-type]
     k = network.coefficients_from(links)
     return lambda *state: network.torque(k, *state)
+
+
+def straight_line(robot: Manipulator, links: Any) -> Callable[..., np.ndarray]:
+    """The same by straight-line code, on NumPy's arrays: nothing is compiled."""
+    network = jaxcslc.derive(robot.with_friction(), lengths="numeric", evaluator="unrolled")
+    k = np.asarray(network.coefficients_from(links))
+    assert isinstance(network.rigid_body, RigidBodyRecursion)
+    code = torque_code(network.rigid_body.linked_bodies)
+
+    def torque(*states: np.ndarray) -> np.ndarray:
+        inputs = named("k", k)
+        for name, values in zip(("q", "qd", "qdd"), states, strict=True):
+            inputs |= named(name, values.T)
+        outputs = array_outputs(code.graph, code.outputs, inputs)
+        return np.stack(np.broadcast_arrays(*outputs), axis=1)
+
+    return torque
 
 
 def rigid_puma(links: tuple[LinkParameters, ...]) -> tuple[LinkParameters, ...]:
@@ -101,6 +120,7 @@ def test_panda(
     states = rng.uniform(-3, 3, (3, 50, 7))
     expected = mujoco_torque(PANDA, "RRRRRRR", DOWN, links)(*states)
     assert disagreement(torque(*states), expected) < AGREEMENT
+    assert disagreement(straight_line(robot, links)(*states), expected) < AGREEMENT
 
 
 def random_chain(rng: np.random.Generator, joints: int) -> tuple[list[Any], str, list[float]]:
@@ -133,6 +153,8 @@ def test_a_hundred_random_chains(
         states = rng.uniform(-3, 3, (3, SAMPLES, joints))
         expected = mujoco_torque(rows, kinds, gravity, links)(*states)
         assert disagreement(torque(*states), expected) < AGREEMENT, (rows, kinds, gravity)
+        unrolled = straight_line(robot, links)(*states)
+        assert disagreement(unrolled, expected) < AGREEMENT, (rows, kinds, gravity)
 
 
 @pytest.mark.parametrize("lengths", ["symbolic", "numeric"])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import jaxcslc
+from jaxcslc.network import RigidBodyRecursion
 
 
 METHODS: dict[str, tuple[str, ...]] = {
@@ -22,9 +23,9 @@ METHODS: dict[str, tuple[str, ...]] = {
     "friction_term": ("k", "qd"),
     "forward_dynamics": ("k", "q", "qd", "qdd"),
 }
-# Tables of symbolic lengths and recursion, of two joints: a prismatic and a revolute one, with
-# offsets. Other robots are other numbers to the same code: `test_identities.py` has more of them.
-NETWORKS = ["prismatic-first-tables", "prismatic-first-recursive"]
+# Tables of symbolic lengths, and recursion in both forms, of two joints: a prismatic and a revolute
+# one, with offsets. Other robots are other numbers to the same code: `test_identities.py` has more.
+NETWORKS = [f"prismatic-first-{form}" for form in ("tables", "recursive", "unrolled")]
 # All leading axes but in `test_batches`: so many samples, whose programs tests share.
 SAMPLES = (4,)
 # Compiled code may contract a product and a sum into one rounding.
@@ -83,9 +84,10 @@ def test_a_network_derived_again_is_the_same_to_the_compiler(
         traces.append(None)
         return network.torque(*values)
 
-    evaluator: Any = {"RigidBodyTables": "tables", "RigidBodyRecursion": "recursive"}[
-        type(case.network.rigid_body).__name__
-    ]
+    rigid_body = case.network.rigid_body
+    evaluator: Any = "tables"
+    if isinstance(rigid_body, RigidBodyRecursion):
+        evaluator = "unrolled" if rigid_body.unrolled else "recursive"
     for _ in range(2):
         again = jaxcslc.derive(
             case.network.robot, lengths=case.network.algebra.lengths, evaluator=evaluator

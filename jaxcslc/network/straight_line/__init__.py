@@ -1,3 +1,4 @@
+from ._arrays import array_outputs as array_outputs
 from ._closed_form import ClosedForm as ClosedForm, nested as nested
 from ._expressions import (
     Expressions as Expressions,
@@ -7,3 +8,11 @@ from ._expressions import (
 )
 from ._program import Program as Program
 from ._recursion import newton_euler as newton_euler
+from ._rigid_body import (
+    LinkedBodies as LinkedBodies,
+    StraightLine as StraightLine,
+    columns_code as columns_code,
+    mass_matrix_code as mass_matrix_code,
+    named as named,
+    torque_code as torque_code,
+)

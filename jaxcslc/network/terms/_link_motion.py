@@ -8,6 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ...derivation import BODY
 from ...manipulator import Joint
 
 
@@ -66,6 +67,53 @@ def geometry_of(
         np.array([joint.kind == "R" for joint in joints], dtype),
         carries,
     )
+
+
+# Ten numbers of a link, and its motor's inertia.
+_NUMBERS = len(BODY) + 1
+
+
+class Bodies(NamedTuple):
+    """Links as linear functions of their coefficients, those that there are and zeros."""
+
+    body: Float[Array | np.ndarray, "links eleven eleven"]
+    k: Float[Array | np.ndarray, "links eleven"]
+
+
+class Links(NamedTuple):
+    """Of every link, about its frame's origin and in its axes."""
+
+    inertia: Float[Array, "links 3 3"]
+    first: Float[Array, "links 3 1"]
+    mass: Float[Array, " links"]
+    motor: Float[Array, " links"]
+
+
+@lru_cache(maxsize=256)
+def by_link(
+    body: tuple[tuple[tuple[float, ...], ...], ...],
+    indices: tuple[tuple[int, ...], ...],
+    motors: tuple[tuple[int, int], ...],
+    size: int,
+) -> tuple[Int[np.ndarray, "links eleven"], Float[np.ndarray, "links eleven eleven"]]:
+    """Which coefficients are a link's, and what they are of its ten numbers and motor inertia."""
+    index = np.full((len(body), _NUMBERS), size)
+    matrix = np.zeros((len(body), _NUMBERS, _NUMBERS))
+    for link, of_link in enumerate(indices):
+        if of_link:
+            index[link, : len(of_link)] = of_link
+            matrix[link, :-1, : len(of_link)] = np.array(body[link])
+    for joint, motor in motors:
+        index[joint, -1] = motor
+        matrix[joint, -1, -1] = 1.0
+    return index, matrix
+
+
+def links_of(bodies: Bodies) -> Links:
+    ten = jnp.sum(bodies.body * bodies.k[:, None], axis=2)
+    xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
+    tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+    return Links(tensor, ten[:, 6:9, None], ten[:, 9], ten[:, 10])
 
 
 def link_motion(

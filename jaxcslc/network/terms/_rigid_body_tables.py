@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from ..._environment import array_namespace
 from ...derivation import Algebra, Coefficient, PositionRing, Table
+from .._compilation import in_stage
 from ..straight_line import ClosedForm, Motion, Program
-from ._compilation import in_stage
 from ._input_term import by_joint
 from ._term import (
     AbstractManipulatorTerm,

@@ -1,0 +1,51 @@
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._compilation import in_blocks
+from ..straight_line import StraightLine, array_outputs, named
+
+
+# Straight-line code of so many joints compiles within seconds; its operations grow with the square
+# of the joints for the torque, with the third power for the regressor.
+MOST_JOINTS = 12
+# On a processor it compiles for 2 to 4 s longer than the loop, and gains that in so many samples.
+MANY_SAMPLES = 1 << 20
+
+
+@partial(jax.jit, static_argnames=("code",))
+def unrolled(
+    code: StraightLine,
+    k: Float[Array, " coefficients"] | None,
+    *motion: Float[Array, "samples joints"],
+) -> Float[Array, "outputs samples"]:
+    """The outputs of straight-line code for many samples of q, qd and qdd, as many as it needs.
+
+    One array a quantity and joint, so that a compiler can keep all of a sample in registers.
+    """
+    of_code = {} if k is None else named("k", [k[i] for i in range(len(k))])
+
+    def of_block(*rows: Array) -> Array:
+        inputs: dict[str, Any] = dict(of_code)
+        for name, joints in zip(("q", "qd", "qdd"), rows, strict=False):
+            inputs |= named(name, list(joints))
+        like = jnp.zeros_like(rows[0][0])
+        outputs = array_outputs(code.graph, code.outputs, inputs)
+        return jnp.stack([jnp.broadcast_to(x, like.shape).astype(like.dtype) for x in outputs])
+
+    return in_blocks(of_block, tuple(x.T for x in motion))
+
+
+def is_quicker_unrolled(shape: tuple[int, ...]) -> bool:
+    """Whether straight-line code is the quicker form, its compilation counted.
+
+    - `shape`: of the joints' positions, (..., joints).
+    """
+    *batch, joints = shape
+    if joints > MOST_JOINTS:
+        return False
+    return jax.default_backend() != "cpu" or math.prod(batch) >= MANY_SAMPLES

@@ -1,0 +1,89 @@
+"""Straight-line code: the same numbers as the loop over links, with fewer operations."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcslc
+from jaxcslc.manipulator import Manipulator
+from jaxcslc.network import RigidBodyRecursion
+from jaxcslc.network.straight_line import (
+    StraightLine,
+    array_outputs,
+    columns_code,
+    mass_matrix_code,
+    named,
+    torque_code,
+)
+
+
+ROUNDING = 1e-12
+# A tree: two arms on a turning base, one of them with a prismatic joint.
+TREE = Manipulator.from_modified_dh(
+    [(0, 0, 0.3, 0), (0.5, 0.2, 0, 0), (-0.9, 0.1, 0.2, 0), ("pi/2", 0.4, 0, 0), (0, 0.3, 0, 1.0)],
+    kinds="RRPRR",
+    parents=[0, 1, 2, 1, 4],
+)
+ROBOTS = {"panda": jaxcslc.panda, "puma560": jaxcslc.puma560, "tree": lambda: TREE}
+
+
+@pytest.fixture(params=list(ROBOTS), scope="module")
+def term(request: pytest.FixtureRequest) -> RigidBodyRecursion:
+    network = jaxcslc.derive(ROBOTS[request.param](), lengths="numeric", evaluator="rolled")
+    assert isinstance(network.rigid_body, RigidBodyRecursion)
+    return network.rigid_body
+
+
+def outputs(code: StraightLine, k: np.ndarray, *motion: np.ndarray) -> np.ndarray:
+    inputs = named("k", k)
+    for name, values in zip(("q", "qd", "qdd"), motion, strict=False):
+        inputs |= named(name, values.T)
+    values = array_outputs(code.graph, code.outputs, inputs)
+    return np.stack([np.broadcast_to(x, motion[0].shape[:1]) for x in values], axis=1)
+
+
+def states(rng: np.random.Generator, term: RigidBodyRecursion) -> tuple[Any, ...]:
+    return rng.normal(size=term.size), *rng.uniform(-3, 3, (3, 16, len(term.joints)))
+
+
+def assert_equal(actual: Any, expected: Any) -> None:
+    expected = np.asarray(expected)
+    assert np.max(np.abs(np.asarray(actual) - expected)) <= ROUNDING * np.max(np.abs(expected))
+
+
+def test_torque_columns_and_mass_matrix(term: RigidBodyRecursion, rng: np.random.Generator) -> None:
+    k, q, qd, qdd = states(rng, term)
+    bodies, n = term.linked_bodies, len(term.joints)
+    entries = tuple(np.ndindex(n, term.size))
+    regressor = outputs(columns_code(bodies, entries), k, q, qd, qdd).reshape(16, n, term.size)
+    rolled = np.zeros_like(regressor)
+    for joint, (row, values) in enumerate(
+        zip(term.support, term.columns(q.T, qd.T, qdd.T), strict=True)
+    ):
+        rolled[:, joint, list(row)] = np.asarray(values).T
+    assert_equal(regressor, rolled)
+    assert_equal(outputs(torque_code(bodies), k, q, qd, qdd), regressor @ k)
+    matrix = outputs(mass_matrix_code(bodies), k, q).reshape(16, n, n)
+    at_rest = outputs(torque_code(bodies, accelerations=False), k, q, qd)
+    assert_equal(np.einsum("sij,sj->si", matrix, qdd) + at_rest, regressor @ k)
+
+
+def test_right_angles_leave_few_operations(term: RigidBodyRecursion) -> None:
+    """General 3 x 3 rotations and dense inertia tensors need some 130 operations a joint twice."""
+    assert torque_code(term.linked_bodies).cost < 130 * len(term.joints)
+
+
+@pytest.mark.parametrize("joints", [5, 20])
+def test_the_form_is_selected_by_joints_and_samples(joints: int) -> None:
+    rows = [(0.0, 0.2, 0.0, 0.0)] * joints
+    network = jaxcslc.derive(
+        Manipulator.from_modified_dh(rows), evaluator="recursive", lengths="numeric"
+    )
+    term = network.rigid_body
+    assert isinstance(term, RigidBodyRecursion)
+    few, many = jnp.zeros((3, joints)), (1 << 20, joints)
+    assert term.unrolled is None
+    assert not term.is_unrolled(few.shape)
+    assert term.is_unrolled(many) == (joints == 5)
