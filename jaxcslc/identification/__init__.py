@@ -47,6 +47,15 @@ from .cluster import (
     fit_on_cluster as fit_on_cluster,
 )
 from .estimators import EstimatorChoice as EstimatorChoice
+from .instruments import (
+    AbstractSimulatedMotion as AbstractSimulatedMotion,
+    ControlledMotion as ControlledMotion,
+    CorrectedMotion as CorrectedMotion,
+    DirectDynamics as DirectDynamics,
+    ExogeneityTest as ExogeneityTest,
+    InstrumentalVariables as InstrumentalVariables,
+    SimulationFit as SimulationFit,
+)
 from .likelihood import (
     Estimator as Estimator,
     EstimatorComparison as EstimatorComparison,

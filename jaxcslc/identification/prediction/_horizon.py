@@ -135,7 +135,7 @@ def prediction_error(
     # Torques and positions at even instants, from each start to the end of the longest horizon.
     instants = first[None, :] + interval * np.arange(round(max(possible) / interval) + 1)[:, None]
     held = settings.preparation.torque_alignment != "sample"
-    torque = _torques(recording, settings, instants[:-1] + 0.5 * interval, held=held)
+    torque = applied_torque(recording, settings, instants[:-1] + 0.5 * interval, held=held)
     truth = _at(time, patterns.q, instants)
     states = truth[0], _at(time, patterns.qd, instants[:1])[0]
     rows = np.array([round(horizon / interval) for horizon in possible])
@@ -189,14 +189,15 @@ def _origins(
     return origins.reshape(*q.shape[:-1], 3)
 
 
-def _torques(
+def applied_torque(
     recording: Recording,
     settings: Settings,
     instants: Float[np.ndarray, "intervals starts"],
     *,
     held: bool,
 ) -> Float[np.ndarray, "intervals starts joints"]:
-    """The torque at instants, without the lag of its measurement."""
+    """The torque at instants [s], without the lag of its measurement: held from sample to sample,
+    or interpolated."""
     time = np.asarray(recording.time)
     late = instants + settings.preparation.torque_lag
     torque = np.asarray(recording.torque)

@@ -1,3 +1,6 @@
+from collections.abc import Callable
+from typing import TypeAlias
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,6 +17,10 @@ _LONGEST_STEP = 2e-3
 _SLOWEST = 1e-9
 # By which the inertia of a joint at standstill is multiplied, so that it does not move.
 _STANDSTILL = 1e9
+
+
+State: TypeAlias = tuple[Array, Array]
+"""Positions and velocities, (starts, n) each."""
 
 
 @eqx.filter_jit
@@ -50,11 +57,24 @@ def simulate(
     >>> np.round(path[-1, :, 0], 4).tolist()  # (1.5 - 0.5) / 2.0 / 2
     [0.25, 0.0]
     """
+    advance = held_step(network, jnp.asarray(k), interval)
+
+    def through(state: State, force: Array) -> tuple[State, Array]:
+        after = advance(state, force)
+        return after, after[0]
+
+    start = jnp.asarray(q), jnp.asarray(qd)
+    _, path = jax.lax.scan(through, start, jnp.asarray(torque))
+    return jnp.concatenate([start[0][None], path])
+
+
+def held_step(network: CSLC, k: Array, interval: float) -> Callable[[State, Array], State]:
+    """The motion of one interval of `simulate`: from positions and velocities (starts, n) and the
+    torque that is held to positions and velocities at its end."""
     steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
     h = interval / steps
-    k = jnp.asarray(k)
 
-    def step(state: tuple[Array, Array], force: Array) -> tuple[Array, Array]:
+    def step(state: State, force: Array) -> State:
         q, qd = state
         forwards = _joint_torque(network, k, q, jnp.full_like(qd, _SLOWEST))
         backwards = _joint_torque(network, k, q, jnp.full_like(qd, -_SLOWEST))
@@ -77,13 +97,10 @@ def simulate(
         after = jnp.where(stops, 0.0, after)
         return q + 0.5 * h * (qd + after), after
 
-    def through(state: tuple[Array, Array], force: Array) -> tuple[tuple[Array, Array], Array]:
-        after = jax.lax.fori_loop(0, steps, lambda _, carry: step(carry, force), state)
-        return after, after[0]
+    def advance(state: State, force: Array) -> State:
+        return jax.lax.fori_loop(0, steps, lambda _, carry: step(carry, force), state)
 
-    start = jnp.asarray(q), jnp.asarray(qd)
-    _, path = jax.lax.scan(through, start, jnp.asarray(torque))
-    return jnp.concatenate([start[0][None], path])
+    return advance
 
 
 def _joint_torque(network: CSLC, k: Array, q: Array, qd: Array) -> Array:
