@@ -1,10 +1,18 @@
-import equinox as eqx
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import numpy as np
-import scipy
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from .._bounded_search import bounded_minima
 
 
-class Reversal(eqx.Module):
+# Columns of a fit that are this much shorter than others, once those before are taken off, are
+# left to a decomposition that finds their rank.
+_DEPENDENT = 1e-10
+
+
+class Reversal(NamedTuple):
     """Where a joint turns round.
 
     **Attributes**
@@ -64,14 +72,17 @@ def find_reversals(
     [(0.5, -1), (1.5, 1)]
     """
     turns = _turns(position, tolerance)
+    # Cubics fitted across a neighbouring reversal would be fitted to another motion.
+    borders = [0, *(sample for sample, _ in turns), time.size - 1]
+    stretches = [
+        _stretch(time, position, turn, slice(start, end + 1), tolerance, window)
+        for start, turn, end in zip(borders[:-2], borders[1:-1], borders[2:], strict=True)
+    ]
+    moving = [stretch for stretch in stretches if isinstance(stretch, _Stretch)]
+    fitted = iter(_fitted(moving))
     reversals: list[Reversal] = []
-    for number, (turn, direction) in enumerate(turns):
-        # Cubics fitted across a neighbouring reversal would be fitted to another motion.
-        start = 0 if number == 0 else turns[number - 1][0]
-        end = time.size - 1 if number + 1 == len(turns) else turns[number + 1][0]
-        instant, extreme = _fitted(
-            time[start : end + 1], position[start : end + 1], turn - start, tolerance, window
-        )
+    for stretch, (_, direction) in zip(stretches, turns, strict=True):
+        instant, extreme = next(fitted) if isinstance(stretch, _Stretch) else stretch
         if not time[0] < instant < time[-1]:
             continue
         if not reversals or instant > reversals[-1].time:
@@ -85,32 +96,59 @@ def find_reversals(
 def _turns(position: Float[np.ndarray, " samples"], tolerance: float) -> list[tuple[int, int]]:
     """Extremes that the position retreats from by more than the tolerance, with what follows."""
     turns: list[tuple[int, int]] = []
-    values = position.tolist()
+    # Only where a run up or down ends, at the first of equal values, is there anything to see.
+    changes = np.flatnonzero(np.concatenate([[True], np.diff(position) != 0.0]))
+    rising = np.diff(position[changes]) > 0.0
+    ends = changes[np.concatenate([[True], rising[1:] != rising[:-1], [True]])[: changes.size]]
     direction = highest = lowest = 0
-    for sample, value in enumerate(values):
-        if value > values[highest]:
-            highest = sample
-        if value < values[lowest]:
-            lowest = sample
-        if direction >= 0 and values[highest] - value > tolerance:
+    levels = position[ends].tolist()
+    samples = ends.tolist()
+    for at, value in enumerate(levels):
+        if value > levels[highest]:
+            highest = at
+        if value < levels[lowest]:
+            lowest = at
+        if direction >= 0 and levels[highest] - value > tolerance:
             if direction > 0:
-                turns.append((highest, -1))
-            direction, lowest = -1, sample
-        elif direction <= 0 and value - values[lowest] > tolerance:
+                turns.append((samples[highest], -1))
+            direction, lowest = -1, at
+        elif direction <= 0 and value - levels[lowest] > tolerance:
             if direction < 0:
-                turns.append((lowest, 1))
-            direction, highest = 1, sample
+                turns.append((samples[lowest], 1))
+            direction, highest = 1, at
     return turns
 
 
-def _fitted(
+class _Stretch(NamedTuple):
+    """Samples around a turn.
+
+    - `origin`: the time of the first [s]; `time`: since then.
+    - `level`: the position of the turn; `position`: above it.
+    - `low`, `high`: the turn is between these times since `origin`.
+    """
+
+    origin: float
+    time: Float[np.ndarray, " near"]
+    level: float
+    position: Float[np.ndarray, " near"]
+    low: float
+    high: float
+
+
+def _stretch(
     time: Float[np.ndarray, " samples"],
     position: Float[np.ndarray, " samples"],
     turn: int,
+    between: slice,
     tolerance: float,
     window: int,
-) -> tuple[float, float]:
-    extreme = position[turn]
+) -> _Stretch | tuple[float, float]:
+    """What a turn is fitted to; or its instant and position, where the joint is at rest.
+
+    - `between`: the samples that belong to neither of the turns beside it.
+    """
+    time, position, turn = time[between], position[between], turn - between.start
+    extreme = float(position[turn])
     beyond = np.flatnonzero(np.abs(position - extreme) > tolerance)
     first = int(np.max(beyond[beyond < turn], initial=-1)) + 1
     last = int(np.min(beyond[beyond > turn], initial=time.size)) - 1
@@ -118,29 +156,65 @@ def _fitted(
         # At rest between the two motions: any instant of it will do.
         at_rest = position[first : last + 1]
         return float(0.5 * (time[first] + time[last])), float(np.median(at_rest))
-
     low, high = max(first - window, 0), min(last + window + 1, time.size)
     # The search's tolerance grows with its argument: counted from here, time stamps since 1970 are
     # as good as any.
-    origin = time[low]
-    near, values = time[low:high] - origin, position[low:high]
-    scale = near[-1]
+    origin, near = float(time[low]), time[low:high] - time[low]
+    bounds = (time[first] - origin, time[last] - origin) if first < last else (0.0, near[-1])
+    return _Stretch(origin, near, extreme, position[low:high] - extreme, *map(float, bounds))
 
-    def fit(instant: float) -> tuple[float, float]:
-        ahead = (near - instant) / scale
+
+def _fitted(stretches: Sequence[_Stretch]) -> list[tuple[float, float]]:
+    """Instant and position of the turn in each stretch: all are searched for at once."""
+    if not stretches:
+        return []
+    size = np.array([stretch.time.size for stretch in stretches])
+    rows = max(int(np.max(size)), 6)  # a triangle of six columns has as many
+    time, position = np.zeros((2, len(stretches), rows))
+    for row, level, stretch in zip(time, position, stretches, strict=True):
+        row[: stretch.time.size], level[: stretch.time.size] = stretch.time, stretch.position
+    taken = (np.arange(time.shape[1]) < size[:, None]).astype(float)
+    scale = np.array([stretch.time[-1] for stretch in stretches])
+
+    def columns(
+        instant: Float[np.ndarray, " turns"], turns: Int[np.ndarray, " turns"]
+    ) -> Float[np.ndarray, "turns near 6"]:
+        """Of two cubics of zero velocity at the instant, and the positions; zeros behind."""
+        ahead = taken[turns] * (time[turns] - instant[:, None]) / scale[turns, None]
         before, after = np.minimum(ahead, 0.0), np.maximum(ahead, 0.0)
-        design = np.stack(
-            [np.ones_like(ahead), before**2, before**3, after**2, after**3],
-            axis=1,
-        )
-        coefficients, *_ = np.linalg.lstsq(design, values - extreme, rcond=None)
-        misfit = design @ coefficients - (values - extreme)
-        return float(misfit @ misfit), float(coefficients[0])
+        cubics = taken[turns], before**2, before**3, after**2, after**3
+        return np.stack([*cubics, position[turns]], axis=2)
 
-    best = scipy.optimize.minimize_scalar(
-        lambda instant: fit(instant)[0],
-        bounds=(time[first] - origin, time[last] - origin) if first < last else (0.0, scale),
-        method="bounded",
-        options={"xatol": 1e-3 * scale / near.size},
+    def misfit(
+        instant: Float[np.ndarray, " turns"], turns: Int[np.ndarray, " turns"]
+    ) -> Float[np.ndarray, " turns"]:
+        return _least_squares(columns(instant, turns))[1]
+
+    instant = bounded_minima(
+        misfit,
+        np.array([stretch.low for stretch in stretches]),
+        np.array([stretch.high for stretch in stretches]),
+        1e-3 * scale / size,
     )
-    return float(origin + best.x), extreme + fit(float(best.x))[1]
+    above = _least_squares(columns(instant, np.arange(instant.size)))[0]
+    return [
+        (stretch.origin + float(at), stretch.level + float(height))
+        for stretch, at, height in zip(stretches, instant, above, strict=True)
+    ]
+
+
+def _least_squares(
+    columns: Float[np.ndarray, "fits rows 6"],
+) -> tuple[Float[np.ndarray, " fits"], Float[np.ndarray, " fits"]]:
+    """The first coefficient of the last column's fit by the others, and the squared residual."""
+    triangle: Any = np.linalg.qr(columns, mode="r")  # the stub promises Q as well
+    matrix, target = triangle[:, :5, :5], triangle[:, :5, 5:]
+    diagonal = np.abs(np.diagonal(matrix, axis1=1, axis2=2))
+    regular = np.min(diagonal, axis=1) > _DEPENDENT * np.max(diagonal, axis=1)
+    first, squares = np.empty(len(columns)), triangle[:, 5, 5] ** 2
+    first[regular] = np.linalg.solve(matrix[regular], target[regular])[:, 0, 0]
+    for fit in np.flatnonzero(~regular):  # such as of an instant beside the last sample
+        design, right = columns[fit, :, :5], columns[fit, :, 5]
+        coefficients = np.linalg.lstsq(design, right, rcond=None)[0]
+        first[fit], squares[fit] = coefficients[0], np.sum((design @ coefficients - right) ** 2)
+    return first, squares

@@ -1,4 +1,5 @@
-from itertools import pairwise
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -114,7 +115,7 @@ class AveragedSplines(AbstractSmoothing):
         return list(np.broadcast_to(np.asarray(self.tolerance, dtype=float), (joints,)))
 
 
-class End(eqx.Module):
+class End(NamedTuple):
     """Where the splines of a section end, and how.
 
     **Attributes**
@@ -147,85 +148,119 @@ def _smooth_joint(
         ]
         directions = [-turn.direction for turn in reversals[:1]] + [t.direction for t in reversals]
     ends.append(_open_end(time, position, window, first=False))
-
-    derivatives = np.empty((3, time.size))
-    for number, (start, end) in enumerate(pairwise(ends)):
-        inside = slice(int(np.ceil(start.sample)), int(np.floor(end.sample)) + 1)
-        average = _average(time, position, spacing, start, end, inside)
-        if directions:
-            # Rounding noise of a joint that hardly moves must not turn it round within a section.
-            against = directions[number] * average[1] < 0.0
-            average[1, against] = 0.0
-        derivatives[:, inside] = average
-    return derivatives
+    return _average(time, position, spacing, ends, directions)
 
 
 def _average(
     time: Float[np.ndarray, " samples"],
     position: Float[np.ndarray, " samples"],
     spacing: int,
-    start: End,
-    end: End,
-    inside: slice,
-) -> Float[np.ndarray, "3 inside"]:
-    """Averages the splines of one section over the samples inside it.
+    ends: Sequence[End],
+    directions: Sequence[int],
+) -> Float[np.ndarray, "3 samples"]:
+    """Averages the splines of each section between two ends over the samples inside it.
 
-    All splines of the section are one piecewise polynomial, laid out one behind the other on a
-    common axis: one solve and three evaluations, where a spline object for each took ten times
-    as long (a recording has thousands).
+    All splines of all sections are laid out one behind the other: one solve for the slopes at all
+    knots, and an evaluation for each spacing. (A recording has thousands of splines: an object for
+    each took a hundred times as long, one for each section ten times.)
+
+    - `directions`: of each section's motion, 1 or -1; or none.
     """
+    starts, stops = np.array(ends[:-1]).T, np.array(ends[1:]).T  # fields of `End`, (4, sections)
     # A knot close to an end would put the error of their difference, divided by a short interval,
     # into the velocity there.
-    apart = 0.5 * spacing
-    knots = np.arange(int(np.ceil(start.sample + apart)), int(np.floor(end.sample - apart)) + 1)
-    knots = knots[np.argsort(knots % spacing, kind="stable")]  # spline by spline
-    counts = np.bincount(knots % spacing, minlength=spacing)
-    firsts = np.concatenate([[0], np.cumsum(counts + 2)[:-1]])
-    lasts = firsts + counts + 1
-    between = np.arange(knots.size) + 1 + 2 * np.repeat(np.arange(spacing), counts)
+    lowest = np.ceil(starts[3] + 0.5 * spacing).astype(int)
+    highest = np.floor(stops[3] - 0.5 * spacing).astype(int)
+    # Of each section and spline: the sample of the first knot, and how many knots there are.
+    first = lowest[:, None] + (np.arange(spacing) - lowest[:, None]) % spacing
+    counts = np.maximum((highest[:, None] - first) // spacing + 1, 0)
+    # Nodes are the knots of all splines, and two ends of each.
+    ending = np.cumsum(counts.ravel() + 2)
+    firsts, lasts = ending - counts.ravel() - 2, ending - 1
+    within = np.arange(ending[-1]) - np.repeat(firsts, counts.ravel() + 2)
+    knots = np.repeat(first.ravel() - spacing, counts.ravel() + 2) + spacing * within
+    knots[firsts] = knots[lasts] = 0
+    section = np.repeat(np.arange(len(lowest)), counts.sum(axis=1) + 2 * spacing)
+    x, y = time[knots] - starts[0, section], position[knots]
+    duration = stops[0] - starts[0]
+    of_spline = np.repeat(np.arange(len(lowest)), spacing)
+    x[firsts], y[firsts] = 0.0, starts[1, of_spline]
+    x[lasts], y[lasts] = duration[of_spline], stops[1, of_spline]
+    steps = np.diff(x)
+    steps[lasts[:-1]] = 1.0  # between splines: nothing is there
+    slopes = _clamped_slopes(steps, y, firsts, lasts, starts[2, of_spline], stops[2, of_spline])
+    pieces = _hermite(steps, y, slopes)
 
-    x = np.empty(knots.size + 2 * spacing)
-    y = np.empty_like(x)
-    x[firsts], y[firsts] = start.time, start.position
-    x[between], y[between] = time[knots], position[knots]
-    x[lasts], y[lasts] = end.time, end.position
-    duration = end.time - start.time
-    behind = 2.0 * duration * np.arange(spacing)
-    axis = x - start.time + np.repeat(behind, counts + 2)
+    # Samples inside the sections, section by section.
+    inside = [
+        np.arange(int(np.ceil(start)), int(np.floor(stop)) + 1)
+        for start, stop in zip(starts[3], stops[3], strict=True)
+    ]
+    section = np.repeat(np.arange(len(inside)), list(map(len, inside)))
+    sample = np.concatenate(inside)
+    # A hair before its end a spline is itself.
+    at = np.minimum(time[sample] - starts[0, section], duration[section] * (1.0 - 1e-12))
+    average = np.zeros((3, sample.size))
+    nodes = firsts.reshape(counts.shape)
+    quotient, remainder = np.divmod(sample, spacing)
+    for number in range(spacing):  # the remainder of all knots of this spline
+        knots_before = quotient - (first[:, number] // spacing)[section] + (remainder >= number)
+        passed = np.clip(knots_before, 0, counts[:, number][section])
+        node = nodes[:, number][section] + passed
+        average += _derivatives(pieces[:, node], at - x[node])
+    average /= spacing
+    if directions:
+        # Rounding noise of a joint that hardly moves must not turn it round within a section.
+        average[1, np.array(directions)[section] * average[1] < 0.0] = 0.0
+    derivatives = np.empty((3, time.size))
+    derivatives[:, sample] = average
+    return derivatives
 
-    slopes = _clamped_slopes(axis, y, firsts, lasts, start.velocity, end.velocity)
-    splines = scipy.interpolate.CubicHermiteSpline(axis, y, slopes)
-    # A hair before its end a spline is itself; at its end, the piece to the next one has begun.
-    within = np.minimum(time[inside] - start.time, duration * (1.0 - 1e-12))
-    at = within + behind[:, None]
-    return np.stack([splines(at, order).mean(axis=0) for order in range(3)])
+
+def _hermite(
+    steps: Float[np.ndarray, " steps"],
+    y: Float[np.ndarray, " nodes"],
+    slopes: Float[np.ndarray, " nodes"],
+) -> Float[np.ndarray, "4 steps"]:
+    """Coefficients of the cubics between nodes, the highest power first."""
+    rises = np.diff(y) / steps
+    bend = (slopes[:-1] + slopes[1:] - 2.0 * rises) / steps
+    return np.stack([bend / steps, (rises - slopes[:-1]) / steps - bend, slopes[:-1], y[:-1]])
+
+
+def _derivatives(
+    cubic: Float[np.ndarray, "4 samples"], x: Float[np.ndarray, " samples"]
+) -> Float[np.ndarray, "3 samples"]:
+    """Values and two derivatives of cubics."""
+    a, b, c, d = cubic
+    third = 3.0 * a * x
+    return np.stack([((a * x + b) * x + c) * x + d, (third + 2.0 * b) * x + c, 2.0 * (third + b)])
 
 
 def _clamped_slopes(
-    x: Float[np.ndarray, " knots"],
-    y: Float[np.ndarray, " knots"],
+    steps: Float[np.ndarray, " steps"],
+    y: Float[np.ndarray, " nodes"],
     firsts: Int[np.ndarray, " splines"],
     lasts: Int[np.ndarray, " splines"],
-    first_slope: float,
-    last_slope: float,
-) -> Float[np.ndarray, " knots"]:
-    """Slopes at the knots of cubic splines that lie one behind the other, slopes given at ends.
+    first_slopes: Float[np.ndarray, " splines"],
+    last_slopes: Float[np.ndarray, " splines"],
+) -> Float[np.ndarray, " nodes"]:
+    """Slopes at the nodes of cubic splines that lie one behind the other, slopes given at ends.
 
-    The second derivative is continuous at an inner knot if
+    The second derivative is continuous at an inner node if
     `h1 m0 + 2 (h0 + h1) m1 + h0 m2 = 3 (h1 (y1 - y0)/h0 + h0 (y2 - y1)/h1)`.
     """
-    steps = np.diff(x)
     rises = np.diff(y) / steps
     before, after = steps[:-1], steps[1:]
-    bands = np.zeros((3, x.size))
-    right = np.zeros(x.size)
+    bands = np.zeros((3, y.size))
+    right = np.zeros(y.size)
     bands[1, 1:-1] = 2.0 * (before + after)
     bands[0, 2:] = before
     bands[2, :-2] = after
     right[1:-1] = 3.0 * (after * rises[:-1] + before * rises[1:])
-    for ends, slope in ((firsts, first_slope), (lasts, last_slope)):
-        bands[1, ends], right[ends] = 1.0, slope
-        bands[0, (ends + 1)[ends + 1 < x.size]] = 0.0
+    for ends, slopes in ((firsts, first_slopes), (lasts, last_slopes)):
+        bands[1, ends], right[ends] = 1.0, slopes
+        bands[0, (ends + 1)[ends + 1 < y.size]] = 0.0
         bands[2, (ends - 1)[ends > 0]] = 0.0
     return scipy.linalg.solve_banded((1, 1), bands, right)
 

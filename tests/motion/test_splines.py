@@ -256,3 +256,11 @@ def test_wrong_settings() -> None:
         AveragedSplines(0)
     with pytest.raises(ValueError, match="2 spacings for 1 joints"):
         AveragedSplines((3, 4)).smooth(np.arange(50.0), np.zeros((50, 1)))
+
+
+def test_a_turn_beside_the_ends_of_a_short_record_is_found() -> None:
+    """Fewer samples around a turn than two cubics have coefficients."""
+    time = np.arange(5) * 0.01
+    (turn,) = find_reversals(time, np.array([0.0, 1.0, 0.2, 0.1, 0.0]), tolerance=0.5, window=1)
+    assert turn.direction == -1
+    assert 0.0 < turn.time < 0.02
