@@ -12,6 +12,8 @@ from ._projected_equations import ProjectedFit, wide_rows
 
 # Columns that instruments predict to this part are predicted.
 _ROUNDING = 1e-9
+# Equations a coefficient that thinning leaves at least.
+_FEWEST = 6
 
 
 class ExogeneityTest(NamedTuple):
@@ -24,7 +26,7 @@ class ExogeneityTest(NamedTuple):
 
     - `statistic`: F; `degrees_of_freedom`: of its distribution.
     - `p_value`: how probable such a statistic is or a greater one if least squares is unbiased.
-    - `thinning`: of so many samples one is used, for residuals that are correlated in time.
+    - `thinning`: of so many instants one is used, for residuals that are correlated in time.
     """
 
     statistic: float
@@ -36,7 +38,7 @@ class ExogeneityTest(NamedTuple):
         verdict = "biased" if self.p_value < 0.05 else "not seen to be biased"
         return (
             f"least squares is {verdict}: F = {self.statistic:.3g}, p = {self.p_value:.2g}"
-            f" (Durbin-Wu-Hausman, one of {self.thinning} samples)"
+            f" (Durbin-Wu-Hausman, one of {self.thinning} instants)"
         )
 
 
@@ -59,8 +61,12 @@ def exogeneity_test(equations: Equations, projected: ProjectedFit) -> Exogeneity
         np.asarray(projected.fit.effective_equations), 1.0
     )
     thinning = max(1, math.ceil(float(np.max(shares, initial=1.0)) - 0.25))
-    size = max(int(sample.max(initial=0)) for sample in equations.sample) + 1
-    kept = np.arange(size) % thinning == 0
+    # A filter has left some of the samples already, which are thinned, and not too far.
+    total = sum(map(len, equations.rows))
+    thinning = min(thinning, max(1, total // (_FEWEST * unknowns.size)))
+    instants, _ = equations.instants()
+    size = int(instants[-1]) + 1
+    kept = np.isin(np.arange(size), instants[::thinning])
     solver = LeastSquares(tuple(projected.weights.tolist()), errors="independent")
     added = _not_predicted(wide_rows(equations), projected.projected)
     rows = tuple(

@@ -1,0 +1,141 @@
+"""Estimators beside each other on the same recordings: error, bias, coverage, seconds.
+
+A simulated PUMA 560 follows one exciting motion under PID control, and is recorded with encoders,
+with all disturbances of the thesis, and with Gaussian noise, each with other noise for each seed.
+Settings are chosen once a recording, by cross-validation, and are the same for all estimators.
+
+- **torque error**: ε on the comparison trajectory, where a joint moves; median over seeds.
+- **bias**: mean over seeds of a coefficient's error, over its standard deviation over seeds; root
+  mean square over coefficients. About one over the root of the seeds without bias.
+- **intervals**: the share of 95 % intervals that hold the truth.
+- **seconds**: of the processor, median; compiling included in the first seed of a process.
+- **biased**: how often the Durbin-Wu-Hausman test says at 5 % that least squares is.
+
+Finished rows are kept in `rows.jsonl`; an interrupted run goes on from there.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+import jaxcslc as jc
+import sim
+from jaxcslc.identification.report import text_table, write_csv
+from scripts.studies import command
+from scripts.studies.estimators.methods import NAMES, estimates
+from scripts.studies.estimators.recordings import KINDS, experiment
+from scripts.studies.rows import Rows, made_of
+from scripts.studies.static_friction.study import epsilon
+from scripts.studies.truth import moving_patterns, true_coefficients
+
+
+jax.config.update("jax_enable_x64", True)
+
+REJECTED = 0.05
+
+
+def rows_of(kind: str, samples: int, time_step: float, seed: int) -> Iterator[dict[str, Any]]:
+    """A row a method, of one recording."""
+    made = experiment(kind, samples, time_step, 2 * seed)
+    network = jc.derive(made.machine.robot)
+    true = np.asarray(true_coefficients(network, made.machine))
+    judged = moving_patterns(sim.simulate(made.machine, sim.comparison(), seed=2 * seed + 1))
+    for estimate in estimates(network, made):
+        low, high = estimate.interval.T
+        yield {
+            "kind": kind,
+            "seed": seed,
+            "method": estimate.method,
+            "epsilon": epsilon(network, estimate.k, judged),
+            "error": (estimate.k - true).tolist(),
+            "inside": float(np.mean((low <= true) & (true <= high))),
+            "seconds": estimate.seconds,
+            "p_value": estimate.p_value,
+        }
+
+
+def table_text(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Of one recording, a line a method."""
+    methods = [name for name in NAMES if any(row["method"] == name for row in rows)]
+    lines = [list(summary(rows, name).values()) for name in methods]
+    header = [kind, "ε [N m]", "bias", "95 % intervals", "CPU s", "biased"]
+    return text_table(header, lines)
+
+
+def summary(rows: Sequence[Mapping[str, Any]], method: str) -> dict[str, str]:
+    """What a table has of a method, over its seeds."""
+    of_method = [row for row in rows if row["method"] == method]
+    error = np.array([row["error"] for row in of_method])
+    spread = np.std(error, axis=0, ddof=1) if len(error) > 1 else np.full(error.shape[1], np.nan)
+    bias = np.sqrt(np.mean((np.mean(error, axis=0) / np.where(spread > 0, spread, np.nan)) ** 2))
+    rejected = [row["p_value"] < REJECTED for row in of_method if row["p_value"] is not None]
+    return {
+        "method": method,
+        "epsilon": f"{np.median([row['epsilon'] for row in of_method]):.4f}",
+        "bias": f"{bias:.2f}" if np.isfinite(bias) else "",
+        "inside": f"{100 * np.mean([row['inside'] for row in of_method]):.0f} %",
+        "seconds": f"{np.median([row['seconds'] for row in of_method]):.1f}",
+        "biased": f"{100 * np.mean(rejected):.0f} %" if rejected else "",
+    }
+
+
+def study(options: argparse.Namespace) -> int:
+    """Makes what is missing, prints the tables and writes the rows."""
+    folder = Path(__file__).parent
+    digest = made_of(
+        {"samples": options.samples, "time_step": options.time_step},
+        [folder / name for name in ("study.py", "methods.py", "recordings.py")],
+    )
+    finished = Rows(options.output / "rows.jsonl", ("kind", "seed", "method"), digest)
+    seeds = range(options.first, options.first + options.seeds)
+    todo = [(seed, kind) for seed in seeds for kind in options.kinds]
+    for seed, kind in command.progress(todo, desc="recordings", unit="recording"):
+        if (kind, seed, NAMES[-1]) in finished:
+            continue
+        for row in rows_of(kind, options.samples, options.time_step, seed):
+            finished.add(row)
+            line = f"{kind}, seed {seed}, {row['method']}: {row['epsilon']:.4f} N m"
+            tqdm.write(line, sys.stderr)
+    rows = [row for row in finished.all() if row["seed"] in seeds]
+    for kind in options.kinds:
+        print(table_text(kind, [row for row in rows if row["kind"] == kind]), end="\n\n")
+    write_csv(
+        options.output / "estimators.csv",
+        [{name: value for name, value in row.items() if name != "error"} for row in rows],
+    )
+    print(f"wrote {options.output / 'estimators.csv'}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "estimators")
+    parser.add_argument("--seeds", type=int, default=16, help="how many")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--samples", type=int, default=3300, help="of excitation, 2 ms apart")
+    parser.add_argument("--time-step", type=float, default=2e-4, help="of the simulator [s]")
+    parser.add_argument(
+        "--kinds", nargs="+", default=list(KINDS), metavar="KIND", help=", ".join(KINDS)
+    )
+    options = command.parse(
+        parser, argv, seeds=1, samples=1000, time_step=5e-4, kinds=["Gaussian noise"]
+    )
+    command.require_least(parser, options, seeds=1, first=0, samples=500)
+    command.require_some_of(parser, "recording", options.kinds, tuple(KINDS))
+    if not options.time_step > 0.0:
+        parser.error(f"--time-step is {options.time_step}; expected more than 0")
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=20.0 + options.seeds * len(options.kinds) * 40.0 * options.samples / 3300,
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
