@@ -9,6 +9,7 @@ from ._common import (
     ColumnsOption,
     FixOption,
     FrictionOption,
+    MimicOption,
     RobotArgument,
     TipOption,
     network_of,
@@ -35,6 +36,7 @@ def check_command(
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
+    mimic: MimicOption = None,
     friction: FrictionOption = None,
     columns: ColumnsOption = None,
     between: BetweenOption = None,
@@ -49,7 +51,7 @@ def check_command(
     Exit code 0: nothing looks wrong; 1: something does; 2: wrong input.
     """
     with one_line_errors(), progress("reading") as step:
-        manipulator = robot_named(robot, base, tip, fix)
+        manipulator = robot_named(robot, base, tip, fix, mimic)
         options = RecordingOptions(columns, between, every, period, drop_stale, despike)
         read = [options.read(path, manipulator) for path in recordings]
         step("deriving")

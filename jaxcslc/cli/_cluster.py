@@ -20,8 +20,18 @@ from ._recording_options import RecordingOptions
 
 # What `identify` does on a cluster besides fitting is to read, prepare and settings.
 _OPTIONS = {
-    *("robot", "train", "output", "lengths", "base", "tip", "fix", "friction", "coupled"),
-    *("settings", "columns", "between", "every", "period", "drop_stale", "despike", "measured"),
+    *("robot", "train", "output", "lengths", "base", "tip", "fix", "mimic", "friction"),
+    *(
+        "coupled",
+        "settings",
+        "columns",
+        "between",
+        "every",
+        "period",
+        "drop_stale",
+        "despike",
+        "measured",
+    ),
     *("dask", "fleet"),
 }
 # Fits of a fleet that are printed; all are in the file.
@@ -36,7 +46,7 @@ def identified_on_cluster(context: CommandContext, step: Callable[[str], None]) 
     options = context.params
     _check_options(context)
     tip, fix, coupled = (_listed(options[name]) for name in ("tip", "fix", "coupled"))
-    arm = robot_named(options["robot"], options["base"], tip, fix)
+    arm = robot_named(options["robot"], options["base"], tip, fix, options["mimic"])
     network = network_of(arm, options["lengths"], options["friction"], coupled)
     paths = _expanded(options["train"])
     read = functools.partial(RecordingOptions.of(options).read, robot=network.robot)

@@ -4,13 +4,13 @@ import sys
 import tomllib
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
 import typer
 from rich.console import Console
 
 from .._environment import MissingExtraError
-from ..manipulator import Manipulator, RobotError, load_robot, panda, puma560, tx40
+from ..manipulator import Manipulator, Mimics, RobotError, load_robot, panda, puma560, tx40
 from ..motion import Recording, RecordingError
 from ..motion.files import load_recording
 from ..network import CSLC, derive
@@ -69,6 +69,14 @@ FixOption = Annotated[
         " beyond, as in gripper or 'left_*'; may be repeated.",
     ),
 ]
+MimicOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="fix|couple",
+        help="Joints of a URDF or MJCF file that mimic others: fixed at zero with what they"
+        " follow, or moved with it (docs/robots.md).",
+    ),
+]
 
 FrictionOption = Annotated[
     str | None,
@@ -110,8 +118,11 @@ ColumnsOption = Annotated[
 
 def recording_of(path: Path, robot: Manipulator, columns: Path | None) -> Recording:
     """A recording of a robot, its joints in the robot's order."""
+    names = [robot.joint_names[joint] for joint in robot.independent_joints]
     fixed = () if robot.source is None else robot.source.fixed_joints
-    return load_recording(path, joints=robot.joint_names, columns=columns, fixed=fixed)
+    laws = () if robot.source is None else robot.source.mimics
+    following = [(law.follower, law.leader, law.multiplier, law.offset) for law in laws]
+    return load_recording(path, joints=names, columns=columns, fixed=fixed, following=following)
 
 
 def recordings_of(paths: Sequence[Path], read: Callable[[Path], Recording]) -> dict[str, Recording]:
@@ -221,13 +232,18 @@ def robot_named(
     base: str | None = None,
     tip: list[str] | None = None,
     fix: list[str] | None = None,
+    mimic: str | None = None,
 ) -> Manipulator:
     """A bundled robot, or the part of a robot file from body `base` to the bodies in `tip`."""
+    if mimic is not None:
+        choice_of("--mimic", mimic, get_args(Mimics))
     fixed = [part for names in fix or () for part in names_in(names)]
     if name not in BUNDLED:
-        return load_robot(name, base=base, tip=tip or (), fix=fixed)
-    if base is not None or tip or fixed:
-        raise RobotError(f"{name}: base, tip and fix choose a part of a file; {name} is one robot")
+        return load_robot(name, base=base, tip=tip or (), fix=fixed, mimic=cast(Any, mimic))
+    if base is not None or tip or fixed or mimic:
+        raise RobotError(
+            f"{name}: base, tip, fix and mimic choose a part of a file; {name} is one robot"
+        )
     return BUNDLED[name]()
 
 

@@ -11,6 +11,7 @@ from ._common import (
     CoupledOption,
     FixOption,
     FrictionOption,
+    MimicOption,
     RobotArgument,
     SettingsOption,
     TipOption,
@@ -36,6 +37,7 @@ def constants_command(
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
+    mimic: MimicOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     settings: SettingsOption = None,
@@ -45,7 +47,7 @@ def constants_command(
     The recordings hold currents as torques: constant = 1 in [torque] of the file of --columns.
     """
     with one_line_errors(), progress("reading") as step:
-        manipulator = robot_named(robot, base, tip, fix)
+        manipulator = robot_named(robot, base, tip, fix, mimic)
         alone = recording_of(unloaded, manipulator, columns)
         carrying = recording_of(loaded, manipulator, columns)
         report = identify_torque_constants(

@@ -11,6 +11,7 @@ from ._common import (
     FixOption,
     FrictionOption,
     LengthsOption,
+    MimicOption,
     RobotOrSystemArgument,
     TipOption,
     check_no_robot_options,
@@ -29,6 +30,7 @@ def derive_command(
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
+    mimic: MimicOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     output: Annotated[
@@ -46,7 +48,7 @@ def derive_command(
             check_no_robot_options(context, robot)
             _derive_system(robot, output)
             return
-        network = network_of(robot_named(robot, base, tip, fix), lengths, friction, coupled)
+        network = network_of(robot_named(robot, base, tip, fix, mimic), lengths, friction, coupled)
         report = DerivationReport.of(network)
         typer.echo(with_notes(report, network.robot))
         if output is not None:

@@ -31,6 +31,7 @@ from ._common import (
     FixOption,
     FrictionOption,
     LengthsOption,
+    MimicOption,
     RobotArgument,
     TipOption,
     choice_of,
@@ -89,6 +90,7 @@ def excite_command(
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
+    mimic: MimicOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     columns: ColumnsOption = None,
@@ -96,7 +98,7 @@ def excite_command(
     """Design the motion to record next, within all limits, for the least errors."""
     with one_line_errors(), progress("reading") as step:
         _check_options(output, family, criterion, starts)
-        arm = robot_named(robot, base, tip, fix)
+        arm = robot_named(robot, base, tip, fix, mimic)
         before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
         network = before.network
         bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)

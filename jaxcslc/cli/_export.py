@@ -10,6 +10,7 @@ from ._common import (
     BUNDLED,
     BaseOption,
     FixOption,
+    MimicOption,
     RobotArgument,
     TipOption,
     one_line_errors,
@@ -50,6 +51,7 @@ def export_command(
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
+    mimic: MimicOption = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Let the output be the robot's own file.")
     ] = False,
@@ -65,7 +67,7 @@ def export_command(
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
         if not c and not overwrite and path.exists() and file.exists() and path.samefile(file):
             raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
-        saved = load_report(identification, robot_named(str(file), base, tip, fix))
+        saved = load_report(identification, robot_named(str(file), base, tip, fix, mimic))
         if c:
             step("writing C")
             code = c_code(saved.network, saved.fit.k)

@@ -27,6 +27,7 @@ from ._common import (
     FixOption,
     FrictionOption,
     LengthsOption,
+    MimicOption,
     OutputOption,
     RobotOrSystemArgument,
     SettingsOption,
@@ -88,6 +89,7 @@ def identify_command(
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
+    mimic: MimicOption = None,
     friction: FrictionOption = None,
     coupled: CoupledOption = None,
     settings: SettingsOption = None,
@@ -126,7 +128,7 @@ def identify_command(
             check_no_robot_options(context, robot)
             report = _identified_system(robot, train, validate, settings, step)
         else:
-            arm = robot_named(robot, base, tip, fix)
+            arm = robot_named(robot, base, tip, fix, mimic)
             saved = _previous_report(context, arm, previous)
             options = {
                 **_refitted(saved, reidentify),

@@ -9,6 +9,7 @@ from ._common import (
     BaseOption,
     ColumnsOption,
     FixOption,
+    MimicOption,
     OutputOption,
     RobotArgument,
     SettingsOption,
@@ -41,13 +42,14 @@ def payload_command(
     base: BaseOption = None,
     tip: TipOption = None,
     fix: FixOption = None,
+    mimic: MimicOption = None,
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
 ) -> None:
     """Identify a payload: its mass, centre of gravity and inertia, in the last link's frame."""
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
-        saved = load_report(previous, robot_named(robot, base, tip, fix))
+        saved = load_report(previous, robot_named(robot, base, tip, fix, mimic))
         arm = saved.network.robot
         carrying = recording_of(loaded, arm, columns)
         alone = None if unloaded is None else recording_of(unloaded, arm, columns)

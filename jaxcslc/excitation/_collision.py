@@ -52,6 +52,11 @@ class Bodies:
         - `ValueError`: a robot without shapes and without radius, a mesh that cannot be read.
         - `MissingExtraError`: without MuJoCo.
         """
+        if len(robot.independent_joints) < robot.joint_count:
+            raise ValueError(
+                f"surroundings: {robot.name!r} has joints that follow others, whose shapes are not"
+                " moved; expected them fixed (--mimic fix), or limits without [surroundings]"
+            )
         model, columns = compiled_geometry(robot, surroundings)
         pairs = _candidate_pairs(model, surroundings)
         everything = cls(model, columns, pairs, np.zeros((0, 0)), np.zeros(0))

@@ -77,6 +77,8 @@ class Limits:
     def of(cls, robot: Manipulator, stated: Mapping[str, Any] | None = None) -> "Limits":
         """Limits of a robot: those of its file, and what is stated beside them.
 
+        Of the joints that follow none, where some follow others.
+
         **Arguments**
 
         - `robot`: whose file may state ranges, speeds and efforts; `puma560` and `panda` have
@@ -89,7 +91,7 @@ class Limits:
         - `ValueError`: a limit of position or velocity that is missing, an unknown name, a wrong
           number of values.
         """
-        n = robot.joint_count
+        n = len(robot.independent_joints)
         known: dict[str, Any] = {}
         file = _ROBOTS / f"{''.join(robot.name.lower().split())}.toml"
         if (robot.source is None or robot.source.format == "toml") and file.exists():
@@ -240,8 +242,11 @@ def _frozen(value: Any) -> Any:
 
 def _of_file(robot: Manipulator) -> dict[str, Any]:
     """What the robot's file states."""
-    limits = robot.joint_limits
-    continuous = [robot.kinds[i] == "R" and math.isinf(x.low) for i, x in enumerate(limits)]
+    joints = robot.independent_joints
+    limits = [robot.joint_limits[i] for i in joints]
+    continuous = [
+        robot.kinds[i] == "R" and math.isinf(x.low) for i, x in zip(joints, limits, strict=True)
+    ]
     return {
         "position": [
             [-math.pi, math.pi] if free else [limit.low, limit.high]

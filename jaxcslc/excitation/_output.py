@@ -61,8 +61,7 @@ Time = Float[np.ndarray, " samples"]
 
 def csv_text(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
     """A motion as a table."""
-    robot = network.robot
-    names = robot.joint_names if robot.has_joint_names else range(1, robot.joint_count + 1)
+    names = network.output_labels
     header = ["time"]
     for quantity in ("position", "velocity", "acceleration"):
         header += [f"{quantity}_{name}" for name in names]
@@ -78,7 +77,7 @@ def trajectory_yaml(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Sam
     def listed(values: Any) -> str:
         return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
 
-    lines = ["header: {frame_id: ''}", f"joint_names: {json.dumps(network.robot.joint_names)}"]
+    lines = ["header: {frame_id: ''}", f"joint_names: {json.dumps(network.output_names)}"]
     lines.append("points:")
     for row in zip(time, q, qd, qdd, strict=True):
         seconds = int(row[0])

@@ -75,7 +75,7 @@ def _predicted(design: Design) -> Section:
 def _motion(design: Design) -> list[Section]:
     time, motion = design.sampled(_PAGE_RATE)
     limits, sections = design.limits, []
-    names = design.network.robot.joint_names
+    names = design.network.output_names
     for order, ((title, unit), values) in enumerate(zip(_QUANTITIES, motion, strict=True)):
         middle, half = limits.symmetric(order)
         lead = f"The motion and its limits, joint by joint [{unit}; m of prismatic joints]."
@@ -109,7 +109,7 @@ def _margins(design: Design) -> Section:
     rows = tuple(
         (
             row["limit"],
-            design.network.robot.joint_names[row["joint"] - 1] if row["joint"] else "",
+            design.network.output_names[row["joint"] - 1] if row["joint"] else "",
             100 * row["margin"] if row["joint"] else 1e3 * row["margin"],
             "%" if row["joint"] else "mm",
         )

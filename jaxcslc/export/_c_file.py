@@ -76,7 +76,7 @@ def _about(network: CSLC) -> list[str]:
     robot = network.robot
     kinds = ", ".join(
         f"{joint} {'revolute [rad, N m]' if kind == 'R' else 'prismatic [m, N]'}"
-        for joint, kind in zip(_joint_names(network), robot.kinds, strict=True)
+        for joint, kind in zip(_joint_names(network), network.joint_kinds, strict=True)
     )
     return [
         f"Inverse dynamics of {_plain(robot.name)}, written by jaxcslc.",
@@ -88,9 +88,7 @@ def _about(network: CSLC) -> list[str]:
 
 
 def _joint_names(network: CSLC) -> list[str]:
-    source = network.robot.source
-    names = () if source is None else source.joints
-    return [_plain(str(name)) for name in names or range(1, network.joint_count + 1)]
+    return [_plain(label) for label in network.output_labels]
 
 
 def _plain(text: str) -> str:

@@ -6,12 +6,15 @@ from jaxtyping import Float
 
 from ..network import CSLC
 from ..network.straight_line import Expressions, Motion, Value
+from ..network.terms import JointProjection
 from ._c_inputs import input_entries, input_inertias
 from ._rigid_body import (
     AbstractRigidBody,
+    ProjectedRigidBody,
     RecursiveRigidBody,
     TabulatedRigidBody,
     bodies_of_coefficients,
+    projected_motion,
 )
 
 
@@ -134,6 +137,7 @@ def _rigid_bodies(
     network: CSLC, k: Float[np.ndarray, " coefficients"]
 ) -> list[Callable[[Motion], AbstractRigidBody]]:
     """The ways to compute the rigid-body part: by recursion over bodies, and by tables."""
+    projection = JointProjection.of(network.robot)
 
     def candidates() -> Iterator[Callable[[Motion], AbstractRigidBody]]:
         bodies = bodies_of_coefficients(network, k)
@@ -142,4 +146,14 @@ def _rigid_bodies(
         if network.rigid_body.has_tables:
             yield lambda motion: TabulatedRigidBody(motion, network, k)
 
-    return list(candidates())
+    if projection is None:
+        return list(candidates())
+    return [_projected(rigid_body, projection) for rigid_body in candidates()]
+
+
+def _projected(
+    rigid_body: Callable[[Motion], AbstractRigidBody], projection: JointProjection
+) -> Callable[[Motion], AbstractRigidBody]:
+    return lambda motion: ProjectedRigidBody(
+        rigid_body(projected_motion(motion, projection)), projection
+    )

@@ -38,7 +38,7 @@ class RobotExport:
 
     def __str__(self) -> str:
         written, parameters = self.written, self.parameters
-        units = self.network.robot.torque_units
+        units = self.network.output_units
         names = self.network.output_names
         rows = [
             [names[j], f"{parameters.torque_distance[j]:.3g}", f"{written.rms[j]:.1e}", units[j]]

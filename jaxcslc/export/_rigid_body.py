@@ -1,5 +1,9 @@
 import abc
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +13,7 @@ from ..derivation import BODY, NewtonEuler
 from ..inertia import body_map
 from ..network import CSLC
 from ..network.straight_line import ClosedForm, Motion, Value, newton_euler
+from ..network.terms import JointProjection
 
 
 # Coefficients that bodies can have are reproduced by bodies to this part of the largest.
@@ -149,11 +154,66 @@ def _recursion(motion: Motion, network: CSLC) -> NewtonEuler:
     return newton_euler(motion, robot.joints, robot.parents, robot.gravity)
 
 
+class ProjectedRigidBody(AbstractRigidBody):
+    """The rigid-body part of all joints as that of the joints that follow none.
+
+    **Attributes**
+
+    - `rigid_body`: of all joints, `motion` of which is `projected_motion`.
+    - `projection`: onto the independent joints.
+    """
+
+    def __init__(self, rigid_body: AbstractRigidBody, projection: JointProjection) -> None:
+        self.rigid_body, self._shares = rigid_body, projection.shares
+
+    def torque(self) -> list[Value]:
+        return self._projected(self.rigid_body.torque())
+
+    def mass_matrix(self) -> list[list[Value]]:
+        rows = [self._projected(row) for row in self.rigid_body.mass_matrix()]
+        columns = [self._projected(list(column)) for column in zip(*rows, strict=True)]
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def gravity(self) -> list[Value]:
+        return self._projected(self.rigid_body.gravity())
+
+    def regressor(self) -> list[list[Value]] | None:
+        rows = self.rigid_body.regressor()
+        if rows is None:
+            return None
+        columns = [self._projected(list(column)) for column in zip(*rows, strict=True)]
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def _projected(self, values: Sequence[Value]) -> list[Value]:
+        """S' times a vector."""
+        return [
+            reduce(add, (values[joint] * share for joint, share in shares))
+            for shares in self._shares
+        ]
+
+
+def projected_motion(motion: Motion, projection: JointProjection) -> Motion:
+    """Motion of all joints, as expressions of that of the independent ones."""
+    whole = copy(motion)
+    rows = list(zip(projection.matrix, projection.offset, strict=True))
+
+    def of_all(values: Sequence[Value], with_offset: bool) -> list[Value]:
+        return [
+            reduce(add, (x * share for x, share in zip(values, row, strict=True) if share))
+            + (offset if with_offset else 0.0)
+            for row, offset in rows
+        ]
+
+    whole.q, whole.qd = of_all(motion.q, True), of_all(motion.qd, False)
+    whole.qdd = of_all(motion.qdd, False)
+    return whole
+
+
 def payload_bodies(
     network: CSLC, k: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "links 10"]:
     """The payload's ten numbers, at the link that carries it."""
-    bodies = np.zeros((network.joint_count, 10))
+    bodies = np.zeros((network.robot.joint_count, 10))
     if network.carrying_link is not None:
         bodies[network.carrying_link - 1] = k[network.layout.payload]
     return bodies
@@ -175,7 +235,7 @@ def bodies_of_coefficients(network: CSLC, k: Float[np.ndarray, " coefficients"])
     They need not be possible bodies: what is regrouped into a base parameter is zero. None if no
     numbers have them: symbolic coefficients that were identified one by one are rarely consistent.
     """
-    n, algebra = network.joint_count, network.algebra
+    n, algebra = network.robot.joint_count, network.algebra
     inertial = k[network.layout.inertial]
     links, motors = np.zeros((n, 10)), np.zeros(n)
     if algebra.lengths == "numeric":

@@ -103,8 +103,15 @@ def write_robot(
     original = Path(source.path)
     if path.suffix.lower() != original.suffix.lower():
         raise RobotError(f"{path}: expected a name ending in {original.suffix}, as {original.name}")
+
     # The file's friction model may not be that of the network.
-    filed = load_robot(original, base=source.base, tip=source.tips, fix=source.fix)
+    def load(file: Path) -> Manipulator:
+        if source.format == "toml":
+            return load_robot(file)
+        parts: dict[str, Any] = {"base": source.base, "tip": source.tips, "fix": source.fix}
+        return load_robot(file, **parts, mimic=source.mimic)
+
+    filed = load(original)
     stored = _stored(network, filed)
     slopes = _slopes(network, filed) if source.format == "toml" else {}
     text = with_parameters(robot, parameters, original.read_bytes(), stored=stored, slopes=slopes)
@@ -113,7 +120,7 @@ def write_robot(
     with _named(scratch, path):
         try:
             scratch.write_bytes(text)
-            written = load_robot(scratch, base=source.base, tip=source.tips, fix=source.fix)
+            written = load(scratch)
             if written.links is None:
                 notes = "" if written.source is None else "; ".join(written.source.notes)
                 raise RobotError(f"its links still have no parameters: {notes}")
@@ -121,7 +128,7 @@ def write_robot(
         finally:
             with contextlib.suppress(OSError):
                 scratch.unlink(missing_ok=True)
-    again = load_robot(path, base=source.base, tip=source.tips, fix=source.fix)
+    again = load(path)
     motors = _motors(path, source, parameters)
     q, qd, qdd = random_states(network.joint_count) if states is None else states
     file_network = derive(again, lengths=network.algebra.lengths)

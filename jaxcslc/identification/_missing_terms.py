@@ -57,7 +57,7 @@ def missing_terms(
     greatest = np.max(np.abs(np.where(mask, torque, 0.0)), axis=0)
     none = np.zeros((len(qd), 0))
     terms: dict[str, Columns] = {"torque offset": [], "static friction": [], "motor saturation": []}
-    for joint, friction in enumerate(network.robot.friction_per_joint):
+    for joint, friction in enumerate(network.friction_per_joint):
         v, tau = qd[:, joint], torque[:, joint]
         has_offset = any(kind in friction for kind in _OFFSET_TERMS)
         terms["torque offset"].append(none if has_offset else np.ones((len(qd), 1)))

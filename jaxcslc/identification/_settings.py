@@ -177,7 +177,7 @@ of top speed, filtered alike at 15 Hz, joints weighted by residual
 
 def static_friction_joints(network: CSLC) -> tuple[bool, ...]:
     """True for each joint whose network has a term of static friction."""
-    return tuple("static" in kinds for kinds in network.robot.friction_per_joint)
+    return tuple("static" in kinds for kinds in network.friction_per_joint)
 
 
 def settings_document(settings: Settings) -> dict[str, Any]:

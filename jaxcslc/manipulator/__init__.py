@@ -15,6 +15,11 @@ from ._load import load_robot as load_robot
 from ._manipulator import Manipulator as Manipulator
 from ._numbering import Numbering as Numbering, Subnumbering as Subnumbering
 from ._placement import Axis as Axis, modified_dh as modified_dh
-from ._source import JointLimits as JointLimits, Mimic as Mimic, Source as Source
+from ._source import (
+    JointLimits as JointLimits,
+    Mimic as Mimic,
+    Mimics as Mimics,
+    Source as Source,
+)
 from ._toml import panda as panda, puma560 as puma560, tx40 as tx40
 from ._xml import Element as Element, parse_xml as parse_xml, read_xml as read_xml

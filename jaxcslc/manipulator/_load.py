@@ -1,7 +1,7 @@
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeGuard
+from typing import TypeGuard, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from ._manipulator import Manipulator
 from ._mujoco_reader import Body, BodyTree, read_bodies
 from ._part import MIMIC, Moved, Part, part_of
 from ._placement import Axis, modified_dh
-from ._source import JointLimits, Source
+from ._source import JointLimits, Mimics, Source
 from ._toml import read_toml
 from ._urdf_checks import XACRO, check_urdf, urdf_limits, urdf_mimic_laws, urdf_mimics
 from ._urdf_simplifications import Edit, simplifications
@@ -29,7 +29,7 @@ def load_robot(
     base: str | None = None,
     tip: str | Sequence[str] | None = None,
     fix: str | Sequence[str] = (),
-    keep_mimics: bool = False,
+    mimic: Mimics | None = None,
 ) -> Manipulator:
     """A robot from its description: TOML as in `docs/robots.md`, URDF, or MJCF.
 
@@ -50,9 +50,10 @@ def load_robot(
     - `fix`: names of joints to fix at zero, or of bodies, for all joints that move the body and
       what it carries, as in `"gripper"`; `*` stands for any letters. Joints that mimic a fixed
       one are fixed too, and so is the base of a robot that floats.
-    - `keep_mimics`: keep joints that mimic others that move, without motors and friction, where
-      they are an error otherwise. `robot.source.mimics` then says what they follow, and
-      `jaxcslc.network.CoupledJoints` is the network of the others.
+    - `mimic`: what becomes of joints that mimic others that move, which are an error otherwise.
+      `"fix"` fixes them and what they follow at zero. `"couple"` keeps them, without motors and
+      friction of their own: `robot.source.mimics` says what they follow, and the robot's network
+      has motion and torque of the others, `robot.independent_joints`.
 
     **Raises**
 
@@ -73,14 +74,16 @@ def load_robot(
     >>> robot.kinds, robot.source.joints, float(robot.links[0].mass)
     ('R', ('hinge',), 2.0)
     """
+    if mimic is not None and mimic not in get_args(Mimics):
+        raise ValueError(f"mimic: expected {' or '.join(get_args(Mimics))}, got {mimic!r}")
     path = Path(path)
     suffix = path.suffix.lower()
     tips = (tip,) if isinstance(tip, str) else tuple(tip or ())
     fixed = (fix,) if isinstance(fix, str) else tuple(fix)
     if suffix == ".toml":
-        if base is not None or tips or fixed:
+        if base is not None or tips or fixed or mimic:
             raise RobotError(
-                f"{path}: base, tip and fix are of URDF and MJCF files; TOML has one robot"
+                f"{path}: base, tip, fix and mimic are of URDF and MJCF files; TOML has one robot"
             )
         return read_toml(path)
     if suffix == ".xacro":
@@ -100,14 +103,12 @@ def load_robot(
     tree = read_bodies(path, urdf=urdf, edits=edits)
     if urdf:  # MuJoCo leaves out the joints that mimic unknown ones
         constraints = tuple((MIMIC, pair) for pair in urdf_mimics(root, path))
-        laws = tuple(urdf_mimic_laws(root, path)) if keep_mimics else ()
+        laws = tuple(urdf_mimic_laws(root, path)) if mimic == "couple" else ()
         tree = tree._replace(constraints=constraints, mimics=laws)
     name = root.attributes.get("name") or root.attributes.get("model") or path.stem
     notes = [f"{path}, line {edit.line}: {edit.note}" for edit in edits if edit.note]
-    part = part_of(tree, path, base, tips, fixed, keep_mimics=keep_mimics)
-    robot = _robot(tree, path, name, base, tips, fixed, notes, part, urdf=urdf)
-    for mimic in part.mimics:
-        robot = robot.with_friction(joint=robot.joint_names.index(mimic.follower) + 1)
+    part = part_of(tree, path, base, tips, fixed, mimic=mimic)
+    robot = _robot(tree, path, name, base, tips, fixed, mimic, notes, part, urdf=urdf)
     if not urdf or robot.source is None:
         return robot
     limits = urdf_limits(root)
@@ -122,6 +123,7 @@ def _robot(
     base: str | None,
     tips: tuple[str, ...],
     fix: tuple[str, ...],
+    mimic: Mimics | None,
     notes: Sequence[str],
     part: Part,
     *,
@@ -151,7 +153,7 @@ def _robot(
     links, placements, carried = _links(tree, moved, numbers, attached, poses, frames)
     files = [joint for _, joint in moved]
     friction = ("viscous", "dry")
-    following = {mimic.follower for mimic in part.mimics}
+    following = {law.follower for law in part.mimics}
     if any(joint.stiffness for joint in files):
         friction = (*friction, "spring", "offset")
     return Manipulator(
@@ -180,6 +182,7 @@ def _robot(
                 if joint.kind is not None and joint not in files
             ),
             mimics=part.mimics,
+            mimic=mimic,
             notes=(*notes, *part.notes, *_faults(tree, path, numbers, attached)),
         ),
     )

@@ -1,6 +1,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from .._environment import require
@@ -96,6 +97,13 @@ class Manipulator:
     @property
     def joint_count(self) -> int:
         return len(self.joints)
+
+    @cached_property
+    def independent_joints(self) -> tuple[int, ...]:
+        """Indices of the joints that follow no other, from 0: all, unless mimics are coupled."""
+        mimics = () if self.source is None else self.source.mimics
+        following = {mimic.follower for mimic in mimics}
+        return tuple(i for i, name in enumerate(self.joint_names) if name not in following)
 
     @property
     def parents(self) -> tuple[int, ...]:
@@ -257,9 +265,16 @@ class Manipulator:
 
     @property
     def friction_per_joint(self) -> tuple[tuple[str, ...], ...]:
-        """The friction terms of each joint: `joint_friction`, or else `friction`."""
+        """The friction terms of each joint: `joint_friction`, or else `friction`.
+
+        Joints that follow others have none: that of their motion is part of the others'.
+        """
         per_joint = self.joint_friction or (None,) * self.joint_count
-        return tuple(self.friction if terms is None else terms for terms in per_joint)
+        independent = set(self.independent_joints)
+        return tuple(
+            () if i not in independent else self.friction if terms is None else terms
+            for i, terms in enumerate(per_joint)
+        )
 
     @property
     def friction_terms(self) -> tuple[str, ...]:
@@ -283,6 +298,11 @@ class Manipulator:
         if not 1 <= joint <= self.joint_count:
             raise RobotError(
                 f"robot {self.name!r}: there is no joint {joint}; expected 1 to {self.joint_count}"
+            )
+        if terms and joint - 1 not in self.independent_joints:
+            raise RobotError(
+                f"robot {self.name!r}: joint {joint} ({self.joint_names[joint - 1]}) follows"
+                " another and has no friction terms; expected a joint that follows none"
             )
         per_joint = list(self.joint_friction or (None,) * self.joint_count)
         per_joint[joint - 1] = terms

@@ -39,12 +39,12 @@ def part_of(
     tips: Sequence[str],
     fix: Sequence[str],
     *,
-    keep_mimics: bool = False,
+    mimic: str | None = None,
 ) -> Part:
     """The joints between `base` and `tips`, those in `fix` and floating bases apart.
 
-    A joint that mimics a fixed one is fixed too. Others that mimic are an error, unless
-    `keep_mimics`.
+    A joint that mimics a fixed one is fixed too. `mimic` says what becomes of others that mimic:
+    they are an error, or fixed with what they follow (`"fix"`), or kept (`"couple"`).
 
     **Raises**
 
@@ -67,6 +67,8 @@ def part_of(
                 raise RobotError(f"{path}: base {base!r} is not between the world and tip {tip!r}")
         ends = {body for way in ways.values() for body in way}
     fixed = _fixed(tree, path, fix)
+    if mimic == "fix":
+        fixed |= {leader for _, (_, leader) in _mimics(tree)}
     below = _carried_by(tree, start)
     moved: list[Moved] = []
     notes: list[str] = []
@@ -98,7 +100,7 @@ def part_of(
             f"{path}: has {len(moved)} joints that move; expected at most {_MOST_JOINTS} (choose a"
             " part of the tree with base and tip)"
         )
-    mimics = _to_independent(tree, moved) if keep_mimics else ()
+    mimics = _to_independent(tree, moved) if mimic == "couple" else ()
     _only_what_is_modelled(tree, moved, path, {mimic.follower for mimic in mimics})
     return Part(start, moved, notes, mimics)
 
@@ -194,9 +196,9 @@ def _only_what_is_modelled(
         others = [name for name, _ in mimics[1:]]
         too = f" ({_some(others)} too)" if others else ""
         raise RobotError(
-            f"{path}: joint {follower!r} mimics {leader!r}{too}; joints that follow others are not"
-            f" modelled (--fix {leaders or follower} fixes them with what they follow; or choose a"
-            " part of the tree with base and tip)"
+            f"{path}: joint {follower!r} mimics {leader!r}{too}; expected --mimic couple, which"
+            " moves them together where the law is linear, or --mimic fix (or --fix"
+            f" {leaders or follower}), which fixes both"
         )
     for kind, (first, second) in tree.constraints:
         if kind != MIMIC and {first, second} & (bodies | joints):

@@ -9,6 +9,7 @@ from ._link_parameters import LinkParameters
 
 
 RobotFormat = Literal["toml", "urdf", "mjcf"]
+Mimics = Literal["fix", "couple"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class Source:
     - `path`, `format`: of the file.
     - `base`, `tips`: the part of the file's tree that was asked for, as bodies' names.
     - `fix`: joints and bodies that were to be fixed.
+    - `mimic`: what was to become of joints that mimic others.
     - `fixed_joints`: joints that move in the file and are none of the robot's, taken as at zero.
     - `joints`, `links`: for each joint of the robot, the file's joint and the body that it moves.
     - `placements`: (4, 4) for each link, the pose of the file's body frame in the link's frame,
@@ -85,4 +87,5 @@ class Source:
     fixed_joints: tuple[str, ...] = ()
     limits: tuple[JointLimits, ...] = ()
     mimics: tuple[Mimic, ...] = ()
+    mimic: Mimics | None = None
     notes: tuple[str, ...] = ()

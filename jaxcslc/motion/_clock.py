@@ -108,6 +108,7 @@ def resample(
         notes=fresh.notes,
         torque_measured=fresh.torque_measured,
         fixed_motion=fresh.fixed_motion,
+        following_error=fresh.following_error,
     )
 
 

@@ -140,7 +140,9 @@ class Recording(eqx.Module):
         that a drive holds to the next one. `choose_settings` relies on it where the recording
         itself does not show which torque belongs to a sample.
     - `fixed_motion`: joints that the robot's description takes as fixed, and how far each moves in
-        the recording [rad or m].
+      the recording [rad or m].
+    - `following_error`: joints that follow others by a law of the robot's description, and how far
+      each is off it in the recording [rad or m].
 
     Those of motion are float64 arrays.
 
@@ -161,6 +163,7 @@ class Recording(eqx.Module):
     notes: tuple[str, ...] = eqx.field(static=True)
     torque_measured: bool = eqx.field(static=True)
     fixed_motion: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    following_error: tuple[tuple[str, float], ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -174,6 +177,7 @@ class Recording(eqx.Module):
         notes: Sequence[str] = (),
         torque_measured: bool = False,
         fixed_motion: Sequence[tuple[str, float]] = (),
+        following_error: Sequence[tuple[str, float]] = (),
     ):
         """**Arguments**
 
@@ -196,6 +200,7 @@ class Recording(eqx.Module):
         self.notes = tuple(notes)
         self.torque_measured = torque_measured
         self.fixed_motion = tuple(fixed_motion)
+        self.following_error = tuple(following_error)
         # Checked here and not in `__check_init__`, so that the message is this one whether or
         # not a run-time checker of the shape annotations is at work.
         quantities = {
@@ -261,6 +266,7 @@ class Recording(eqx.Module):
             notes=self.notes,
             torque_measured=self.torque_measured,
             fixed_motion=self.fixed_motion,
+            following_error=self.following_error,
         )
 
     def between(self, start: float, end: float) -> "Recording":

@@ -1,4 +1,3 @@
-from ._coupled_joints import CoupledJoints as CoupledJoints
 from ._cslc import CSLC as CSLC
 from ._derive import derive as derive
 from ._layout import Layout as Layout

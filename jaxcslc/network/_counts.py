@@ -1,7 +1,7 @@
 from collections.abc import Sequence
 
 from ..derivation import Algebra, derive_algebra
-from .terms import AbstractInputTerm, carrier
+from .terms import AbstractInputTerm, JointProjection, carrier
 
 
 def counts_of(
@@ -33,16 +33,21 @@ def order_per_joint(
     context-sensitive product each, the order of an output is the number of coefficients that
     reach it. Arguments as of `counts_of`.
     """
-    orders = [0] * algebra.robot.joint_count
+    projection, n = JointProjection.of(algebra.robot), algebra.robot.joint_count
+    moved = [[i] for i in range(n)]
+    if projection is not None:
+        moved = [[joint for joint, _ in shares] for shares in projection.shares]
+    orders = [0] * len(moved)
     for rigid in (algebra, *_payload_algebra(algebra, carrying_link)):
-        reach: list[set[int]] = [set() for _ in orders]
+        reach: list[set[int]] = [set() for _ in range(n)]
         for link in rigid.mass.links:
             for joint in rigid.mass.columns[link.column]:
                 reach[joint] |= {index for index, _ in link.weights}
         for table in (rigid.velocity, rigid.gravity):
             for link in table.links:
                 reach[table.columns[link.column][0]] |= {index for index, _ in link.weights}
-        orders = [total + len(indices) for total, indices in zip(orders, reach, strict=True)]
+        for output, joints in enumerate(moved):
+            orders[output] += len({index for joint in joints for index in reach[joint]})
     for term in terms:
         for joint in term.input_joints:
             orders[joint] += 1

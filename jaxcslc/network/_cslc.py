@@ -13,7 +13,9 @@ from ._term_sum import AbstractTermSum
 from .terms import (
     AbstractInputTerm,
     AbstractManipulatorTerm,
+    JointProjection,
     JointTerm,
+    ProjectedTerm,
     RigidBodyRecursion,
     RigidBodyTables,
     StaticFriction,
@@ -48,13 +50,15 @@ class CSLC(AbstractTermSum):
 
     @property
     def robot(self) -> Manipulator:
-        """What it was derived from."""
+        """What it was derived from: with all joints, those that follow others too."""
         return self.algebra.robot
 
     @property
     def rigid_body(self) -> RigidBodyTables | RigidBodyRecursion:
         """The term of the links and motors."""
         rigid = self.terms[0]
+        if isinstance(rigid, ProjectedTerm):
+            return rigid.term
         assert isinstance(rigid, RigidBodyTables | RigidBodyRecursion)
         return rigid
 
@@ -64,10 +68,10 @@ class CSLC(AbstractTermSum):
         return tuple(term for term in self.terms if isinstance(term, AbstractInputTerm))
 
     @property
-    def payload(self) -> RigidBodyRecursion | None:
+    def payload(self) -> AbstractManipulatorTerm | None:
         """The term of the payload, or None. See `with_payload`."""
         last = self.terms[-1]
-        return last if isinstance(last, RigidBodyRecursion) and last.kind == "payload" else None
+        return last if last.kind == "payload" else None
 
     def coefficients_from(
         self,
@@ -151,10 +155,11 @@ class CSLC(AbstractTermSum):
         ('kd3', 'kd4', 'kd5', 'kd6')
         """
         self.layout.of(kind)
-        robot = self.robot
+        robot, independent = self.robot, self.robot.independent_joints
         for joint in joints:
-            remaining = (other for other in robot.friction_per_joint[joint - 1] if other != kind)
-            robot = robot.with_friction(*remaining, joint=joint)
+            kinds = self.friction_per_joint[joint - 1]
+            remaining = (other for other in kinds if other != kind)
+            robot = robot.with_friction(*remaining, joint=independent[joint - 1] + 1)
         terms = tuple(
             JointTerm.of(term.law, robot)
             if isinstance(term, JointTerm) and term.kind == kind
@@ -189,8 +194,8 @@ class CSLC(AbstractTermSum):
                 f" got {len(kinds)}"
             )
         robot = self.robot
-        for joint, kinds_of_joint in enumerate(kinds, start=1):
-            robot = robot.with_friction(*kinds_of_joint, joint=joint)
+        for joint, kinds_of_joint in zip(robot.independent_joints, kinds, strict=True):
+            robot = robot.with_friction(*kinds_of_joint, joint=joint + 1)
         return CSLC(
             algebra=dataclasses.replace(self.algebra, robot=robot),
             terms=(self.terms[0], *input_terms(robot)),
@@ -231,7 +236,9 @@ class CSLC(AbstractTermSum):
         """
         if self.payload is not None:
             raise ValueError(f"{self.robot.name!r} has a payload already")
-        payload = payload_term(carrier(self.robot, link))
+        payload = ProjectedTerm.of(
+            payload_term(carrier(self.robot, link)), JointProjection.of(self.robot)
+        )
         return CSLC(algebra=self.algebra, terms=(*self.terms, payload))
 
     @property

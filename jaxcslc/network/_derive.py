@@ -5,6 +5,8 @@ from ..derivation import Algebra, Lengths, derive_algebra
 from ..manipulator import Manipulator, RobotError
 from ._cslc import CSLC
 from .terms import (
+    JointProjection,
+    ProjectedTerm,
     RigidBodyRecursion,
     RigidBodyTables,
     input_terms,
@@ -28,6 +30,9 @@ def derive(
     evaluator: Literal["auto", "tables", "recursive", "rolled", "unrolled"] = "auto",
 ) -> CSLC:
     """Derive a robot's inverse dynamics and build the network that computes them.
+
+    Of a robot some of whose joints follow others (`load_robot(mimic="couple")`), motion and torque
+    are those of the `robot.independent_joints`.
 
     **Arguments**
 
@@ -68,7 +73,8 @@ def derive(
         )
     symbols = lengths if isinstance(lengths, str) else tuple(lengths)
     algebra = derive_algebra(robot, cast(Lengths, symbols))
-    return CSLC(algebra=algebra, terms=(_rigid_body(algebra, evaluator), *input_terms(robot)))
+    rigid = ProjectedTerm.of(_rigid_body(algebra, evaluator), JointProjection.of(robot))
+    return CSLC(algebra=algebra, terms=(rigid, *input_terms(robot)))
 
 
 def _has_many_lengths(robot: Manipulator) -> bool:

@@ -1,16 +1,19 @@
 import abc
+from collections.abc import Sequence
+from typing import TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..manipulator import Manipulator
+from ..manipulator import JointLimits, Manipulator
 from ._linear_network import AbstractLinearNetwork, Vector
-from .terms import AbstractManipulatorTerm
+from .terms import AbstractManipulatorTerm, JointProjection
 
 
 Numbers = Float[Array | np.ndarray, "... joints"]
+Entry = TypeVar("Entry")
 
 
 class AbstractTermSum(AbstractLinearNetwork):
@@ -49,23 +52,43 @@ class AbstractTermSum(AbstractLinearNetwork):
     def output_labels(self) -> tuple[str, ...]:
         """The joints' names, where the robot has such, or else `"1"` to `"n"`."""
         if self.robot.has_joint_names:
-            return self.robot.joint_names
-        return tuple(str(joint) for joint in range(1, self.robot.joint_count + 1))
+            return self.output_names
+        return tuple(str(joint + 1) for joint in self.robot.independent_joints)
 
     @property
     def output_names(self) -> tuple[str, ...]:
         """The joints' names, or `"joint 1"` to `"joint n"`."""
-        return self.robot.joint_names
+        return self._of_independent(self.robot.joint_names)
 
     @property
     def output_units(self) -> tuple[str, ...]:
         """Units of the joints' torques."""
-        return self.robot.torque_units
+        return self._of_independent(self.robot.torque_units)
 
     @property
     def motion_count(self) -> int:
-        """One column a joint."""
-        return self.robot.joint_count
+        """One column a joint, those that follow others apart."""
+        return len(self.robot.independent_joints)
+
+    @property
+    def joint_kinds(self) -> str:
+        """Of the joints that have torques, as in `"RRPRRR"`."""
+        return "".join(self._of_independent(self.robot.kinds))
+
+    @property
+    def joint_limits(self) -> tuple[JointLimits, ...]:
+        """What the robot's file says that each of these joints can do."""
+        return self._of_independent(self.robot.joint_limits)
+
+    @property
+    def friction_per_joint(self) -> tuple[tuple[str, ...], ...]:
+        """The friction terms of each of these joints."""
+        return self._of_independent(self.robot.friction_per_joint)
+
+    def positions_of_all_joints(self, q: Numbers) -> Float[Array | np.ndarray, "... all_joints"]:
+        """Positions of all the robot's joints, those included that follow others."""
+        projection = JointProjection.of(self.robot)
+        return q if projection is None else projection.positions(q)
 
     def mass_matrix(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
         """M(q), (..., n, n), motor inertias included (Eqn. 2.5-6) [kg m²]."""
@@ -126,6 +149,10 @@ class AbstractTermSum(AbstractLinearNetwork):
         mask[self.layout.friction] = 0.0
         k = jnp.asarray(k)
         return k * jnp.asarray(mask, k.dtype)
+
+    def _of_independent(self, entries: Sequence[Entry]) -> tuple[Entry, ...]:
+        """Of the robot's joints, those of the joints that have torques."""
+        return tuple(entries[i] for i in self.robot.independent_joints)
 
     def _of(self, part: str) -> tuple[AbstractManipulatorTerm, ...]:
         """The terms that belong to a sum of the equation of motion."""

@@ -28,7 +28,7 @@ def test_every_version_holds_the_motion(motion: Recording, tmp_path: Path, versi
         np.testing.assert_array_equal(read.position, motion.position)
         np.testing.assert_array_equal(read.torque, motion.torque)
         assert read.velocity is None
-        assert read.notes == ("not of the robot, and not read: gripper",)
+        assert read.notes == ("joints that are not read: gripper",)
 
 
 def test_joints_that_are_taken_as_fixed(motion: Recording, tmp_path: Path) -> None:

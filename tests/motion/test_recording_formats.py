@@ -151,7 +151,7 @@ class TestNamedColumns:
         np.testing.assert_array_equal(turned.torque, motion.torque[:, ::-1])
         fewer = load_recording(path, joints=names[:2])
         np.testing.assert_array_equal(fewer.torque, motion.torque[:, :2])
-        assert fewer.notes == (f"not of the robot, and not read: {', '.join(names[2:])}",)
+        assert fewer.notes == (f"joints that are not read: {', '.join(names[2:])}",)
 
     @pytest.mark.parametrize(
         ("joints", "expected"),

@@ -30,7 +30,7 @@ def test_python(
     assert "which the controller computes from its own model" in universal
     assert franka == "[0.    0.001 0.002 0.003 0.004 0.005]\n"
     assert measured == ""
-    assert "[2. 1.] ('not of the robot, and not read: gripper',)" in bag
+    assert "[2. 1.] ('joints that are not read: gripper',)" in bag
 
 
 def test_toml() -> None:

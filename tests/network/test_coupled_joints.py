@@ -11,64 +11,39 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.identification.solver import regressor_of
-from jaxcslc.network import CoupledJoints
+from jaxcslc.manipulator import fixed_together
 
 
-# An arm, and on its link two fingers and a tip that follow the first finger by way of the second.
-LINK = """<link name="{0}"><inertial><origin xyz="{1}"/><mass value="{2}"/>
-<inertia ixx="0.02" iyy="0.03" izz="0.025" ixy="0.001" ixz="0" iyz="0.002"/></inertial></link>"""
-JOINT = """<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>
-<origin xyz="{4}" rpy="0.3 0 0.2"/><axis xyz="{5}"/>{6}</joint>"""
-HAND = "".join(
-    [
-        '<robot name="hand"><link name="floor"/>',
-        LINK.format("arm", "0.2 0 0.1", 2.0),
-        LINK.format("finger", "0.05 0.1 0", 0.5),
-        LINK.format("thumb", "0.02 0 0.1", 0.7),
-        LINK.format("tip", "0 0.04 0.1", 0.3),
-        JOINT.format("shoulder", "continuous", "floor", "arm", "0 0 0.2", "0 1 0", ""),
-        JOINT.format("left", "continuous", "arm", "finger", "0.3 0 0", "1 0 0", ""),
-        JOINT.format(
-            *("right", "prismatic", "arm", "thumb", "0.3 0.1 0", "0 1 0"),
-            '<limit lower="-9" upper="9" velocity="9" effort="9"/>'
-            '<mimic joint="left" multiplier="-0.4" offset="0.1"/>',
-        ),
-        JOINT.format(
-            *("end", "continuous", "thumb", "tip", "0 0 0.1", "0 0 1"),
-            '<mimic joint="right" multiplier="2" offset="-0.3"/>',
-        ),
-        "</robot>",
-    ]
-)
+HAND = (Path(__file__).parents[1] / "data" / "hand.urdf").read_text(encoding="utf-8")
 _ROUNDING = 1e-10
 
 
 @pytest.fixture(scope="module")
-def coupled(tmp_path_factory: pytest.TempPathFactory) -> CoupledJoints:
+def coupled(tmp_path_factory: pytest.TempPathFactory) -> jc.CSLC:
     path = tmp_path_factory.mktemp("hand") / "hand.urdf"
     path.write_text(HAND)
-    return CoupledJoints.of(jc.derive(jc.load_robot(path, keep_mimics=True), lengths="numeric"))
+    return jc.derive(jc.load_robot(path, mimic="couple"), lengths="numeric")
 
 
 @pytest.fixture(scope="module")
-def k(coupled: CoupledJoints) -> Float[np.ndarray, " coefficients"]:
+def k(coupled: jc.CSLC) -> Float[np.ndarray, " coefficients"]:
     links = coupled.robot.links or ()
     viscous, dry = [0.3, 0.2, 0.0, 0.0], [0.1, 0.4, 0.0, 0.0]
-    return np.asarray(coupled.network.coefficients_from(links, viscous=viscous, dry=dry))
+    return np.asarray(coupled.coefficients_from(links, viscous=viscous, dry=dry))
 
 
-def test_the_laws_are_those_of_the_file(coupled: CoupledJoints) -> None:
+def test_the_laws_are_those_of_the_file(coupled: jc.CSLC) -> None:
     """Those of the last one by way of another: -0.8 left + 0.2 - 0.3."""
     assert coupled.output_names == ("shoulder", "left") and coupled.motion_count == 2
-    q, qd, qdd = coupled.of_all_joints(*np.array([[0.5, 1.0], [2.0, 3.0], [4.0, 5.0]]))
+    q = coupled.positions_of_all_joints(np.array([0.5, 1.0]))
     np.testing.assert_allclose(q, [0.5, 1.0, -0.3, -0.9])
-    np.testing.assert_allclose(qd, [2.0, 3.0, -1.2, -2.4])
-    np.testing.assert_allclose(qdd, [4.0, 5.0, -2.0, -4.0])
-    assert coupled.network.robot.friction_per_joint[2:] == ((), ())
+    assert coupled.robot.joint_count == 4 and coupled.robot.independent_joints == (0, 1)
+    assert coupled.joint_kinds == "RR" and coupled.robot.kinds == "RRPR"
+    assert coupled.robot.with_friction("dry").friction_per_joint[1:] == (("dry",), (), ())
 
 
 def test_torque_is_pinocchios(
-    coupled: CoupledJoints, k: Float[np.ndarray, " _"], rng: np.random.Generator
+    coupled: jc.CSLC, k: Float[np.ndarray, " _"], rng: np.random.Generator
 ) -> None:
     """Virtual work of its inverse dynamics of all joints, moved as the file says."""
     model = pinocchio.buildModelFromXML(re.sub(r"<mimic[^>]*/>", "", HAND))
@@ -87,7 +62,7 @@ def test_torque_is_pinocchios(
 
 
 def test_regressor_columns_and_torque_agree(
-    coupled: CoupledJoints, k: Float[np.ndarray, " _"], rng: np.random.Generator
+    coupled: jc.CSLC, k: Float[np.ndarray, " _"], rng: np.random.Generator
 ) -> None:
     motion = rng.uniform(-2, 2, (3, 40, 2))
     torque = np.asarray(coupled.torque(k, *motion))
@@ -99,7 +74,7 @@ def test_regressor_columns_and_torque_agree(
 
 
 def test_it_is_fitted_from_motion_of_the_independent_joints(
-    coupled: CoupledJoints, k: Float[np.ndarray, " _"], rng: np.random.Generator
+    coupled: jc.CSLC, k: Float[np.ndarray, " _"], rng: np.random.Generator
 ) -> None:
     """Coefficients of which only a finger by itself would tell are left undetermined."""
     motion = rng.uniform(-2, 2, (3, 300, 2))
@@ -125,16 +100,18 @@ def test_a_law_of_mujoco(tmp_path: Path) -> None:
     """From its zero position on: MuJoCo's constraint holds where the law puts the joints."""
     path = tmp_path / "two.xml"
     path.write_text(MJCF.format(0))
-    network = CoupledJoints.of(jc.derive(jc.load_robot(path, keep_mimics=True), lengths="numeric"))
+    network = jc.derive(jc.load_robot(path, mimic="couple"), lengths="numeric")
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     for u in (0.3, -1.2):
-        data.qpos[:] = network.of_all_joints(*np.array([[u], [0.0], [0.0]]))[0]
+        data.qpos[:] = network.positions_of_all_joints(np.array([u]))
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(data.efc_pos[:1], 0.0, atol=1e-12)
     path.write_text(MJCF.format(0.5))
-    with pytest.raises(jc.RobotError, match=r"joint 'y' mimics 'x'; .*--fix x fixes"):
-        jc.load_robot(path, keep_mimics=True)
+    with pytest.raises(
+        jc.RobotError, match=r"joint 'y' mimics 'x'; .*\(or --fix x\), which fixes both"
+    ):
+        jc.load_robot(path, mimic="couple")
 
 
 @pytest.mark.parametrize("number", ["nan", "x", ""])
@@ -142,11 +119,45 @@ def test_a_law_that_is_none(tmp_path: Path, number: str) -> None:
     path = tmp_path / "hand.urdf"
     path.write_text(HAND.replace('"-0.4"', f'"{number}"'))
     with pytest.raises(jc.RobotError, match=r"expected a finite number|nan|bad format"):
-        jc.load_robot(path, keep_mimics=True)
+        jc.load_robot(path, mimic="couple")
 
 
-def test_what_it_needs(coupled: CoupledJoints) -> None:
-    with pytest.raises(jc.RobotError, match="no joints that mimic others"):
-        CoupledJoints.of(jc.derive(jc.puma560()))
+def test_what_it_needs(coupled: jc.CSLC, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"shape \(..., 2\)"):
         coupled.torque(np.ones(coupled.size), *np.zeros((3, 4)))
+    with pytest.raises(jc.RobotError, match=r"joint 3 \(right\) follows another"):
+        coupled.robot.with_friction("dry", joint=3)
+    with pytest.raises(jc.RobotError, match=r"coupled: joint 4 \(end\) follows another"):
+        jc.derive(coupled.robot.with_coupling((1, 4)), lengths="numeric")
+    path = tmp_path / "hand.urdf"
+    path.write_text(HAND)
+    assert jc.load_robot(path, mimic="fix").joint_names == ("shoulder",)
+    with pytest.raises(ValueError, match="mimic: expected fix or couple, got 'move'"):
+        jc.load_robot(path, mimic="move")  # pyright: ignore[reportArgumentType]
+
+
+def test_parts_of_the_equation_of_motion(
+    coupled: jc.CSLC, k: Float[np.ndarray, " _"], rng: np.random.Generator
+) -> None:
+    q, qd, qdd = rng.uniform(-2, 2, (3, 6, 2))
+    mass = np.asarray(coupled.mass_matrix(k, q))
+    np.testing.assert_allclose(mass, np.swapaxes(mass, 1, 2), atol=_ROUNDING)
+    parts = coupled.velocity_term(k, q, qd) + coupled.gravity_term(k, q)
+    parts += coupled.friction_term(k, qd) + np.einsum("tij,tj->ti", mass, qdd)
+    tau = coupled.torque(k, q, qd, qdd)
+    np.testing.assert_allclose(parts, tau, atol=_ROUNDING)
+    np.testing.assert_allclose(coupled.forward_dynamics(k, q, qd, tau), qdd, atol=1e-8)
+
+
+def test_a_payload_on_a_finger(coupled: jc.CSLC, rng: np.random.Generator) -> None:
+    """It is a part of the link that carries it."""
+    links = list(coupled.robot.links or ())
+    body = jc.LinkParameters(0.4, np.array([0.0, 0.1, 0.02]), 0.001 * np.eye(3))
+    loaded = coupled.with_payload(link=3)
+    assert loaded.carrying_link == 3 and loaded.names[-1] == "pm"
+    motion = rng.uniform(-2, 2, (3, 5, 2))
+    with_it = loaded.torque(loaded.coefficients_from(links, payload=body), *motion)
+    links[2] = fixed_together([links[2], body])
+    np.testing.assert_allclose(
+        with_it, coupled.torque(coupled.coefficients_from(links), *motion), atol=_ROUNDING
+    )

@@ -127,7 +127,7 @@ def check(
         one = _Check(network, recording)
         label = name if len(listed) > 1 else ""
         findings += [dataclasses.replace(finding, recording=label) for finding in one.findings]
-        summary = RecordingSummary.of(network.robot, one.recording, name)
+        summary = RecordingSummary.of(network, one.recording, name)
         summaries.append(dataclasses.replace(summary, excitation=one.excitation))
         evidence.append(one.evidence)
     if len(listed) > 1:
@@ -151,7 +151,7 @@ def _with_fewest_coefficients(network: CSLC) -> CSLC:
     if network.algebra.lengths == "numeric" or not network.robot.has_all_lengths:
         return smooth
     numeric = derive(smooth.robot, lengths="numeric")
-    terms = (numeric.rigid_body, *smooth.terms[1:])
+    terms = (numeric.terms[0], *smooth.terms[1:])
     return CSLC(algebra=numeric.algebra, terms=terms)
 
 
@@ -160,7 +160,7 @@ class _Check:
 
     def __init__(self, network: CSLC, recording: Recording) -> None:
         self.network = network
-        self.names = network.robot.joint_names
+        self.names = network.output_names
         self.findings: list[Finding] = []
         self.evidence: Evidence | None = None
         self.excitation = ""

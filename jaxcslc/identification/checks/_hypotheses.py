@@ -55,7 +55,7 @@ def _driven_joints(
     regressor: Float[np.ndarray, "samples joints coefficients"],
 ) -> list[int]:
     network = evidence.network
-    kinds = network.robot.friction_per_joint
+    kinds = network.friction_per_joint
     qd, torque = np.asarray(patterns.qd), np.asarray(patterns.torque)
     mask = np.asarray(patterns.mask)
     friction = regressor.copy()

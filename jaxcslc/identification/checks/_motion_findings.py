@@ -4,7 +4,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..._rank import numerical_rank
 from ...motion import Preparation, Recording, noise_level
+from ...network import CSLC
 from ..solver import regressor_of
 from ._evidence import Evidence
 from ._finding import Finding
@@ -70,7 +72,7 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
 
 def _likeliest(evidence: Evidence) -> Cause | None:
     patterns = evidence.patterns
-    names = evidence.network.robot.joint_names
+    names = evidence.network.output_names
     errors = evidence.relative_errors
     score = objective(evidence, patterns)
     prior = prior_fit(evidence.network, patterns)
@@ -103,7 +105,7 @@ def _by_hypothesis(
     network, patterns = evidence.network, evidence.patterns
     hypotheses = [
         *sign_and_order(network.joint_count, names),
-        *angle_units(network.robot.kinds, names, np.ptp(evidence.recording.position, axis=0)),
+        *angle_units(network.joint_kinds, names, np.ptp(evidence.recording.position, axis=0)),
     ]
     quick = evidence.quick_scores([h.change.patterns(patterns) for h in hypotheses])
     # The held-out error of the few that come into question.
@@ -212,7 +214,7 @@ def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
 
 
 def _wrong_robot(evidence: Evidence) -> Finding | None:
-    names = np.array(evidence.network.robot.joint_names)
+    names = np.array(evidence.network.output_names)
     errors = _beyond_noise(evidence)
     texts: list[str] = []
     joints: set[int] = set()
@@ -251,10 +253,12 @@ def _beyond_noise(evidence: Evidence) -> Float[np.ndarray, " joints"]:
 
 
 def _beyond_limits(evidence: Evidence) -> list[Finding]:
-    robot, recording = evidence.network.robot, evidence.recording
+    network, recording = evidence.network, evidence.recording
     texts: list[str] = []
     joints: list[str] = []
-    for j, (name, limits) in enumerate(zip(robot.joint_names, robot.joint_limits, strict=True)):
+    for j, (name, limits) in enumerate(
+        zip(network.output_names, network.joint_limits, strict=True)
+    ):
         low, high = np.quantile(recording.position[:, j], [0.001, 0.999])
         span = limits.high - limits.low
         margin = 0.02 * span if np.isfinite(span) else 0.05
@@ -293,7 +297,8 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
         f" {float(fit.condition):.3g}"
     )
     # Coefficients of a joint that stands still are undetermined, which is said elsewhere.
-    if (rank == network.size or motionless(evidence.recording).any()) and gap < _TAME:
+    whole = rank == _determinable(network)
+    if (whole or motionless(evidence.recording).any()) and gap < _TAME:
         return [], text
     evidence_text = (
         f"{text}; errors on data left out of the fit are {np.exp(gap):.3g} times those of the fit"
@@ -307,3 +312,17 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
         " choose settings",
     )
     return [finding], text
+
+
+def _determinable(network: CSLC) -> int:
+    """How many coefficients there are that some motion determines.
+
+    All, but for joints that follow others: some of what these carry shows only if they move by
+    themselves.
+    """
+    joints = network.joint_count
+    if joints == network.robot.joint_count:
+        return network.size
+    motion = np.random.default_rng(0).uniform(-2.0, 2.0, (3, 8 * network.size, joints))
+    regressor = np.asarray(network.regressor(*motion))
+    return numerical_rank(regressor.reshape(-1, network.size))

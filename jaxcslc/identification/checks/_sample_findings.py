@@ -26,8 +26,8 @@ theirs, back and forth within a few samples where a joint hesitates."""
 def sample_findings(
     recording: Recording, names: Sequence[str], *, fixable: bool = False
 ) -> Iterator[Finding]:
-    """What is wrong with single samples: stale and repeated rows, clipping, joints at rest, and
-    joints that move though they are taken as fixed.
+    """What is wrong with single samples: stale and repeated rows, clipping, joints at rest,
+    joints that move though they are taken as fixed, and such as do not follow as the file says.
 
     **Arguments**
 
@@ -46,6 +46,17 @@ def sample_findings(
                 f"it moves by {extent:.3g} rad or m, and is taken as fixed at zero",
                 "--fix, --tip or --base leave out a joint that the motion needs",
                 "leave it free, or record the others with this joint at rest",
+            )
+    for name, error in recording.following_error:
+        if error > _FIXED:
+            yield Finding(
+                "mimic joint",
+                name,
+                f"it is up to {error:.3g} rad or m off the law by which the robot's file has it"
+                " follow another",
+                "the file's multiplier or offset is not the arm's, or the joints have play",
+                "compare <mimic> (or the equality) in the robot's file with the arm, or fix both"
+                " joints and record with them at rest",
             )
     still = motionless(recording)
     constant = np.ptp(recording.torque, axis=0) == 0.0

@@ -4,8 +4,9 @@ from typing import Any
 import numpy as np
 
 from ..._text_table import text_table
-from ...manipulator import JointLimits, Manipulator
+from ...manipulator import JointLimits
 from ...motion import Recording, encoder_resolution
+from ...network import CSLC
 
 
 # A joint is at rest below this part of its greatest speed.
@@ -72,13 +73,13 @@ class RecordingSummary:
     excitation: str = ""
 
     @classmethod
-    def of(cls, robot: Manipulator, recording: Recording, name: str) -> "RecordingSummary":
+    def of(cls, network: CSLC, recording: Recording, name: str) -> "RecordingSummary":
         """The summary of a recording of a robot, times in seconds."""
         interval = float(np.median(np.diff(recording.time)))
         speed = _speeds(recording)
         top = np.quantile(speed, 0.999, axis=0)
         resolution = encoder_resolution(recording.position)
-        limits = robot.joint_limits
+        limits = network.joint_limits
         joints = tuple(
             JointSummary(
                 joint,
@@ -91,10 +92,10 @@ class RecordingSummary:
                 float(np.mean(speed[:, j] <= _REST * top[j])),
                 limits[j],
             )
-            for j, joint in enumerate(robot.joint_names)
+            for j, joint in enumerate(network.output_names)
         )
         duration = float(recording.time[-1] - recording.time[0])
-        prismatic = "P" in robot.kinds
+        prismatic = "P" in network.joint_kinds
         return cls(name, recording.samples, duration, 1.0 / interval, joints, prismatic)
 
     def __str__(self) -> str:

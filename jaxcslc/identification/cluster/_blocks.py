@@ -7,7 +7,7 @@ from typing import Any, cast
 import jax
 import numpy as np
 
-from ...manipulator import Manipulator
+from ...manipulator import Manipulator, Mimic
 from ...motion import Patterns, Recording, iterate_recording, load_recording
 from ...network import CSLC, RigidBodyTables, derive
 from .._settings import Settings
@@ -29,11 +29,13 @@ class Derivation:
     **Attributes**
 
     - `robot`, `lengths`, `evaluator`: arguments of `derive`.
+    - `mimics`: the laws of joints that follow others, in which equal robots may differ.
     - `link`: that carries a payload with coefficients of its own, or None.
     - `slopes`: of static friction, as nested tuples, or None.
     """
 
     robot: Manipulator
+    mimics: tuple[Mimic, ...]
     lengths: str | tuple[str, ...]
     evaluator: str
     link: int | None
@@ -45,6 +47,7 @@ class Derivation:
         slopes = network.static_slopes
         return cls(
             robot=network.robot,
+            mimics=() if network.robot.source is None else network.robot.source.mimics,
             lengths=network.algebra.lengths,
             evaluator="tables" if isinstance(network.rigid_body, RigidBodyTables) else "recursive",
             link=None if network.payload is None else network.carrying_link,
@@ -107,7 +110,7 @@ def _block_factors(path: str, work: Work) -> JointFactors:
 
 
 def _patterns_as_recorded(path: str, network: CSLC) -> Iterator[Patterns]:
-    for chunk in iterate_recording(path, _ROWS, joints=network.robot.joint_names):
+    for chunk in iterate_recording(path, _ROWS, joints=network.output_names):
         if chunk.velocity is None or chunk.acceleration is None:
             raise ValueError(
                 f"{path}: has no velocities and accelerations; expected both, or settings that"

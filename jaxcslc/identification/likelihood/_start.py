@@ -157,7 +157,7 @@ class _Static:
     """Which joints have static friction, and which of them dry friction; a network without it."""
 
     def __init__(self, network: CSLC) -> None:
-        laws = network.robot.friction_per_joint
+        laws = network.friction_per_joint
         self.joints = [joint for joint, kinds in enumerate(laws) if "static" in kinds]
         self.without, self.indices = network, np.zeros(0, int)
         if self.joints:

@@ -59,7 +59,7 @@ def moved_bodies(
         bodies.append(f"{name} by {abs(movement[indices[0]]):.3g} standard errors ({names}{more})")
     without_motor = [
         name
-        for name, inertia in zip(network.output_names, network.robot.inertia, strict=True)
+        for name, inertia in zip(network.robot.joint_names, network.robot.inertia, strict=True)
         if not (motors and inertia.motor)
     ]
     remedies = [

@@ -201,7 +201,7 @@ def physical_parameters(
     >>> bool(k[0] > 0), round(float(k[1]), 2), float(parameters.links[0].mass) > 0
     (True, 0.3, True)
     """
-    n = network.joint_count
+    n = network.robot.joint_count
     for name, links in (("prior", prior), ("fixed", fixed)):
         if links is not None and len(links) != n:
             raise ValueError(f"{name}: expected {n} entries, one a joint, got {len(links)}")

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..._text_table import text_table
-from ...manipulator import Manipulator, RobotError
+from ...manipulator import RobotError
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
@@ -146,7 +146,7 @@ def prediction_error(
         path = np.asarray(simulate(network, k, *states, torque, interval))[rows]
         error[name] = _median(np.abs(path - truth[rows]), within)
         with contextlib.suppress(RobotError):  # lengths without values
-            off = _origins(network.robot, path) - _origins(network.robot, truth[rows])
+            off = _origins(network, path) - _origins(network, truth[rows])
             distance[name] = _median(np.linalg.norm(off, axis=-1), within)
     units = tuple("m" if unit == "N" else "rad" for unit in network.output_units)
     return HorizonError(
@@ -167,7 +167,7 @@ def file_coefficients(network: CSLC) -> dict[str, Float[Array, " coefficients"]]
     friction: dict[str, Any] = {
         kind: value
         for kind, value in values.items()
-        if value is not None and all(kind in kinds for kinds in robot.friction_per_joint)
+        if value is not None and all(kind in kinds for kinds in network.friction_per_joint)
     }
     return {"file": network.coefficients_from(robot.links, **friction)}
 
@@ -181,11 +181,12 @@ def _median(
 
 
 def _origins(
-    robot: Manipulator, q: Float[np.ndarray, "horizons starts joints"]
+    network: CSLC, q: Float[np.ndarray, "horizons starts joints"]
 ) -> Float[np.ndarray, "horizons starts 3"]:
     """Of the last joint's frame [m]."""
     flat = np.where(np.isfinite(q), q, np.nan).reshape(-1, q.shape[-1])
-    origins = np.stack([link_poses(robot, position)[-1, :3, 3] for position in flat])
+    flat = np.asarray(network.positions_of_all_joints(flat))
+    origins = np.stack([link_poses(network.robot, position)[-1, :3, 3] for position in flat])
     return origins.reshape(*q.shape[:-1], 3)
 
 

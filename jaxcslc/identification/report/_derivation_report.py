@@ -20,6 +20,10 @@ _COUPLED = (
     "  (coupled joints: their shared coefficients are not part of this list, and may replace motor"
     " inertias)"
 )
+_FOLLOWING = (
+    "  (as if every joint moved by itself: of joints that follow others, fewer; identify names"
+    " those that are left undetermined)"
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -88,6 +92,7 @@ class DerivationReport:
             f"{expression_text(network)}\n",
             _identifiability(self.identifiability),
             *([_COUPLED] if network.robot.coupled else []),
+            *([_FOLLOWING] if network.joint_count < network.robot.joint_count else []),
         ]
         return "\n".join(lines)
 

@@ -253,7 +253,7 @@ def _slopes(fit: SlopeFit) -> str:
             network.output_names,
             fit.slopes.tolist(),
             fit.slope_error.tolist(),
-            network.robot.friction_per_joint,
+            network.friction_per_joint,
             strict=True,
         )
         if "static" in terms

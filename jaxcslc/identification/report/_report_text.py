@@ -12,7 +12,11 @@ def joint_lines(network: CSLC) -> list[str]:
     robot = network.robot
     if not robot.has_joint_names:
         return []
-    joints = ", ".join(f"{i} {name}" for i, name in enumerate(robot.joint_names, start=1))
+    mimics = () if robot.source is None else robot.source.mimics
+    leaders = {mimic.follower: f" (follows {mimic.leader})" for mimic in mimics}
+    joints = ", ".join(
+        f"{i} {name}{leaders.get(name, '')}" for i, name in enumerate(robot.joint_names, start=1)
+    )
     return [fill(f"joints: {joints}", 96, subsequent_indent="    ", break_on_hyphens=False)]
 
 

@@ -137,7 +137,7 @@ def choose_friction(
         network = network.with_joint_friction(
             [
                 (*kinds, best[joint].kind) if joint in best else kinds
-                for joint, kinds in enumerate(network.robot.friction_per_joint, start=1)
+                for joint, kinds in enumerate(network.friction_per_joint, start=1)
             ]
         )
     return FrictionChoice(network, tuple(trials))
@@ -145,7 +145,7 @@ def choose_friction(
 
 def _with(network: CSLC, kind: str) -> tuple[CSLC, list[int]]:
     """With a kind of friction at all joints that may have it, and which these are, from 1."""
-    kinds_of_joints = list(network.robot.friction_per_joint)
+    kinds_of_joints = list(network.friction_per_joint)
     joints: list[int] = []
     for joint, kinds in enumerate(kinds_of_joints, start=1):
         if kind in kinds:

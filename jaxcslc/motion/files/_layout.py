@@ -145,7 +145,7 @@ class Layout:
         others = [name for name in self.joint_names if name not in names]
         notes = self.notes
         if others:
-            notes = (*notes, f"not of the robot, and not read: {_listed(others)}")
+            notes = (*notes, f"joints that are not read: {_listed(others)}")
         order = [self.joint_names.index(name) for name in names]
         return dataclasses.replace(
             self,

@@ -53,6 +53,7 @@ def load_recording(
     columns: ColumnMapping | str | os.PathLike[str] | None = None,
     *,
     fixed: Sequence[str] = (),
+    following: Sequence[tuple[str, str, float, float]] = (),
 ) -> Recording:
     """Reads a recording from a file.
 
@@ -69,6 +70,9 @@ def load_recording(
     - `fixed`: joints that the robot's description takes as fixed
         (`robot.source.fixed_joints`). Where the recording has them, its `fixed_motion` says how far
         they move.
+    - `following`: joints that the robot's description has follow others: name, the other's name,
+        multiplier and offset. Where the recording has both, its `following_error` says how far the
+        joint is off that law.
 
     **Returns**
 
@@ -110,31 +114,61 @@ def load_recording(
         joint_names=layout.joint_names,
         notes=layout.notes,
         torque_measured=layout.torque_measured,
-        fixed_motion=_motion_of(path, columns, fixed) if fixed else (),
+        fixed_motion=_motion_of(path, columns, fixed),
+        following_error=_following_error(path, columns, following),
     )
 
 
 def _motion_of(
     path: Path, columns: ColumnMapping | str | os.PathLike[str] | None, names: Sequence[str]
 ) -> list[tuple[str, float]]:
-    """How far joints move that a file may have, by name; nothing of what cannot be read.
+    """How far joints move that a file may have, by name; nothing of what cannot be read."""
+    lowest: dict[str, float] = {}
+    highest: dict[str, float] = {}
+    for piece in _positions_of(path, columns, names):
+        for name, position in piece.items():
+            lowest[name] = min(float(np.min(position)), lowest.get(name, np.inf))
+            highest[name] = max(float(np.max(position)), highest.get(name, -np.inf))
+    return [(name, highest[name] - lowest[name]) for name in lowest]
+
+
+def _following_error(
+    path: Path,
+    columns: ColumnMapping | str | os.PathLike[str] | None,
+    following: Sequence[tuple[str, str, float, float]],
+) -> list[tuple[str, float]]:
+    """How far joints that a file may have are off the laws by which they follow others."""
+    names = dict.fromkeys(name for law in following for name in law[:2])
+    largest: dict[str, float] = {}
+    for piece in _positions_of(path, columns, list(names)):
+        for name, leader, multiplier, offset in following:
+            if name in piece and leader in piece:
+                error = np.max(np.abs(piece[name] - multiplier * piece[leader] - offset))
+                largest[name] = max(float(error), largest.get(name, 0.0))
+    return list(largest.items())
+
+
+def _positions_of(
+    path: Path, columns: ColumnMapping | str | os.PathLike[str] | None, names: Sequence[str]
+) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
+    """Positions of those joints that a file has, piece by piece, up to what cannot be read.
 
     The file is read again, for what is wrong with columns that nobody needs must not keep those
     that are needed from being read.
     """
+    if not names:
+        return
     try:
         layout, pieces = _opened(path, None, columns)
         recorded = [name for name in names if name in (layout.joint_names or ())]
         if not recorded:
-            return []
+            return
         positions = layout.of_joints(str(path), recorded).quantities["position"]
-        ends: list[list[float]] = []
         for piece in pieces:
-            values = [piece[column.name] for column in positions]
-            ends += [[np.min(v) for v in values], [np.max(v) for v in values]]
+            values = (piece[column.name] for column in positions)
+            yield dict(zip(recorded, values, strict=True))
     except RecordingError:
-        return []
-    return list(zip(recorded, np.ptp(ends, axis=0).tolist(), strict=True))
+        return
 
 
 def load_recordings(

@@ -3,6 +3,10 @@ from ._input_term import (
     AbstractFunctions as AbstractFunctions,
     AbstractInputTerm as AbstractInputTerm,
 )
+from ._joint_projection import (
+    JointProjection as JointProjection,
+    ProjectedTerm as ProjectedTerm,
+)
 from ._joint_term import (
     AbstractJointLaw as AbstractJointLaw,
     JointTerm as JointTerm,

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..._environment import array_namespace
 from ...derivation import Coefficient
-from ...manipulator import Coupling, Manipulator
+from ...manipulator import Coupling, Manipulator, RobotError
 from ._input_term import (
     HOST_FUNCTIONS,
     JAX_FUNCTIONS,
@@ -37,7 +37,7 @@ class CoupledTerm(AbstractInputTerm):
     **Attributes**
 
     - `kind`: `"coupled_inertia"`, `"coupled_viscous"` or `"coupled_dry"`.
-    - `pairs`: of joints, with one coefficient each; `joint_count`: n of the robot.
+    - `pairs`: of joints that have torques, with one coefficient each; `joint_count`: how many.
     """
 
     kind: str = eqx.field(static=True)
@@ -47,16 +47,30 @@ class CoupledTerm(AbstractInputTerm):
 
     @classmethod
     def all_of(cls, robot: Manipulator) -> list["CoupledTerm"]:
-        """One term of each kind; none without coupled joints."""
+        """One term of each kind; none without coupled joints.
+
+        **Raises** `RobotError` for a joint that follows another.
+        """
         if not robot.coupled:
             return []
         prismatic = tuple(robot.joints[pair.first - 1].kind == "P" for pair in robot.coupled)
+        number = {joint: i for i, joint in enumerate(robot.independent_joints)}
+        for joint in (joint for pair in robot.coupled for joint in (pair.first, pair.second)):
+            if joint - 1 not in number:
+                raise RobotError(
+                    f"coupled: joint {joint} ({robot.joint_names[joint - 1]}) follows another and"
+                    " has no motor; expected joints that follow none"
+                )
+        pairs = tuple(
+            Coupling(number[pair.first - 1] + 1, number[pair.second - 1] + 1, pair.ratio)
+            for pair in robot.coupled
+        )
         return [
             cls(
                 kind=kind,
                 coefficients=_coefficients(kind, robot.coupled, prismatic),
-                pairs=robot.coupled,
-                joint_count=robot.joint_count,
+                pairs=pairs,
+                joint_count=len(number),
             )
             for kind in _KINDS
         ]

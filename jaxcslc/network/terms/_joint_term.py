@@ -73,7 +73,9 @@ class JointTerm(AbstractInputTerm):
 
     - `kind`: of the law.
     - `law`: the formula.
-    - `joints`: those that have it, from 0; `joint_count`: n of the robot.
+    - `joints`: those that have it, from 0; `joint_count`: how many have torques: all that follow
+      none.
+    - `robot_joints`: which of the robot's they are; `robot_joint_count`: n.
     """
 
     law: AbstractJointLaw
@@ -81,19 +83,25 @@ class JointTerm(AbstractInputTerm):
     coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
     joints: tuple[int, ...] = eqx.field(static=True)
     joint_count: int = eqx.field(static=True)
+    robot_joints: tuple[int, ...] = eqx.field(static=True)
+    robot_joint_count: int = eqx.field(static=True)
 
     @classmethod
     def of(cls, law: AbstractJointLaw, robot: Manipulator) -> "JointTerm":
         """The term of the robot's joints whose friction model names the law's kind."""
         kind, friction = law.properties.kind, robot.friction_per_joint
-        joints = tuple(joint for joint, kinds in enumerate(friction) if kind in kinds)
-        prismatic = tuple(robot.joints[joint].kind == "P" for joint in joints)
+        independent = robot.independent_joints
+        joints = tuple(i for i, joint in enumerate(independent) if kind in friction[joint])
+        robot_joints = tuple(independent[i] for i in joints)
+        prismatic = tuple(robot.joints[joint].kind == "P" for joint in robot_joints)
         return cls(
             law=law,
             kind=kind,
-            coefficients=_coefficients(law.properties, joints, prismatic),
+            coefficients=_coefficients(law.properties, robot_joints, prismatic),
             joints=joints,
-            joint_count=robot.joint_count,
+            joint_count=len(independent),
+            robot_joints=robot_joints,
+            robot_joint_count=robot.joint_count,
         )
 
     @property
@@ -114,14 +122,16 @@ class JointTerm(AbstractInputTerm):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        return (self.joint_count, *self._directions)
+        return (self.robot_joint_count, *self._directions)
 
     @property
     def value_index(self) -> tuple[tuple[int, ...], ...]:
         if not self.law.properties.directions:
-            return (self.joints,)
+            return (self.robot_joints,)
         columns = range(len(self.law.properties.symbols))
-        return self.input_joints, tuple(column for column in columns for _ in self.joints)
+        return self.robot_joints * len(columns), tuple(
+            column for column in columns for _ in self.joints
+        )
 
     @property
     def value_meaning(self) -> str:

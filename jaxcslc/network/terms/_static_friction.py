@@ -15,8 +15,8 @@ class StaticFriction(AbstractJointLaw):
 
     **Attributes**
 
-    - `slopes`: (n,) of each joint [s/rad or s/m], a leaf; those of joints without static
-      friction are not used.
+    - `slopes`: (n,) of each joint that has a torque [s/rad or s/m], a leaf; those of joints
+      without static friction are not used.
     """
 
     slopes: Float[Array | np.ndarray, "*batch joints"]
@@ -34,7 +34,8 @@ class StaticFriction(AbstractJointLaw):
     @classmethod
     def from_robot(cls, robot: Manipulator) -> "StaticFriction":
         """With the robot's slopes, or a guess."""
-        return cls(np.array(robot.static_slopes or (STATIC_SLOPE,) * robot.joint_count, float))
+        slopes = np.array(robot.static_slopes or (STATIC_SLOPE,) * robot.joint_count, float)
+        return cls(slopes[list(robot.independent_joints)])
 
     def with_slopes(
         self, slopes: Sequence[float] | Float[Array | np.ndarray, " joints"]

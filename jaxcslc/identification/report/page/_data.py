@@ -151,7 +151,7 @@ def report_data(
         training = report.patterns["training"]
         data["friction"] = friction_points(network, k, training)
         if bodies is not None:
-            data["bodies"] = _bodies(network, bodies, joints, np.asarray(training.q)[0])
+            data["bodies"] = _bodies(network, bodies, np.asarray(training.q)[0])
             data["bodies"]["judged"] = None if possible is None else _judged(possible)
     return data
 
@@ -236,12 +236,10 @@ def _trials(selection: Selection) -> list[dict[str, Any]]:
     ]
 
 
-def _bodies(
-    network: CSLC, bodies: PhysicalParameters, joints: Sequence[str], q: np.ndarray
-) -> dict[str, Any]:
+def _bodies(network: CSLC, bodies: PhysicalParameters, q: np.ndarray) -> dict[str, Any]:
     names = [
         f"link of {joint}" if body.isdigit() else body
-        for body, joint in zip(bodies.body_names, joints, strict=True)
+        for body, joint in zip(bodies.body_names, network.robot.joint_names, strict=True)
     ]
     links = [
         {
@@ -260,7 +258,9 @@ def _bodies(
         "arm": None,
     }
     try:
-        document["arm"] = arm_document(network.robot, bodies.links, names, q)
+        document["arm"] = arm_document(
+            network.robot, bodies.links, names, np.asarray(network.positions_of_all_joints(q))
+        )
     except RobotError as error:
         document["no_arm"] = str(error)
     return document

@@ -1,0 +1,166 @@
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._environment import array_namespace
+from ...derivation import Coefficient
+from ...manipulator import Manipulator
+from ._rigid_body_recursion import RigidBodyRecursion
+from ._rigid_body_tables import RigidBodyTables
+from ._term import (
+    AbstractManipulatorTerm,
+    Coefficients,
+    Columns,
+    Joints,
+    Matrices,
+    Regressor,
+    Rows,
+)
+
+
+AllJoints = Float[Array, "*batch all_joints"]
+
+
+class JointProjection(eqx.Module):
+    """How a robot's joints move with the independent ones: q = S u + s.
+
+    u are positions of the joints that follow none. Virtual work gives their torques from those of
+    all joints: S' tau.
+
+    **Attributes**
+
+    - `matrix`: S, (n, m), as nested tuples.
+    - `offset`: s, (n,) [rad or m].
+
+    >>> import jaxcslc as jc
+    >>> JointProjection.of(jc.puma560()) is None  # no joint follows another
+    True
+    """
+
+    matrix: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    offset: tuple[float, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, robot: Manipulator) -> "JointProjection | None":
+        """That of a robot some of whose joints follow others; None for all other robots."""
+        mimics = () if robot.source is None else robot.source.mimics
+        if not mimics:
+            return None
+        names, independent = robot.joint_names, robot.independent_joints
+        matrix, offset = np.zeros((len(names), len(independent))), np.zeros(len(names))
+        matrix[independent, range(len(independent))] = 1.0
+        for mimic in mimics:
+            follower = names.index(mimic.follower)
+            matrix[follower] = mimic.multiplier * matrix[names.index(mimic.leader)]
+            offset[follower] = mimic.offset
+        return cls(tuple(tuple(row) for row in matrix.tolist()), tuple(offset.tolist()))
+
+    @property
+    def joint_count(self) -> int:
+        """Of independent joints, m."""
+        return len(self.matrix[0])
+
+    @property
+    def shares(self) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """Of each independent joint, the joints that move with it and by how much."""
+        return tuple(
+            tuple((joint, row[column]) for joint, row in enumerate(self.matrix) if row[column])
+            for column in range(self.joint_count)
+        )
+
+    def positions(self, q: Any) -> Any:
+        """Of all joints, (..., n), from those of the independent ones, (..., m)."""
+        # Shaped for JAX's strict rule of broadcasting.
+        offset = np.array(self.offset, q.dtype).reshape((1,) * (q.ndim - 1) + (-1,))
+        return q @ np.array(self.matrix, q.dtype).T + offset
+
+    def velocities(self, qd: Any) -> Any:
+        """Of all joints, (..., n), from (..., m); and so accelerations."""
+        return qd @ np.array(self.matrix, qd.dtype).T
+
+
+class ProjectedTerm(AbstractManipulatorTerm):
+    """A term of all joints as one of the independent joints: Y(S u + s, S u', S u'') k, times S'.
+
+    **Attributes**
+
+    - `term`: of all joints, n.
+    - `projection`: onto m independent ones.
+    """
+
+    term: RigidBodyTables | RigidBodyRecursion
+    projection: JointProjection
+    kind: str = eqx.field(static=True)
+    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls, term: RigidBodyTables | RigidBodyRecursion, projection: JointProjection | None
+    ) -> "RigidBodyTables | RigidBodyRecursion | ProjectedTerm":
+        """The term itself where all joints are independent."""
+        if projection is None:
+            return term
+        return cls(term=term, projection=projection, kind=term.kind, coefficients=term.coefficients)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.term.parts
+
+    @property
+    def has_host_columns(self) -> bool:
+        return self.term.has_host_columns
+
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        supports = self.term.support
+        return tuple(
+            tuple(sorted({i for joint, _ in shares for i in supports[joint]}))
+            for shares in self.projection.shares
+        )
+
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
+        positions, velocities = self.projection.positions, self.projection.velocities
+        whole = self.term.columns(positions(q.T).T, velocities(qd.T).T, velocities(qdd.T).T)
+        xp, supports = array_namespace(*whole), self.term.support
+        rows: list[Any] = []
+        for shares, support in zip(self.projection.shares, self.support, strict=True):
+            total = xp.zeros((len(support), q.shape[1]), whole[0].dtype)
+            for joint, share in shares:
+                # Entries of this joint's columns among those of the sum.
+                at = np.searchsorted(support, supports[joint])
+                spread = np.zeros((len(support), len(supports[joint])), whole[0].dtype)
+                spread[at, range(len(at))] = share
+                total = total + spread @ whole[joint]
+            rows.append(total)
+        return tuple(rows)
+
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        whole = self.term.regressor(*self._of_all(q, qd, qdd))
+        return (whole.mT @ self._matrix(whole)).mT
+
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+        whole = self.term.torque(k, *self._of_all(q, qd, qdd))
+        return whole @ self._matrix(whole)
+
+    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
+        whole = self.term.mass_matrix(k, self.projection.positions(q))
+        return self._matrix(whole).T @ whole @ self._matrix(whole)
+
+    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
+        q, qd = self.projection.positions(q), self.projection.velocities(qd)
+        whole = self.term.velocity_term(k, q, qd)
+        return whole @ self._matrix(whole)
+
+    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
+        whole = self.term.gravity_term(k, self.projection.positions(q))
+        return whole @ self._matrix(whole)
+
+    def _of_all(self, q: Joints, qd: Joints, qdd: Joints) -> tuple[AllJoints, AllJoints, AllJoints]:
+        velocities = self.projection.velocities
+        return self.projection.positions(q), velocities(qd), velocities(qdd)
+
+    def _matrix(self, like: Any) -> Any:
+        return jnp.asarray(self.projection.matrix, like.dtype)
