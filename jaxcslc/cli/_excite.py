@@ -102,8 +102,7 @@ def excite_command(
         before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
         network = before.network
         bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
-        if before.sampling is not None and "rate" not in typed_options(context):
-            rate = 1.0 / before.sampling.interval
+        rate = rate if "rate" in typed_options(context) else before.rate(rate)
         noise = _noise(before, bounds, rate, torque_noise, encoder, estimator)
         names = None if wanted is None else names_in(wanted)
         if reached := _reached(before, names, reach):
@@ -147,6 +146,10 @@ class _Before:
     knowledge: Knowledge
     fit: Identification | None = None
     sampling: Sampling | None = None
+
+    def rate(self, default: float) -> float:
+        """Of samples [Hz]."""
+        return default if self.sampling is None else 1.0 / self.sampling.interval
 
 
 def _before(

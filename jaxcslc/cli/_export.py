@@ -65,8 +65,8 @@ def export_command(
     with one_line_errors(), progress("reading") as step:
         file = _file_of(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
-        if not c and not overwrite and path.exists() and file.exists() and path.samefile(file):
-            raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
+        if not c and not overwrite:
+            _check_is_another(path, file)
         saved = load_report(identification, robot_named(str(file), base, tip, fix, mimic))
         if c:
             step("writing C")
@@ -87,6 +87,12 @@ def export_command(
                 )
             )
     typer.echo(with_notes(text, saved.network.robot))
+
+
+def _check_is_another(path: Path, file: Path) -> None:
+    """**Raises** `ValueError` where the output is the robot's own file."""
+    if path.exists() and file.exists() and path.samefile(file):
+        raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
 
 
 def _file_of(robot: str) -> Path:

@@ -135,10 +135,8 @@ def identify_command(
                 **_choices(estimator, possible, prior),
                 "options": without_none(torque_lag=torque_lag, loss=loss),
             }
-            files = train, validate
-            report = _identified(
-                context, arm, saved, files, _settings(settings, saved), options, step
-            )
+            preparation = _settings(settings, saved)
+            report = _identified(context, arm, saved, (train, validate), preparation, options, step)
         text = _written(report, output, context, step)
     typer.echo(text)
 

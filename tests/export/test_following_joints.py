@@ -107,3 +107,5 @@ def test_from_a_recording_to_a_report_and_a_file(
     table.to_csv(log, index=False)
     done = run("check", *line)
     assert done.exit_code == 1 and "mimic joint, end: it is up to 0.2 rad or m off" in done.output
+    done = run("check", arm, log, "--mimic", "move")
+    assert done.exit_code == 2 and "--mimic: expected fix, couple, got 'move'" in done.output

@@ -63,9 +63,10 @@ def test_a_gripper_that_is_fixed(tmp_path: Path, fix: str | tuple[str, ...]) -> 
 def test_what_mimics_can_be_left_out(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(gripper())
-    with pytest.raises(jc.RobotError, match=r"'right' mimics 'left'; .*--fix left fixes them"):
+    with pytest.raises(jc.RobotError, match=r"'right' mimics 'left'; .*--mimic couple.*--fix left"):
         jc.load_robot(path)
     assert names(jc.load_robot(path, fix="right")) == ("j", "wrist", "left")
+    are_the_same(jc.load_robot(path, mimic="fix"), jc.load_robot(path, fix="left"))
     with pytest.raises(jc.RobotError, match=r"fix 'grip' is none of its bodies and none of .*: j,"):
         jc.load_robot(path, fix="grip")
     path.write_text(gripper(mimic='<mimic joint="nobody"/>'))
@@ -85,7 +86,7 @@ def test_the_command_fixes_and_has_several_tips(tmp_path: Path) -> None:
     assert "note: " in floating.output
     assert "joint 'f' is floating: link 'a' is taken as fixed to the base" in floating.output
     refused = run("derive", "puma560", "--fix", "wrist")
-    assert refused.exit_code == 2 and "fix choose a part of a file" in refused.stderr
+    assert refused.exit_code == 2 and "mimic choose a part of a file" in refused.stderr
 
 
 def test_two_arms_are_a_tree(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def _robot(draw: random.Random, templates: Path, folder: Path) -> Arguments:
         parts = ("upper", "lower", "finger", "grip", "elbow", "*", "world", "none", "")
         options += [draw.choice(("--tip", "--fix", "--base")), draw.choice(parts)]
     elif name == "arm.urdf":
-        options += ["--fix", "grip"]
+        options += draw.choice((["--fix", "grip"], ["--mimic", "couple"], ["--mimic", "fix"]))
     if draw.random() < 0.2:
         options += ["--lengths", draw.choice(("numeric", "symbolic", "auto", "a1", "b,,", ""))]
     if draw.random() < 0.2:
@@ -111,6 +111,15 @@ def _result(draw: random.Random, templates: Path, folder: Path) -> Arguments:
     return draw.choices(lines, (6, 2, 4, 1, 2, 2))[0]
 
 
+def _limits(draw: random.Random, templates: Path, folder: Path) -> Arguments:
+    """Limits, within which a motion is designed."""
+    arguments: Arguments = ["excite", templates / "arm.toml", *_SHORT_SEARCH]
+    if draw.random() < 0.5:
+        arguments += ["--family", draw.choice(("splines", "fourier", "periodic", "moves", "x"))]
+    arguments += ["--limits", _mutated(draw, templates, folder, "limits.toml")]
+    return [*arguments, "-o", folder / "motion.csv"]
+
+
 def _line(draw: random.Random, templates: Path, folder: Path) -> Arguments:
     """A command line of files that are whole, with options and values that may not belong."""
     names = (*ROBOTS, *TABLES, *BINARIES, "system.toml", "mapping.toml", "settings.json", "result")
@@ -119,10 +128,11 @@ def _line(draw: random.Random, templates: Path, folder: Path) -> Arguments:
         *NUMBERS,
         *WORDS,
         *("puma560", "panda", folder / "out", folder, "-", "--", "~", "/dev/null", "viscous,dry"),
-        *("always", "never", "0.1"),
+        *("always", "never", "0.1", "fix", "couple", "auto", "maximum-likelihood", "local"),
+        *("splines", "moves", "error", "D", "likelihood", "regression", "kv1"),
         *("1,2", "1,2,-1", "inf,2", "1,1", "0,1", "0,9", "5,1", "numeric", "huber", "static"),
     )
-    command = draw.choice(("derive", "check", "identify", "compare", "export", "payload"))
+    command = draw.choice(COMMANDS)
     arm, log, result = templates / "arm.toml", templates / "log.csv", templates / "result"
     settings: Arguments = ["--settings", templates / "settings.json"]
     whole: dict[str, Arguments] = {
@@ -132,25 +142,33 @@ def _line(draw: random.Random, templates: Path, folder: Path) -> Arguments:
         "compare": [result, result],
         "export": [arm, result / "identification.json"],
         "payload": [arm, log, "--previous", result / "identification.json"],
+        "excite": [arm, "--limits", templates / "limits.toml", *_SHORT_SEARCH],
     }
     line = whole[command]
     if draw.random() < 0.4:
         line[draw.randrange(len(line))] = draw.choice(values)
     for _ in range(draw.choice((0, 1, 1, 2))):
         line += [draw.choice(OPTIONS), draw.choice(values)]
-    if command in ("identify", "export", "payload"):
-        line += ["-o", folder / ("out.toml" if command == "export" else "out")]
+    if command in ("identify", "export", "payload", "excite"):
+        line += ["-o", folder / _OUTPUT.get(command, "out")]
     if draw.random() < 0.1:
         draw.shuffle(line)
     return [draw.choices((command, "jaxcslc", ""), (97, 1, 2))[0], *line]
 
 
+COMMANDS = ("derive", "check", "identify", "compare", "export", "payload", "excite")
+# So that a search ends in a second.
+_SHORT_SEARCH: Arguments = ["--duration", "1", "--rate", "50", "--starts", "1"]
+_OUTPUT = {"export": "out.toml", "excite": "motion.csv"}
 OPTIONS = (
     *("--base", "--tip", "--fix", "--friction", "--coupled", "--lengths", "--settings", "-o"),
     *("--columns", "--between", "--every", "--period", "--drop-stale", "--despike", "--loss"),
     *("--torque-lag", "--folds", "--validate", "--offsets", "--reidentify", "--previous", "--c"),
     *("--unloaded", "--mass", "--overwrite", "--help", "--version", "--nonsense"),
     *("--memory", "--possible", "--prior", "--no-motors", "--measured", "--no-check"),
+    *("--mimic", "--estimator", "--dask", "--fleet", "--horizon", "--systematic", "--limits"),
+    *("--duration", "--rate", "--family", "--for", "--criterion", "--after", "--reach", "--seed"),
+    *("--torque-noise", "--encoder", "--task", "--start", "--starts"),
 )
 
 KINDS: dict[str, tuple[int, Callable[[random.Random, Path, Path], Arguments]]] = {
@@ -161,6 +179,7 @@ KINDS: dict[str, tuple[int, Callable[[random.Random, Path, Path], Arguments]]] =
     "mapping": (6, _mapping),
     "settings": (8, _settings),
     "result": (10, _result),
+    "limits": (3, _limits),
     "line": (10, _line),
 }
 """What is mutated: its share of the cases, and what makes one."""

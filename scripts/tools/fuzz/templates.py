@@ -140,6 +140,25 @@ SETTINGS: dict[str, Any] = {
     },
     "solver": {"loss": "squared", "joint_weights": "equal", "cutoff": 8.0, "errors": "correlated"},
 }
+LIMITS = """[joints]
+position = [[-2.0, 2.0], [-1.5, 1.5]]
+velocity = [2.0, 3.0]
+acceleration = 20.0
+jerk = 400.0
+torque = [60.0, 30.0]
+power = 100
+torque_margin = 0.1
+
+[surroundings]
+clearance = 0.02
+radius = 0.03
+floor = -2.0
+self_collision = false
+workspace = [[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]]
+boxes = [[[2.0, 0.0, 0.0], [0.1, 0.1, 0.1]]]
+spheres = [[[0.0, 2.0, 0.0], 0.1]]
+ignore = [["shoulder", "elbow"]]
+"""
 # The arm that recordings are of: small, and not the TOML file above, which is all keys.
 ARM = 'gravity = [0, -9.81, 0]\n[[joint]]\nname = "shoulder"\n[[joint]]\nname = "elbow"\na = 0.3\n'
 
@@ -176,6 +195,7 @@ def write_inputs(folder: Path) -> None:
         "arm.toml": ARM,
         "system.toml": SYSTEM,
         "mapping.toml": MAPPING,
+        "limits.toml": LIMITS,
         "settings.json": json.dumps(SETTINGS, indent=1),
     }
     for name, text in texts.items():
