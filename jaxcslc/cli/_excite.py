@@ -106,8 +106,7 @@ def excite_command(
         noise = _noise(before, bounds, rate, torque_noise, encoder, estimator)
         names = None if wanted is None else names_in(wanted)
         if reached := _reached(before, names, reach):
-            typer.echo(reached)
-            return
+            return typer.echo(reached)
         design = design_motion(
             network,
             bounds,
