@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from ..export import c_code, export_robot, write_c
+from ..export import CCode, c_code, export_robot, write_c
 from ..identification.report import load_report
 from ._common import (
     BUNDLED,
@@ -70,10 +70,7 @@ def export_command(
         saved = load_report(identification, robot_named(str(file), base, tip, fix, mimic))
         if c:
             step("writing C")
-            code = c_code(saved.network, saved.fit.k)
-            source, header = write_c(code, output)
-            counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
-            text = f"operations: {counts}\nwrote {source} and {header}"
+            text = _written_c(c_code(saved.network, saved.fit.k), output)
         else:
             text = str(
                 export_robot(
@@ -87,6 +84,13 @@ def export_command(
                 )
             )
     typer.echo(with_notes(text, saved.network.robot))
+
+
+def _written_c(code: CCode, output: Path | None) -> str:
+    """Writes C code. **Returns** what is printed of it."""
+    source, header = write_c(code, output)
+    counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
+    return f"operations: {counts}\nwrote {source} and {header}"
 
 
 def _check_is_another(path: Path, file: Path) -> None:
