@@ -18,7 +18,7 @@ from ..excitation import (
     save_design,
     wanted_indices,
 )
-from ..identification import Identification, identify
+from ..identification import Identification, Settings, identify
 from ..identification.report import load_report
 from ..manipulator import Manipulator
 from ..motion import Sampling
@@ -63,6 +63,7 @@ from ._excite_options import (
     StartsOption,
     TaskOption,
     TorqueNoiseOption,
+    TorqueOffsetOption,
 )
 
 
@@ -74,12 +75,13 @@ def excite_command(
     rate: RateOption = 500.0,
     family: FamilyOption = "splines",
     wanted: ForOption = None,
-    criterion: CriterionOption = "error",
+    criterion: CriterionOption = "overall",
     prior: PriorReportOption = None,
     after: AfterOption = None,
     reach: ReachOption = None,
     limits: LimitsOption = None,
     torque_noise: TorqueNoiseOption = None,
+    torque_offset: TorqueOffsetOption = None,
     encoder: EncoderOption = None,
     estimator: EstimatorOption = "likelihood",
     task: TaskOption = None,
@@ -100,15 +102,15 @@ def excite_command(
         _check_options(output, family, criterion, starts)
         arm = robot_named(robot, base, tip, fix, mimic)
         before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
-        network = before.network
         bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
-        rate = rate if "rate" in typed_options(context) else before.rate(rate)
-        noise = _noise(before, bounds, rate, torque_noise, encoder, estimator)
+        stated = _stated_noise(torque_noise, torque_offset, encoder) | {"estimator": estimator}
+        stated["rate"] = rate if "rate" in typed_options(context) else before.rate(rate)
+        noise = _noise(before, bounds, stated)
         names = None if wanted is None else names_in(wanted)
         if reached := _reached(before, names, reach):
             return typer.echo(reached)
         design = design_motion(
-            network,
+            before.network,
             bounds,
             noise,
             duration=duration,
@@ -145,6 +147,7 @@ class _Before:
     knowledge: Knowledge
     fit: Identification | None = None
     sampling: Sampling | None = None
+    cutoff: float | None = None  # of the low pass of the fit's equations [Hz]
 
     def rate(self, default: float) -> float:
         """Of samples [Hz]."""
@@ -163,39 +166,46 @@ def _before(
         raise ValueError("--prior and --after: expected one of them")
     if prior is not None:
         saved = load_report(prior, arm)
-        sampling = None if saved.settings is None else saved.settings.chosen_on
+        settings = saved.settings
+        sampling = None if settings is None else settings.chosen_on
         knowledge = Knowledge.of_fit(saved.network, saved.fit)
-        return _Before(saved.network, knowledge, saved.fit, sampling)
+        return _Before(saved.network, knowledge, saved.fit, sampling, _cutoff(settings))
     network = network_of(arm, *form)
     if not after:
         return _Before(network, Knowledge.of_robot(network))
     recordings = recordings_of(after, lambda path: recording_of(path, network.robot, columns))
     report = identify(network, recordings, possible="never", progress=step)
     sampling = Sampling.of(next(iter(recordings.values())))
-    return _Before(network, Knowledge.of_fit(network, report.fit), report.fit, sampling)
+    knowledge = Knowledge.of_fit(network, report.fit)
+    return _Before(network, knowledge, report.fit, sampling, _cutoff(report.settings))
 
 
-def _noise(
-    before: _Before,
-    limits: Limits,
-    rate: float,
-    torque: str | None,
-    encoder: str | None,
-    estimator: str,
-) -> Noise:
+def _cutoff(settings: Settings | None) -> float | None:
+    """Of the low pass of a fit's equations; None without one."""
+    return None if settings is None else settings.solver.cutoff
+
+
+def _stated_noise(torque: str | None, offset: str | None, encoder: str | None) -> dict[str, Any]:
+    options = {
+        "torque": ("--torque-noise", torque),
+        "offset": ("--torque-offset", offset),
+        "resolution": ("--encoder", encoder),
+    }
+    return {
+        name: _numbers(option, text) for name, (option, text) in options.items() if text is not None
+    }
+
+
+def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
     """Stated, or as earlier recordings had it, or a guess."""
-    stated: dict[str, Any] = {"rate": rate, "estimator": estimator}
-    if torque is not None:
-        stated["torque"] = _numbers("--torque-noise", torque)
-    if encoder is not None:
-        stated["resolution"] = _numbers("--encoder", encoder)
     if before.fit is not None:
-        return Noise.of_fit(before.fit, before.sampling, **stated)
-    if torque is None:
+        return Noise.of_fit(before.fit, before.sampling, cutoff=before.cutoff, **stated)
+    if "torque" not in stated:
         if not np.isfinite(limits.torque).all():
             raise ValueError("--torque-noise: expected it, as not all joints have a torque limit")
         stated["torque"] = tuple((0.01 * limits.torque).tolist())
-    defaults: dict[str, Any] = {"resolution": 1e-4}
+    # What differs between directions is unknown before a first recording, and never nothing.
+    defaults: dict[str, Any] = {"resolution": 1e-4, "offset": stated["torque"]}
     return Noise(**(defaults | stated))
 
 

@@ -35,9 +35,10 @@ ForOption = Annotated[
 CriterionOption = Annotated[
     str,
     typer.Option(
-        metavar="error|worst|torque|A|D|E|condition|scaled_condition",
+        metavar="overall|error|worst|torque|A|D|E|condition|scaled_condition",
         help="What is made small: mean or largest standard error over size, error of torques on"
-        " --task, or what other designs use (docs/excitation.md).",
+        " --task, the mean of the first and the third (overall), or what other designs use"
+        " (docs/excitation.md).",
     ),
 ]
 PriorReportOption = Annotated[
@@ -74,6 +75,14 @@ TorqueNoiseOption = Annotated[
         " 1 % of the torque limits if omitted.",
     ),
 ]
+TorqueOffsetOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NUMBERS",
+        help="Standard deviation of constant errors of torques, one or one a joint [N m]; as large"
+        " as --torque-noise if omitted, 0 after --prior or --after.",
+    ),
+]
 EncoderOption = Annotated[
     str | None,
     typer.Option(
@@ -88,7 +97,10 @@ EstimatorOption = Annotated[
 ]
 TaskOption = Annotated[
     Path | None,
-    typer.Option(help="Recording of the motion on which torques matter; for criterion torque."),
+    typer.Option(
+        help="Recording of the motion on which torques matter, for criteria overall and torque;"
+        " random motions within the limits if omitted."
+    ),
 ]
 StartOption = Annotated[
     str | None,

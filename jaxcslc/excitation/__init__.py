@@ -8,7 +8,6 @@ from ._design import (
     Planner as Planner,
     design_motion as design_motion,
     family_named as family_named,
-    random_parameters as random_parameters,
 )
 from ._families import (
     AbstractFamily as AbstractFamily,
@@ -23,3 +22,4 @@ from ._limits import Limits as Limits, Surroundings as Surroundings, load_limits
 from ._noise import Noise as Noise
 from ._output import save_design as save_design
 from ._result import Design as Design
+from ._task import random_parameters as random_parameters

@@ -10,15 +10,19 @@ from ..network import CSLC
 from ._information import Moments, Square, error_covariance
 
 
-Criterion = Literal["error", "worst", "A", "D", "E", "torque", "condition", "scaled_condition"]
+Criterion = Literal[
+    "overall", "error", "worst", "torque", "A", "D", "E", "condition", "scaled_condition"
+]
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
+ON_TASK = ("overall", "torque")  # criteria that a task enters
 EXPLANATIONS: dict[str, str] = {
+    "overall": "geometric mean of `error` and `torque`",
     "error": "mean standard error over size",
     "worst": "largest standard error over size, as a norm of eighth order",
     "A": "root mean square standard error over size",
     "D": "geometric mean of the principal standard errors over size",
     "E": "largest principal standard error over size",
-    "torque": "standard deviation of predicted torque on the task, over the noise",
+    "torque": "standard deviation of torque predicted on the task, over the noise",
     "condition": "condition number of the regressor in SI units",
     "scaled_condition": "condition number of the regressor with columns of unit length",
 }
@@ -42,7 +46,8 @@ def log_criterion(
     - `moments`: of the motion.
     - `prior`: (p, p) information before it, in units of the coefficients' sizes.
     - `wanted`: indices of the coefficients that matter; others may have any error.
-    - `task`: (p, p) mean squared torque of coefficients' errors, in the same units, for `"torque"`.
+    - `task`: (p, p) mean squared torque of coefficients' errors, in the same units, for those of
+      `ON_TASK`.
     """
     if criterion in ("condition", "scaled_condition"):
         products = moments.plain[jnp.ix_(wanted, wanted)]
@@ -52,13 +57,15 @@ def log_criterion(
         values = jnp.linalg.eigvalsh(products)
         least = values[-1] * 1e-14
         return 0.5 * (jnp.log(values[-1]) - jnp.log(jnp.maximum(values[0], least)))
-    covariance = error_covariance(moments, prior)
-    if criterion == "torque":
-        return 0.5 * jnp.log(jnp.sum(covariance * task))
-    part = covariance[jnp.ix_(wanted, wanted)]
+    part = error_covariance(moments, prior)[jnp.ix_(wanted, wanted)]
     variance = jnp.maximum(jnp.diagonal(part), 1e-30)
+    mean_error = jnp.log(jnp.mean(jnp.sqrt(variance)))
     if criterion == "error":
-        return jnp.log(jnp.mean(jnp.sqrt(variance)))
+        return mean_error
+    if criterion in ON_TASK:
+        of_torque = 0.5 * jnp.log(jnp.sum(part * task[jnp.ix_(wanted, wanted)]))
+        # A product: whatever one of both could reach, and in which unit, does not matter.
+        return of_torque if criterion == "torque" else 0.5 * (mean_error + of_torque)
     if criterion == "worst":
         return 0.125 * jax.scipy.special.logsumexp(4.0 * jnp.log(variance))
     if criterion == "A":

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..motion import Preparation, Recording
+from ..motion import Recording
 from ..network import CSLC
 from ._collision import Bodies
 from ._criteria import (
     CRITERIA,
+    ON_TASK,
     log_criterion,
     prior_information,
     wanted_indices,
@@ -33,6 +34,7 @@ from ._limits import Limits, Surroundings
 from ._noise import Noise
 from ._result import UNDETERMINED, Design
 from ._search import Problem, Search
+from ._task import random_parameters, random_states, task_products
 
 
 FamilyName = Literal["splines", "fourier", "periodic", "moves"]
@@ -73,7 +75,7 @@ def design_motion(
     duration: float = 10.0,
     family: str | AbstractFamily = "splines",
     wanted: Sequence[str] | None = None,
-    criterion: str = "error",
+    criterion: str = "overall",
     knowledge: Knowledge | None = None,
     task: Recording | tuple[Any, Any, Any] | None = None,
     surroundings: Surroundings | None = None,
@@ -100,7 +102,8 @@ def design_motion(
     - `wanted`: names, groups or kinds of coefficients that matter; all if None.
     - `criterion`: one of `CRITERIA`.
     - `knowledge`: of coefficients before; by default that of the robot's file.
-    - `task`: motion on which torques are to be predicted, for the criterion `"torque"`.
+    - `task`: motion on which torques are to be predicted, for the criteria `"overall"` and
+      `"torque"`; random motions within the limits if None.
     - `surroundings`: bodies that must not collide; not watched if None.
     - `start`: the pose to start from, (n,); any if None.
     - `seed`: of the random motions; the same seed gives the same design.
@@ -169,7 +172,7 @@ class Planner:
         family: AbstractFamily,
         *,
         wanted: Sequence[str] | None = None,
-        criterion: str = "error",
+        criterion: str = "overall",
         knowledge: Knowledge | None = None,
         task: Recording | tuple[Any, Any, Any] | None = None,
         surroundings: Surroundings | None = None,
@@ -180,8 +183,10 @@ class Planner:
         n = network.joint_count
         if criterion not in CRITERIA:
             raise ValueError(f"criterion: expected {', '.join(CRITERIA)}, got {criterion!r}")
-        if (criterion == "torque") != (task is not None):
-            raise ValueError("criterion 'torque' and a task: expected both or neither")
+        if task is not None and criterion not in ON_TASK:
+            raise ValueError(
+                f"criterion {criterion!r} has no task; expected {' or '.join(ON_TASK)}, or no task"
+            )
         if start is not None and np.shape(start) != (n,):
             raise ValueError(f"start: expected {n} positions, got {np.shape(start)}")
         knowledge = knowledge or Knowledge.of_robot(network)
@@ -200,6 +205,8 @@ class Planner:
         torque = np.where(np.isfinite(limits.torque), limits.torque, 100 * deviation)
         size = coefficient_sizes(network, knowledge.k, typical, torque)
         information = MotionInformation(network, knowledge.k, size, noise, interval)
+        if task is None and criterion in ON_TASK:
+            task = random_states(check, network, model, time, np.random.default_rng(seed))
         problem = Problem.of(
             information,
             family,
@@ -207,7 +214,7 @@ class Planner:
             limits,
             prior=prior_information(size, knowledge.information),
             wanted=wanted_indices(network, wanted),
-            task=_task_products(information, task),
+            task=task_products(information, task),
             criterion=criterion,
             start=start,
         )
@@ -338,28 +345,6 @@ class Planner:
         return notes
 
 
-def random_parameters(
-    check: DenseCheck,
-    pose: Float[np.ndarray, " joints"],
-    rng: np.random.Generator,
-    spread: float | None = None,
-) -> Parameters:
-    """A random motion about a pose that keeps limits of positions and derivatives, by nine tenths.
-
-    **Arguments**
-
-    - `spread`: of its start about the pose, as a part of the ranges; a tenth if None.
-    """
-    limits, family = check.limits, check.family
-    half = (limits.high - limits.low) / 2
-    parameters = half * rng.normal(0.0, 0.7, (family.size, len(half)))
-    shift = (0.1 if spread is None else spread) * half * rng.uniform(-1.0, 1.0, len(half))
-    parameters[0] = np.clip(pose + shift, limits.low + 0.1 * half, limits.high - 0.1 * half)
-    if spread == 0.0:
-        parameters[0] = pose
-    return check.within_kinematic_limits(parameters, 0.9)
-
-
 def predicted(information: MotionInformation, knowledge: Knowledge, moments: Any) -> Prediction:
     """Standard errors after a motion of these moments."""
     size, network = information.size, information.network
@@ -376,19 +361,6 @@ def predicted(information: MotionInformation, knowledge: Knowledge, moments: Any
         condition_of(plain),
         condition_of(column_scaled(plain)),
     )
-
-
-def _task_products(information: MotionInformation, task: Any) -> Float[np.ndarray, "_ _"]:
-    """Mean squared torque, over the noise's, of errors of coefficients on a motion."""
-    network, size = information.network, information.size
-    if task is None:
-        return np.zeros((network.size, network.size))
-    if isinstance(task, Recording):
-        task = Preparation().derivatives(task)
-    rows = np.asarray(network.regressor(*(jnp.asarray(x) for x in task))) * size
-    deviation = information.noise.torque_deviation(network.joint_count)
-    rows = (rows / deviation[:, None]).reshape(-1, network.size)
-    return rows.T @ rows / (len(rows))
 
 
 @eqx.filter_jit

@@ -81,11 +81,13 @@ class MotionInformation(eqx.Module):
         density = self.noise.density(frequency, mass_square) / self.interval
         if self.noise.estimator == "likelihood":
             white = np.linalg.inv(np.linalg.cholesky(density))
-            return Spectra(white, np.broadcast_to(np.eye(n), density.shape))
-        gain = self.noise.gain(frequency)
-        filtered = gain[:, None] ** 2 * np.diagonal(density, axis1=1, axis2=2)
-        weight = 1.0 / np.sqrt(np.mean(filtered, axis=0))  # joints weighted by their residuals
-        white = gain[:, None, None] * np.diag(weight)
+        else:
+            gain = self.noise.gain(frequency)
+            filtered = gain[:, None] ** 2 * np.diagonal(density, axis1=1, axis2=2)
+            weight = 1.0 / np.sqrt(np.mean(filtered, axis=0))  # joints weighted by their residuals
+            white = gain[:, None, None] * np.diag(weight)
+        # Estimators know nothing of offsets: their weights are those without.
+        density[0] += samples * np.diag(self.noise.offset_deviation(n) ** 2)
         return Spectra(white, white @ density @ white.swapaxes(-1, -2))
 
     def moments(self, motion: Motion, spectra: Spectra, regressor: Any = None) -> Moments:
@@ -99,7 +101,7 @@ class MotionInformation(eqx.Module):
         equations = jnp.einsum("fij,fjp->fip", jnp.asarray(spectra.white), spectrum)
         rows = equations.reshape(-1, self.network.size)
         normal = rows.T @ rows
-        if self.noise.estimator == "likelihood":
+        if self.noise.efficient:
             spread = normal
         else:
             errors = jnp.einsum("fij,fjp->fip", jnp.asarray(spectra.error), equations)

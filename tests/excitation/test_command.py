@@ -89,7 +89,7 @@ def test_says_what_more_seconds_buy(folder: Path) -> None:
     ("options", "message"),
     [
         (("--family", "waves"), "--family: expected splines"),
-        (("--criterion", "best"), "--criterion: expected error"),
+        (("--criterion", "best"), "--criterion: expected overall"),
         (("--start", "a"), "--start: expected numbers as in 0.1,0.2, got 'a'"),
         (("--start", "1,2"), "start: expected 1 positions"),
         (("--limits", "none.toml"), "none.toml: no such file of limits"),

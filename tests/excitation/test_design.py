@@ -103,6 +103,7 @@ def test_criteria_follow_their_definitions(
     covariance = np.linalg.inv(np.asarray(moments.normal) + prior)
     part = covariance[np.ix_(wanted, wanted)]
     error = np.sqrt(np.diag(part))
+    of_torque = np.trace(part @ task[np.ix_(wanted, wanted)])
     plain = np.asarray(moments.plain)[np.ix_(wanted, wanted)]
     length = np.sqrt(np.diag(plain))
     expected = {
@@ -111,7 +112,8 @@ def test_criteria_follow_their_definitions(
         "A": np.sqrt(np.mean(error**2)),
         "D": np.linalg.det(part) ** (1 / 6),
         "E": np.sqrt(np.linalg.eigvalsh(part)[-1]),
-        "torque": np.sqrt(np.trace(covariance @ task)),
+        "torque": np.sqrt(of_torque),
+        "overall": np.sqrt(error.mean() * np.sqrt(of_torque)),
         "condition": np.sqrt(np.linalg.cond(plain)),
         "scaled_condition": np.sqrt(np.linalg.cond(plain / np.outer(length, length))),
     }
@@ -136,8 +138,8 @@ def test_an_infeasible_wish_names_the_limit() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"criterion": "other"}, "criterion: expected error, "),
-        ({"criterion": "torque"}, "criterion 'torque' and a task: expected both or neither"),
+        ({"criterion": "other"}, "criterion: expected overall, error, "),
+        ({"criterion": "D", "task": (0, 0, 0)}, "criterion 'D' has no task; expected overall or"),
         ({"wanted": ["kd9"]}, "'kd9' is no coefficient or group"),
         ({"family": "other"}, "family: expected splines, fourier, periodic, moves, got 'other'"),
         ({"start": np.zeros(2)}, "start: expected 1 positions"),

@@ -1,11 +1,13 @@
 """Predicted standard errors: against fits of simulated recordings, and closed forms."""
 
+import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 
 import jaxcslc as jc
 from jaxcslc.excitation import BSplines, Knowledge, MotionInformation, Noise, Prediction
@@ -98,6 +100,50 @@ def test_errors_of_repeated_fits_are_those_predicted(
     )
 
 
+@pytest.mark.parametrize("estimator", ["likelihood", "regression"])
+def test_an_offset_costs_what_a_constant_torque_shifts_a_fit(
+    pendulum: jc.CSLC, motion: Motion, estimator: str
+) -> None:
+    """Beside white noise, whose weights an estimator keeps."""
+    offset, rows = 0.7, np.asarray(pendulum.regressor(*motion))[:, 0]
+    noise = Noise(0.1, rate=RATE, slow=0.0, estimator=estimator, cutoff=60.0)
+    with_offset = dataclasses.replace(noise, offset=offset)
+    shift = np.linalg.lstsq(rows, np.full(len(rows), offset))[0]
+    white = prediction_of(pendulum, noise, motion).standard_error
+    both = prediction_of(pendulum, with_offset, motion).standard_error
+    tolerance = 1e-3 if estimator == "likelihood" else 0.02  # the filter takes off a little
+    np.testing.assert_allclose(np.sqrt(both**2 - white**2), np.abs(shift), rtol=tolerance)
+
+
+def _low_passed(rng: np.random.Generator, samples: int, bandwidth: float) -> np.ndarray:
+    """Unit noise behind a first-order low pass, exactly sampled."""
+    memory = np.exp(-2 * np.pi * bandwidth / RATE)
+    noise = np.sqrt(1 - memory**2) * rng.normal(size=samples)
+    noise[0] = rng.normal()
+    return scipy.signal.lfilter([1.0], [1.0, -memory], noise)
+
+
+@pytest.mark.parametrize("cutoff", [None, 20.0])
+@pytest.mark.parametrize("bandwidth", [1.0, 4.0, np.inf])
+def test_noise_of_a_fit_has_the_density_of_its_residuals(
+    pendulum: jc.CSLC, bandwidth: float, cutoff: float | None, rng: np.random.Generator
+) -> None:
+    samples = 12_000
+    time = np.arange(samples) / RATE
+    q, qd, qdd = (x[:, None] for x in (np.sin(time), np.cos(time), -np.sin(time)))
+    slow = rng.normal(size=samples) if np.isinf(bandwidth) else _low_passed(rng, samples, bandwidth)
+    torque = np.asarray(pendulum.torque(K, q, qd, qdd)) + 0.3 * slow[:, None]
+    everything = np.ones(torque.shape, bool)
+    patterns = jc.Patterns(time, q, qd, qdd, torque, everything, everything)
+    fit = jc.LeastSquares(cutoff=cutoff).fit(pendulum, patterns)
+    noise = Noise.of_fit(fit, None, rate=RATE, cutoff=cutoff)
+    frequency = np.array([0.1])
+    expected = 0.09 / RATE if np.isinf(bandwidth) else 0.09 / (np.pi * bandwidth)
+    density = noise.density(frequency, np.zeros((1, 1)))[0, 0, 0]
+    np.testing.assert_allclose(density, expected, rtol=0.4)  # one draw of 60 s; 0.2 of errors
+    assert noise.cutoff == (cutoff or 15.0)
+
+
 def test_prior_information_adds(pendulum: jc.CSLC, motion: Motion) -> None:
     noise = Noise(0.1, rate=RATE)
     information = MotionInformation(pendulum, K, np.ones(4), noise, 1 / RATE)
@@ -141,6 +187,8 @@ def test_correlated_torque_noise_costs_more(pendulum: jc.CSLC, motion: Motion) -
         ({"torque": 1.0, "resolution": -1.0}, "resolution noise is .-1.0.; expected numbers from"),
         ({"torque": 1.0, "rate": 0.0}, "rate is 0.0; expected more than 0 Hz"),
         ({"torque": 1.0, "estimator": "other"}, "estimator: expected likelihood or regression"),
+        ({"torque": 1.0, "torque_bandwidth": 0.0}, "torque_bandwidth is 0.0; expected more than 0"),
+        ({"torque": 1.0, "offset": -1.0}, "offset noise is .-1.0.; expected numbers from 0"),
         ({"torque": 1.0, "slow": 1.0}, "slow is 1.0; expected from 0 to below 1"),
     ],
 )
