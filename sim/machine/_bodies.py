@@ -3,7 +3,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
@@ -57,13 +57,17 @@ def possible_links(
     >>> robot.links[2].inertia.diagonal(), possible_links(robot, robot.links)[2].inertia.diagonal()
     (array([0.066 , 0.0125, 0.086 ]), array([0.0699375, 0.0164375, 0.086    ]))
     """
+    masses = np.array([float(link.mass) for link in links])
+    tensors = np.array([np.asarray(link.inertia, dtype=np.float64) for link in links])
+    if np.all(masses >= 0) and np.all(are_rigid_bodies(tensors)):
+        return tuple(links)
     supplied = np.zeros((3, 3))  # supplied to the next link, in the frame of this one
     result: list[LinkParameters] = []
     for i in reversed(range(robot.joint_count)):
         link = links[i]
         if not float(link.mass) >= 0:
             raise MachineError(f"link {i + 1} has a mass of {link.mass} kg; expected zero or more")
-        inertia = np.asarray(link.inertia, dtype=np.float64) - supplied
+        inertia = tensors[i] - supplied
         addition = _missing_spread(inertia, i + 1)
         result.append(
             link
@@ -106,26 +110,26 @@ def tilted_links(
     )
 
 
-def is_rigid_body(inertia: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether a body can have this tensor at its centre of gravity [kg m²], to rounding."""
-    return float(np.linalg.eigvalsh(_spread(inertia))[0]) >= -_slack(inertia)
+def are_rigid_bodies(inertia: Float[np.ndarray, "bodies 3 3"]) -> Bool[np.ndarray, " bodies"]:
+    """Whether bodies can have these tensors at their centres of gravity [kg m²], to rounding."""
+    return np.linalg.eigvalsh(_spread(inertia))[:, 0] >= -_slack(inertia)
 
 
-def _spread(inertia: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    return np.trace(inertia) / 2 * np.eye(3) - inertia
+def _spread(inertia: Float[np.ndarray, "bodies 3 3"]) -> Float[np.ndarray, "bodies 3 3"]:
+    return np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
 
 
-def _slack(inertia: Float[np.ndarray, "3 3"]) -> float:
-    return _ROUNDING * max(float(np.abs(inertia).max()), _ROUNDING)
+def _slack(inertia: Float[np.ndarray, "bodies 3 3"]) -> Float[np.ndarray, " bodies"]:
+    return _ROUNDING * np.maximum(np.max(np.abs(inertia), axis=(1, 2)), _ROUNDING)
 
 
 def _missing_spread(inertia: Float[np.ndarray, "3 3"], number: int) -> float:
     """Spread along z to add so that a rigid body can have the tensor [kg m²]; 0 if none."""
-    if is_rigid_body(inertia):
+    if are_rigid_bodies(inertia[None])[0]:
         return 0.0
-    spread = _spread(inertia)
+    spread = _spread(inertia[None])[0]
     across = np.linalg.eigvalsh(spread[:2, :2])
-    if float(across[0]) < -_slack(inertia):
+    if float(across[0]) < -_slack(inertia[None])[0]:
         raise MachineError(
             f"link {number} cannot be a rigid body: its mass would be spread by {across[0]:.3g}"
             " kg m² across its joint's axis; expected zero or more"

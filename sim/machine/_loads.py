@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from jaxcslc.manipulator import LinkParameters, fixed_together
 
-from ._bodies import MachineError, is_rigid_body
+from ._bodies import MachineError, are_rigid_bodies
 from ._machine import Machine
 
 
@@ -55,7 +55,7 @@ class Load:
                 f"load has a motor inertia of {self.body.motor_inertia}; expected none"
             )
         inertia = np.asarray(self.body.inertia, dtype=np.float64)
-        if not np.isfinite(inertia).all() or not is_rigid_body(inertia):
+        if not np.isfinite(inertia).all() or not are_rigid_bodies(inertia[None])[0]:
             raise MachineError(
                 "load cannot be a rigid body: one of its principal moments is more than the sum of"
                 f" the other two, {np.linalg.eigvalsh(inertia).round(6).tolist()} kg m²"

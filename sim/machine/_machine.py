@@ -1,3 +1,4 @@
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -147,7 +148,7 @@ class Machine:
     def joint_count(self) -> int:
         return self.robot.joint_count
 
-    @property
+    @functools.cached_property
     def links(self) -> tuple[LinkParameters, ...]:
         """True link parameters: those of `robot`, their principal axes turned by `tilt`.
 

@@ -82,7 +82,7 @@ class Hand:
         """Position of the point in frame 0 [m], and its Jacobian [m/rad, or 1], at joint positions
         [rad or m]."""
         xp = namespace(position)
-        chain = self._chain(position)  # (*batch, 4, 4, joints)
+        chain = self.frames(position)  # (*batch, 4, 4, joints)
         point = (chain[..., :3, :3, -1] @ spread(self.point[:, None], position))[..., 0]
         point = point + chain[..., :3, 3, -1]
         axis, origin = chain[..., :3, 2, :], chain[..., :3, 3, :]
@@ -105,12 +105,19 @@ class Hand:
         >>> axes.round(3)[:, 1]
         array([-0.,  1.,  0.])
         """
-        chain = self._chain(position)
+        chain = self.frames(position)
         turns = spread(self.turns, position)[..., None, :]
         return chain[..., :3, :3, -1], turns * chain[..., :3, 2, :]
 
-    def _chain(self, position: Array) -> Array:
-        """Every link's frame in frame 0, along the last axis."""
+    def frames(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch 4 4 joints"]:
+        """Every link's frame in frame 0, along the last axis, at joint positions [rad or m].
+
+        >>> import numpy as np
+        >>> import jaxcslc
+        >>> from sim import Hand
+        >>> Hand.of(jaxcslc.puma560()).frames(np.zeros(6)).shape
+        (4, 4, 6)
+        """
         xp = namespace(position)
         turns = spread(self.turns, position)
         angle = (spread(self.theta, position) + turns * position)[..., None, None]
