@@ -12,8 +12,9 @@ from ..network import AbstractLinearNetwork
 from ._settings import Settings
 from .solver import (
     Identification,
+    columns_of,
     effective_counts,
-    regressor_of,
+    torque_by,
     torque_of,
 )
 
@@ -196,13 +197,13 @@ def cross_validated_error(
     samples = patterns.q.shape[0]
     if not 2 <= folds <= samples:
         raise ValueError(f"{folds} folds of {samples} samples; expected from 2 to {samples}")
-    regressor = np.asarray(regressor_of(network, patterns))
+    columns = columns_of(network, patterns)
     torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
     fold = np.arange(samples) * folds // samples
-    held_out = solver.held_out_errors(network, patterns, fold, regressor)
+    held_out = solver.held_out_errors(network, patterns, fold, columns)
     if fit is None:
         fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
-    training = torque - regressor @ np.asarray(fit.k)
+    training = torque - torque_by(network.support, columns, np.asarray(fit.k))
     judged = judged_errors(training, mask, held_out, mask, int(fit.rank))
     return dataclasses.replace(
         judged,
@@ -232,9 +233,9 @@ def left_out_error(
     training: list[np.ndarray] = []
     held_out: list[np.ndarray] = []
     for name, values in patterns.items():
-        regressor, torque = np.asarray(regressor_of(network, values)), np.asarray(values.torque)
-        training.append(torque - regressor @ np.asarray(fit.k))
-        held_out.append(torque - regressor @ np.asarray(without[name].k))
+        columns, torque = columns_of(network, values), np.asarray(values.torque)
+        training.append(torque - torque_by(network.support, columns, np.asarray(fit.k)))
+        held_out.append(torque - torque_by(network.support, columns, np.asarray(without[name].k)))
     mask = np.concatenate([np.asarray(values.mask) for values in patterns.values()])
     errors = np.concatenate(training), np.concatenate(held_out)
     judged = judged_errors(errors[0], mask, errors[1], mask, int(fit.rank))

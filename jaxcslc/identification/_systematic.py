@@ -22,7 +22,7 @@ from .solver import (
     WeightedEquations,
     changes_of,
     fold_coefficients,
-    regressor_of,
+    torque_of,
 )
 
 
@@ -221,7 +221,7 @@ def _twice_smoothed(
     everything = np.ones(q.shape, bool)
     qd, qdd = _exact_derivatives(recording.time, q, qd, preparation.velocity == "recorded")
     whole = Patterns(recording.time, q, qd, qdd, recording.torque, everything, everything)
-    torque = np.asarray(regressor_of(network, whole) @ k)
+    torque = torque_of(network, whole, k)
     motion = Recording(recording.time, q, torque, velocity=qd)
     again = preparation.derivatives(motion)
     if preparation.smooth_torque:

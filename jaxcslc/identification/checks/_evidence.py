@@ -19,7 +19,7 @@ from ...motion import (
     uniform_interval,
 )
 from ...network import CSLC
-from ..solver import Identification, LeastSquares, equations_of, regressor_of
+from ..solver import Identification, LeastSquares, columns_in, equations_of, regressor_of
 
 
 # A window of more samples tells no more about what is wrong.
@@ -129,7 +129,8 @@ class Evidence:
     ) -> Float[np.ndarray, " coefficients"]:
         """The coefficients fitted to patterns, as those of `fit`."""
         solver = LeastSquares(errors="independent")
-        return solver.coefficients(equations_of(self.network, patterns, None, regressor))
+        columns = columns_in(self.network.support, regressor)
+        return solver.coefficients(equations_of(self.network, patterns, None, columns))
 
     @cached_property
     def relative_errors(self) -> Float[np.ndarray, " joints"]:
@@ -148,7 +149,8 @@ class Evidence:
         mask = np.asarray(patterns.mask)
         solver = LeastSquares(errors="independent")
         fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
-        error = solver.held_out_errors(self.network, patterns, fold, regressor)
+        columns = None if regressor is None else columns_in(self.network.support, regressor)
+        error = solver.held_out_errors(self.network, patterns, fold, columns)
         squares = np.where(mask, error**2, 0.0).sum(axis=0)
         size = np.where(mask, np.asarray(patterns.torque) ** 2, 0.0).sum(axis=0)
         return np.sqrt(squares / np.where(size > 0, size, 1.0))

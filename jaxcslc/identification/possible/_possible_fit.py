@@ -14,7 +14,7 @@ from ...network import CSLC
 from .._held_out import HeldOut, RelativeError, Source, judged_errors
 from .._systematic import SystematicError
 from ..prior import Prior, with_knowledge
-from ..solver import FoldFit, Identification, LeastSquares, regressor_of
+from ..solver import FoldFit, Identification, LeastSquares, columns_in, regressor_of
 from ._movement import moved_bodies, movement_of
 from ._physical_parameters import (
     PhysicalParameters,
@@ -52,7 +52,8 @@ class Part(NamedTuple):
         fold = np.arange(patterns.samples) * folds // patterns.samples
         regressor = np.asarray(regressor_of(network, patterns))
         torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
-        fits = solver.fits_without_folds(network, patterns, fold, regressor)
+        columns = columns_in(network.support, regressor)
+        fits = solver.fits_without_folds(network, patterns, fold, columns)
         return tuple(
             cls(regressor[rows], torque[rows], mask[rows], fit)
             for rows, fit in ((fold == number, fit) for number, fit in enumerate(fits))

@@ -10,7 +10,6 @@ from ...network import CSLC
 from .._held_out import RelativeError
 from .._settings import Settings
 from .._slopes import fit_slopes
-from ..solver import regressor_of
 from ._selection import choose_settings
 
 
@@ -171,8 +170,7 @@ def _held_out(
     if "static" in network.robot.friction_terms:
         network = fit_slopes(network, patterns, solver=suited.solver).network
     fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
-    regressor = np.asarray(regressor_of(network, patterns))
-    errors = suited.solver.held_out_errors(network, patterns, fold, regressor)
+    errors = suited.solver.held_out_errors(network, patterns, fold)
     return errors, np.asarray(patterns.mask)
 
 

@@ -9,7 +9,7 @@ from ...motion import Derivatives, Preparation, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
 from ..checks import small_torque_lag
-from ..solver import regressor_of
+from ..solver import HostColumns, columns_of
 from ._alignment import settled_alignment
 from ._candidates import Candidates
 from ._scoring import Scoring
@@ -193,7 +193,7 @@ class _Trials:
         self.recording = recording
         self.by_settings: dict[Settings, Trial] = {}
         self._derivatives: dict[Preparation, Derivatives] = {}
-        self._regressor: tuple[Preparation, np.ndarray] | None = None
+        self._columns: tuple[Preparation, HostColumns] | None = None
         self.start = candidates.start().with_options(backlash=backlash)
         # The same ends are cut off for all, so that all are fitted and judged on the same samples.
         self.trim = max(
@@ -223,12 +223,10 @@ class _Trials:
         preparation = dataclasses.replace(settings.preparation, trim=self.trim)
         patterns = preparation.patterns(self.recording, self._motion(preparation))
         motion = _motion_part(preparation)
-        if self._regressor is None or self._regressor[0] != motion:
-            memory = None if self._regressor is None else self._regressor[1]
-            regressor = regressor_of(self.network, patterns, memory=memory)
-            self._regressor = motion, np.asarray(regressor)
+        if self._columns is None or self._columns[0] != motion:
+            self._columns = motion, columns_of(self.network, patterns)
         error = settings.solver.held_out_errors(
-            self.network, patterns, self.scoring.fold, self._regressor[1]
+            self.network, patterns, self.scoring.fold, self._columns[1]
         )
         if preparation.torque_alignment != "mean":
             # A torque averaged over two samples has less noise: that must not speak for averaging.

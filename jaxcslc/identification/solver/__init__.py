@@ -1,8 +1,12 @@
 from ._compiled import (
+    HostColumns as HostColumns,
+    columns_in as columns_in,
+    columns_of as columns_of,
     filled_up as filled_up,
     regressor_of as regressor_of,
     rows_of as rows_of,
     stretches_of as stretches_of,
+    torque_by as torque_by,
     torque_of as torque_of,
     traced as traced,
 )

@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -12,6 +13,7 @@ from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 
 
+HostColumns = tuple[Float[np.ndarray, "_ samples"], ...]
 # Tracing a network takes longer than computing this many patterns with it.
 _FEWEST_ROWS = 4096
 _DOUBLED = 1 << 16
@@ -67,26 +69,49 @@ def on_host(tree: Any) -> bool:
 
 
 def regressor_of(
-    network: AbstractLinearNetwork,
-    patterns: Patterns,
-    least: int = 0,
-    *,
-    memory: Float[np.ndarray, "samples joints coefficients"] | None = None,
+    network: AbstractLinearNetwork, patterns: Patterns, least: int = 0
 ) -> Float[Array | np.ndarray, "samples joints coefficients"]:
     """The regressor of patterns: by NumPy, or compiled once for all recordings of similar lengths.
 
     - `least`: rows that are compiled for.
-    - `memory`: an earlier regressor of the network, of as many samples, that is not used any more:
-      NumPy writes over it. To be handed new memory takes as long as to compute what goes into it.
     """
     motion = (patterns.q, patterns.qd, patterns.qdd)
     if computed_on_host(network, *motion):
-        return _host_regressor(network, memory, *motion)
+        return _host_regressor(network, *motion)
     q, qd, qdd = (filled_up(x, least) for x in motion)
     filled = _regressor(network, q, qd, qdd)
     # NumPy's slice shares the memory; JAX's is a program to compile for each number of samples.
     rows = filled if isinstance(filled, Tracer) else np.asarray(filled)
     return rows[: len(patterns.q)]
+
+
+def columns_of(network: AbstractLinearNetwork, patterns: Patterns, least: int = 0) -> HostColumns:
+    """The regressor of patterns without what is always zero: for each joint the columns of its
+    support, (support, samples); on the host.
+
+    - `least`: rows that are compiled for.
+    """
+    motion = (patterns.q, patterns.qd, patterns.qdd)
+    if computed_on_host(network, *motion):
+        return _host_columns(network, *motion)
+    return columns_in(network.support, np.asarray(regressor_of(network, patterns, least)))
+
+
+def columns_in(
+    support: Sequence[Sequence[int]], regressor: Float[np.ndarray, "samples joints coefficients"]
+) -> HostColumns:
+    """Those of a regressor: for each joint, (support, samples)."""
+    return tuple(regressor[:, joint, list(some)].T for joint, some in enumerate(support))
+
+
+def torque_by(
+    support: Sequence[Sequence[int]],
+    columns: HostColumns,
+    k: Float[np.ndarray, " coefficients"],
+) -> Float[np.ndarray, "samples joints"]:
+    """What coefficients predict by the columns of all joints."""
+    joints = zip(support, columns, strict=True)
+    return np.stack([k[list(some)] @ rows for some, rows in joints], axis=1)
 
 
 def stretch_length(network: AbstractLinearNetwork, samples: int) -> int:
@@ -113,8 +138,7 @@ def torque_of(
     k, samples = np.asarray(k), len(patterns.q)
     motion = (patterns.q, patterns.qd, patterns.qdd)
     if computed_on_host(network, *motion):
-        joints = zip(network.support, _host_columns(network, *motion), strict=True)
-        return np.stack([k[list(support)] @ rows for support, rows in joints], axis=1)
+        return torque_by(network.support, _host_columns(network, *motion), k)
     if samples > _HOST_SAMPLES:
         starts = range(0, samples, _HOST_SAMPLES)
         pieces = (rows_of(patterns, slice(start, start + _HOST_SAMPLES)) for start in starts)
@@ -135,21 +159,16 @@ def rows_of(patterns: Patterns, rows: slice) -> Patterns:
     )
 
 
-def _host_columns(
-    network: AbstractLinearNetwork, *motion: Any
-) -> tuple[Float[np.ndarray, "_ samples"], ...]:
+def _host_columns(network: AbstractLinearNetwork, *motion: Any) -> HostColumns:
     columns = network.columns(*(np.ascontiguousarray(np.asarray(x).T) for x in motion))
     return tuple(np.asarray(rows) for rows in columns)
 
 
 def _host_regressor(
-    network: AbstractLinearNetwork, memory: np.ndarray | None, *motion: Any
+    network: AbstractLinearNetwork, *motion: Any
 ) -> Float[np.ndarray, "samples joints coefficients"]:
     samples = len(motion[0])
-    shape = (samples, network.joint_count, network.size)
-    usable = memory is not None and memory.shape == shape and memory.flags.writeable
-    regressor = memory if usable else np.zeros(shape)
-    assert regressor is not None
+    regressor = np.zeros((samples, network.joint_count, network.size))
     supports = [np.array(support, int) for support in network.support]
     # Columns are turned into rows while they are in the processor's cache.
     for start in range(0, samples, _HOST_BLOCK):

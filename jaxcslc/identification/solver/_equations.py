@@ -13,6 +13,9 @@ from ...motion import (
 )
 from ...network import AbstractLinearNetwork
 from ._compiled import (
+    HostColumns,
+    columns_in,
+    columns_of,
     computed_on_host,
     filled_up,
     regressor_of,
@@ -53,24 +56,51 @@ class Equations(eqx.Module):
         time: Float[np.ndarray, " samples"],
         cutoff: float | None,
     ) -> "Equations":
-        """The equations of the pairs that count, or those that a parallel filter makes of them."""
-        if cutoff is None:
-            samples = [np.flatnonzero(column) for column in mask.T]
-            rows = [
-                np.concatenate(
-                    [regressor[kept, joint][:, list(support)], torque[kept, joint, None]], axis=1
+        """Of a whole regressor; as `of_columns`."""
+        columns = columns_in(unknowns.support, regressor)
+        return cls.of_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
+
+    @classmethod
+    def of_columns(
+        cls,
+        unknowns: Unknowns,
+        columns: HostColumns,
+        torque: Float[np.ndarray, "samples joints"],
+        mask: Bool[np.ndarray, "samples joints"],
+        *,
+        time: Float[np.ndarray, " samples"],
+        cutoff: float | None,
+    ) -> "Equations":
+        """The equations of the pairs that count, or those that a parallel filter makes of them.
+
+        - `columns`: of the regressor, for each joint those of its support.
+        """
+        if cutoff is not None:
+            interval = uniform_interval(time)
+            filtered = [
+                parallel_filter(
+                    joint_columns.T[:, None],
+                    right[:, None],
+                    counts[:, None],
+                    interval=interval,
+                    cutoff=cutoff,
                 )
-                for joint, (support, kept) in enumerate(zip(unknowns.support, samples, strict=True))
+                for joint_columns, right, counts in zip(columns, torque.T, mask.T, strict=True)
             ]
-            return cls(unknowns, tuple(rows), tuple(samples))
-        filtered = parallel_filter(
-            regressor, torque, mask, interval=uniform_interval(time), cutoff=cutoff
-        )
-        return cls.of_filtered(unknowns, filtered)
+            rows = [np.concatenate([x.regressor, x.torque[:, None]], axis=1) for x in filtered]
+            return cls(unknowns, tuple(rows), tuple(x.sample for x in filtered))
+        samples = [np.flatnonzero(column) for column in mask.T]
+        rows = []
+        for joint_columns, right, kept in zip(columns, torque.T, samples, strict=True):
+            sides = np.empty((len(joint_columns) + 1, kept.size))
+            np.take(joint_columns, kept, axis=1, out=sides[:-1])
+            np.take(right, kept, out=sides[-1])
+            rows.append(sides.T)
+        return cls(unknowns, tuple(rows), tuple(samples))
 
     @classmethod
     def of_filtered(cls, unknowns: Unknowns, filtered: FilteredEquations) -> "Equations":
-        """Those that a parallel filter has made."""
+        """Those that a parallel filter has made of a whole regressor."""
         joints = [filtered.joint == joint for joint in range(len(unknowns.support))]
         rows = [
             np.concatenate(
@@ -157,23 +187,23 @@ def equations_of(
     network: AbstractLinearNetwork,
     patterns: Patterns,
     cutoff: float | None,
-    regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+    columns: HostColumns | None = None,
 ) -> Equations:
     """One a pair that counts, or those that a parallel filter makes of them; on the host."""
     samples = len(patterns.q)
-    stretches = stretches_of(network, samples) if regressor is None else []
+    stretches = stretches_of(network, samples) if columns is None else []
     if len(stretches) > 1 and cutoff is not None:
         return _filtered_in_stretches(network, patterns, cutoff, stretches[0].stop)
     if len(stretches) > 1:
         length = stretches[0].stop
         parts = [
-            equations_of(network, part, None, np.asarray(regressor_of(network, part, length)))
+            equations_of(network, part, None, columns_of(network, part, length))
             for part in (rows_of(patterns, rows) for rows in stretches)
         ]
         return _joined(parts, [rows.start for rows in stretches])
-    return Equations.of(
+    return Equations.of_columns(
         Unknowns.of(network),
-        np.asarray(regressor_of(network, patterns)) if regressor is None else regressor,
+        columns_of(network, patterns) if columns is None else columns,
         np.asarray(patterns.torque),
         np.asarray(patterns.mask),
         time=np.asarray(patterns.time),

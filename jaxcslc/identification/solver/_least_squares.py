@@ -12,10 +12,12 @@ from ..._environment import require_float64
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 from ._compiled import (
+    HostColumns,
+    columns_of,
     computed_on_host,
     filled_up,
     on_host,
-    regressor_of,
+    torque_by,
     traced,
     untraced,
 )
@@ -231,20 +233,21 @@ class LeastSquares:
 
         - `fold`: the fold of each sample, from 0.
         """
-        return self._fit_folds(network, patterns, _host_regressor(network, patterns), fold)
+        check_patterns(network, patterns)
+        return self._fit_folds(network, patterns, columns_of(network, patterns), fold)
 
     def fits_without_folds(
         self,
         network: AbstractLinearNetwork,
         patterns: Patterns,
         fold: Int[np.ndarray, " samples"],
-        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+        columns: HostColumns | None = None,
     ) -> tuple[FoldFit, ...]:
         """What `fit_folds` fits, with covariances for independent errors; on the host.
 
-        - `fold`, `regressor`: as of `held_out_errors`.
+        - `fold`, `columns`: as of `held_out_errors`.
         """
-        equations = equations_of(network, patterns, self.cutoff, regressor)
+        equations = equations_of(network, patterns, self.cutoff, columns)
         folds = int(np.max(fold)) + 1
         if self.loss == "squared":
             factors = equations.factors_of_folds(fold, folds)
@@ -263,30 +266,33 @@ class LeastSquares:
         network: AbstractLinearNetwork,
         patterns: Patterns,
         fold: Int[np.ndarray, " samples"],
-        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+        columns: HostColumns | None = None,
     ) -> Float[np.ndarray, "samples joints"]:
         """Torque error of each sample under the coefficients fitted without its fold.
 
         - `fold`: the fold of each sample, from 0.
-        - `regressor`: of the patterns' motion, if it is known already.
+        - `columns`: of the regressor of the patterns' motion, for each joint those of its support
+          (support, samples), if they are known already.
         """
-        if regressor is None:
-            regressor = _host_regressor(network, patterns)
-        k = self._fit_folds(network, patterns, regressor, fold)
+        if columns is None:
+            check_patterns(network, patterns)
+            columns = columns_of(network, patterns)
+        k = self._fit_folds(network, patterns, columns, fold)
         errors = np.array(patterns.torque, float)
         for number, coefficients in enumerate(k):
             rows = samples_of(fold, number)
-            errors[rows] -= regressor[rows] @ coefficients
+            part = tuple(joint_columns[:, rows] for joint_columns in columns)
+            errors[rows] -= torque_by(network.support, part, coefficients)
         return errors
 
     def _fit_folds(
         self,
         network: AbstractLinearNetwork,
         patterns: Patterns,
-        regressor: Float[np.ndarray, "samples joints coefficients"],
+        columns: HostColumns,
         fold: Int[np.ndarray, " samples"],
     ) -> Float[np.ndarray, "folds coefficients"]:
-        equations = equations_of(network, patterns, self.cutoff, regressor)
+        equations = equations_of(network, patterns, self.cutoff, columns)
         folds = int(np.max(fold)) + 1
         if self.loss == "squared":
             factors = equations.factors_of_folds(fold, folds)
@@ -402,11 +408,6 @@ def checked(fit: Identification, throw: bool) -> Identification:
         return fit
     failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
     return fit.result.error_if(fit, failed)
-
-
-def _host_regressor(network: AbstractLinearNetwork, patterns: Patterns) -> np.ndarray:
-    check_patterns(network, patterns)
-    return np.asarray(regressor_of(network, patterns))
 
 
 def _independent(
