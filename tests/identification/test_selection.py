@@ -8,6 +8,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.identification import TorqueLag, settings_document, settings_from
+from jaxcslc.identification.selection import _selection as selection_module
 from jaxcslc.identification.selection._alignment import settled_alignment
 from jaxcslc.identification.solver._factors import triangle_of
 from jaxcslc.motion import AbstractSmoothing, CentralDifferences, Sampling, register_smoothing
@@ -48,6 +49,21 @@ def moved(recording: jc.Recording, torque: np.ndarray) -> jc.Recording:
 
 def smoothing_of(selection: jc.Selection) -> AbstractSmoothing:
     return selection.settings.preparation.smoothing
+
+
+def test_candidates_side_by_side_are_those_one_after_the_other(
+    pendulum: jc.CSLC, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+):
+    """Several motions, and several settings of one motion; on as many threads as there are."""
+    recording = swing(pendulum, rng, torque=0.01)
+    candidates = jc.Candidates(smoothings=tuple(map(jc.AveragedSplines, (5, 9, 17, 25))))
+    alone = jc.choose_settings(pendulum, recording, candidates)
+    monkeypatch.setattr(selection_module, "_SAMPLES_OF_THREADS", 1)
+    monkeypatch.setattr(selection_module, "core_count", lambda: 3)
+    together = jc.choose_settings(pendulum, recording, candidates)
+    assert together.settings == alone.settings
+    assert [x.settings for x in together.trials] == [x.settings for x in alone.trials]
+    assert [x.score for x in together.trials] == [x.score for x in alone.trials]
 
 
 # Folds

@@ -50,11 +50,11 @@ class CoordinateSearch:
 
     **Attributes**
 
-    - `score`: of settings; the least wins.
+    - `scored`: computes the scores of several settings; the least wins.
     - `scores`: all that were computed.
     """
 
-    score: Callable[[Settings], float]
+    scored: Callable[[Sequence[Settings]], Sequence[float]]
     scores: dict[Settings, float] = dataclasses.field(default_factory=dict)
 
     def run(self, start: Settings, families: Sequence[Axis], options: Sequence[Axis]) -> Settings:
@@ -118,14 +118,11 @@ class CoordinateSearch:
         self, best: Settings, others: Sequence[Settings], gain: float = _LEAST_GAIN
     ) -> Settings:
         """The best of some settings; `best` itself if none lowers its score by so large a part."""
-        better = min(others, key=self._scored, default=best)
-        improved = self._scored(better) < (1.0 - gain) * self._scored(best)
+        missing = [some for some in dict.fromkeys((*others, best)) if some not in self.scores]
+        self.scores |= zip(missing, self.scored(missing), strict=True)
+        better = min(others, key=self.scores.__getitem__, default=best)
+        improved = self.scores[better] < (1.0 - gain) * self.scores[best]
         return better if improved else best
-
-    def _scored(self, settings: Settings) -> float:
-        if settings not in self.scores:
-            self.scores[settings] = self.score(settings)
-        return self.scores[settings]
 
 
 def family_of(families: Sequence[Axis], settings: Settings) -> int:

@@ -1,19 +1,25 @@
 import dataclasses
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ..._environment import require, require_float64
-from ...motion import Derivatives, Preparation, Recording, Sampling
+from ...motion import Derivatives, Patterns, Preparation, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
 from ..checks import small_torque_lag
-from ..solver import HostColumns, columns_of
+from ..solver import HostColumns, columns_of, core_count
 from ._alignment import settled_alignment
 from ._candidates import Candidates
 from ._scoring import Scoring
 from ._search import CoordinateSearch
+
+
+# Of a shorter recording NumPy's operations take so little that threads wait for the interpreter.
+_SAMPLES_OF_THREADS = 8192
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,7 +167,7 @@ def choose_settings(
     if candidates is None:
         candidates = Candidates.suited_to(recording, network)
     trials = _Trials(network, recording, candidates, backlash=backlash, folds=folds, gap=gap)
-    search = CoordinateSearch(trials.score)
+    search = CoordinateSearch(trials.scores)
     best = search.run(trials.start, candidates.families(), candidates.options())
     best = settled_alignment(
         best,
@@ -216,23 +222,43 @@ class _Trials:
     def score_of(self, settings: Settings) -> float:
         """The score of settings, computed once."""
         trial = self.by_settings.get(settings)
-        return self.score(settings) if trial is None else trial.score
+        return self.scores([settings])[0] if trial is None else trial.score
 
-    def score(self, settings: Settings) -> float:
+    def scores(self, candidates: Sequence[Settings]) -> list[float]:
+        """The scores of candidates that have no trial yet, of a long recording side by side."""
+        by_motion = {_motion_part(settings.preparation): settings for settings in candidates}
+        if len(by_motion) < len(candidates):  # threads would repeat what candidates share
+            for settings in by_motion.values():
+                self._columns_of(settings.preparation, self._patterns(settings))
+        threads = min(core_count(), len(candidates))
+        if threads > 1 and self.recording.samples >= _SAMPLES_OF_THREADS:
+            with ThreadPoolExecutor(threads) as pool:
+                trials = list(pool.map(self._trial, candidates))
+        else:
+            trials = [self._trial(settings) for settings in candidates]
+        self.by_settings |= {trial.settings: trial for trial in trials}
+        return [trial.score for trial in trials]
+
+    def _trial(self, settings: Settings) -> Trial:
         """Fits settings to all stretches but one, for each, and judges them there."""
-        preparation = dataclasses.replace(settings.preparation, trim=self.trim)
-        patterns = preparation.patterns(self.recording, self._motion(preparation))
-        motion = _motion_part(preparation)
-        if self._columns is None or self._columns[0] != motion:
-            self._columns = motion, columns_of(self.network, patterns)
-        error = settings.solver.held_out_errors(
-            self.network, patterns, self.scoring.fold, self._columns[1]
-        )
-        if preparation.torque_alignment != "mean":
+        patterns = self._patterns(settings)
+        columns = self._columns_of(settings.preparation, patterns)
+        error = settings.solver.held_out_errors(self.network, patterns, self.scoring.fold, columns)
+        if settings.preparation.torque_alignment != "mean":
             # A torque averaged over two samples has less noise: that must not speak for averaging.
             error = 0.5 * (error + np.concatenate([error[:1], error[:-1]]))
-        self.by_settings[settings] = Trial(settings, *self.scoring.judged_errors(error))
-        return self.by_settings[settings].score
+        return Trial(settings, *self.scoring.judged_errors(error))
+
+    def _patterns(self, settings: Settings) -> Patterns:
+        preparation = dataclasses.replace(settings.preparation, trim=self.trim)
+        return preparation.patterns(self.recording, self._motion(preparation))
+
+    def _columns_of(self, preparation: Preparation, patterns: Patterns) -> HostColumns:
+        """The columns of a motion; kept until those of another one are computed."""
+        motion, latest = _motion_part(preparation), self._columns
+        if latest is None or latest[0] != motion:
+            latest = self._columns = motion, columns_of(self.network, patterns)
+        return latest[1]
 
     def _motion(self, preparation: Preparation) -> Derivatives:
         motion = _motion_part(preparation)
