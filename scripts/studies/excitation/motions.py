@@ -18,6 +18,7 @@ from jaxcslc.excitation import (
     Planner,
     Prediction,
     design_motion,
+    family_named,
     random_parameters,
 )
 from scripts.studies.truth import true_coefficients
@@ -27,15 +28,19 @@ DURATION = 6.6  # of the thesis's training trajectory [s]
 INTERVAL = 0.002
 TORQUE_NOISE = (0.5, 0.8, 0.4, 0.1, 0.1, 0.1)  # [N m]
 DESIGNED = {
-    "error": "error",
+    "overall": "overall",
+    "mean error": "error",
     "torque on the task": "torque",
     "D-optimal": "D",
     "condition number": "condition",
 }
+PEERS = ("D", "condition")  # criteria of others, which know of no offsets
+DESIGNS = 10  # of each, from random starts of their own
 THESIS, RANDOM = "thesis", "random Fourier"
 MOTIONS = (*DESIGNED, RANDOM, THESIS)
 
 Path = tuple[Float[np.ndarray, "samples joints"], ...]
+Designs = dict[str, list[Path]]
 
 
 @cache
@@ -71,20 +76,32 @@ def comparison_motion() -> tuple[Any, Any, Any]:
     return np.asarray(reference.q), np.asarray(reference.qd), np.asarray(reference.qdd)
 
 
-def puma_design(name: str, quick: bool = False) -> Design:
-    """A designed motion by its name in `DESIGNED`."""
+def puma_design(name: str, seed: int, quick: bool = False) -> Design:
+    """A designed motion by its name in `DESIGNED`.
+
+    Offsets of torques count as much as noise, but for criteria of others.
+    """
+    criterion = DESIGNED[name]
+    chain = noise() if criterion in PEERS else noise("regression")
     return design_motion(
         network(),
         limits(),
-        noise(),
+        chain if criterion in PEERS else dataclasses.replace(chain, offset=TORQUE_NOISE),
         duration=DURATION,
-        criterion=DESIGNED[name],
-        task=comparison_motion() if DESIGNED[name] == "torque" else None,
+        criterion=criterion,
+        task=comparison_motion() if criterion == "torque" else None,
         knowledge=knowledge(),
+        seed=seed,
         starts=1 if quick else 3,
         rounds=2 if quick else 7,
         steps=10 if quick else 60,
     )
+
+
+def path_of(parameters: Any) -> Path:
+    """The motion of a design's parameters."""
+    instants = INTERVAL * np.arange(round(DURATION / INTERVAL) + 1)
+    return family_named("splines", DURATION).motion(np.asarray(parameters), instants)
 
 
 @cache
@@ -117,12 +134,12 @@ def trajectory(motion: Path) -> sim.Trajectory:
 
 
 def performed(
-    machine: sim.Machine, name: str, designs: dict[str, Path], seed: int
+    machine: sim.Machine, name: str, designs: Designs, seed: int
 ) -> sim.SimulatedRecording:
-    """A recording of a motion by its name."""
+    """A recording of a motion by its name; designs take turns."""
     if name == THESIS:
         return sim.simulate(machine, sim.training(), seed=seed)
-    motion = random_motion(seed) if name == RANDOM else designs[name]
+    motion = random_motion(seed) if name == RANDOM else designs[name][seed % len(designs[name])]
     return sim.simulate(machine, trajectory(motion), seed=seed)
 
 

@@ -2,13 +2,15 @@
 
 A simulated PUMA 560 performs motions of 6.6 s, and is identified from the recordings.
 
-- **compare**: all disturbances; three designs (mean standard error, D-optimal, condition number), a
-  random feasible Fourier series a seed, and the thesis's training trajectory; ε on the comparison
-  trajectory, errors and standard errors of coefficients over their sizes, means of them.
+- **design**: ten motions a criterion, from random starts of their own.
+- **compare**: all disturbances; the designs in turns, a random feasible Fourier series a seed, and
+  the thesis's training trajectory; ε on the comparison trajectory, errors and standard errors of
+  coefficients, means of them: over sizes as designs have them, and over values.
 - **regression**, **likelihood**: encoders and white torque noise alone; predicted standard errors
   over those obtained, coefficient by coefficient.
 - **arms**: designs of random arms of two to four joints under random limits, looked at on a grid of
   20,001 instants, the most that is used of any limit.
+- **sequence**: seconds to 5 % on every coefficient, each recording designed after those before.
 - **panda**: a Panda's URDF with its meshes over a floor, 20 s: feasible, condition numbers, time.
 
 Rows of finished tasks are kept in `rows.jsonl`; an interrupted run goes on from there.
@@ -16,7 +18,6 @@ Rows of finished tasks are kept in `rows.jsonl`; an interrupted run goes on from
 
 import argparse
 import importlib.util
-import json
 import multiprocessing
 import os
 import time
@@ -33,13 +34,21 @@ from jaxcslc.identification.report import text_table
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
-from .motions import DESIGNED, DURATION, INTERVAL, MOTIONS, predicted_errors, puma_design
+from .motions import DESIGNED, DESIGNS, MOTIONS, Designs, path_of, predicted_errors
 
 
 jax.config.update("jax_enable_x64", True)
 
-PARTS = ("compare", "regression", "likelihood", "arms", "panda")
+PARTS = ("design", "compare", "regression", "likelihood", "arms", "sequence", "panda")
 Task = tuple[str, str, int]
+QUANTITIES = {
+    "epsilon": "ε [N m]",
+    "error": "mean error",
+    "standard error": "mean standard error",
+    "median error": "median error",
+    "error over value": "mean error over value",
+    "standard error over value": "mean standard error over value",
+}
 
 
 def panda_urdf() -> Path | None:
@@ -53,48 +62,28 @@ def panda_urdf() -> Path | None:
     return None
 
 
-def design_paths(folder: Path, quick: bool, names: Sequence[str]) -> dict[str, Any]:
-    """The designed motions, made once and kept."""
-    folder.mkdir(parents=True, exist_ok=True)
-    designs: dict[str, Any] = {}
-    for name in names:
-        file = folder / f"{name.replace(' ', '_')}.json"
-        if not file.exists():
-            begun = time.process_time()
-            design = puma_design(name, quick)
-            instants = INTERVAL * np.arange(round(DURATION / INTERVAL) + 1)
-            motion = design.family.motion(design.parameters, instants)
-            document = {
-                "seconds": time.process_time() - begun,
-                "text": str(design),
-                "motion": [np.asarray(x).round(12).tolist() for x in motion],
-            }
-            file.write_text(json.dumps(document))
-        designs[name] = json.loads(file.read_text())
-        print(f"{name}: {designs[name]['seconds']:.0f} s\n{designs[name]['text']}\n", flush=True)
-    return designs
+_designs: Designs = {}
 
 
-_designs: dict[str, Any] = {}
-
-
-def begin(designs: dict[str, Any], cache: str) -> None:
+def begin(parameters: dict[str, list[Any]], cache: str) -> None:
     """What each process does first."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    _designs.update(
-        {name: tuple(np.array(x) for x in kept["motion"]) for name, kept in designs.items()}
-    )
+    _designs.update({name: [path_of(x) for x in draws] for name, draws in parameters.items()})
 
 
-def row_of(task: Task, urdf: str, steps: int) -> dict[str, Any]:
+def row_of(task: Task, urdf: str, steps: int, quick: bool) -> dict[str, Any]:
     """A task's row."""
     from . import tasks  # in the process that needs them
 
     part, name, number = task
-    if part == "compare":
+    if part == "design":
+        row = tasks.designed(name, number, quick)
+    elif part == "sequence":
+        row = tasks.sequence(number, steps)
+    elif part == "compare":
         row = tasks.compared(name, number, _designs)
     elif part in ("regression", "likelihood"):
         row = tasks.repeated(part, number, _designs)
@@ -108,13 +97,13 @@ def row_of(task: Task, urdf: str, steps: int) -> dict[str, Any]:
 def compare_text(rows: Sequence[dict[str, Any]]) -> str:
     """Medians over seeds, with 10 and 90 % of them; ratios to the design, seed by seed."""
     lines = []
-    ours = {row["number"]: row for row in rows if row["name"] == "error"}
+    ours = {row["number"]: row for row in rows if row["name"] == "overall"}
     for name in MOTIONS:
         of_motion = [row for row in rows if row["name"] == name]
         if not of_motion:
             continue
         line = [name, str(len(of_motion))]
-        for quantity in ("epsilon", "median error", "error", "standard error"):
+        for quantity in QUANTITIES:
             values = [row[quantity] for row in of_motion]
             ratios = [
                 row[quantity] / ours[row["number"]][quantity]
@@ -125,9 +114,9 @@ def compare_text(rows: Sequence[dict[str, Any]]) -> str:
             line.append(f"{np.median(values):.4g}")
             line.append(f"{np.median(ratios):.2f} ({low:.2f} to {high:.2f})")
         lines.append(line)
-    header = ["motion", "seeds", "ε [N m]", "over design's"]
-    header += ["median error", "over design's", "mean error", "over design's"]
-    header += ["mean standard error", "over design's"]
+    header = ["motion", "seeds"]
+    for quantity in QUANTITIES.values():
+        header += [quantity, "over design's"]
     return text_table(header, lines, left=("motion",))
 
 
@@ -135,7 +124,7 @@ def repeated_text(rows: Sequence[dict[str, Any]], part: str) -> str:
     """Predicted over obtained errors."""
     errors = np.array([row["errors"] for row in rows if row["part"] == part])
     reported = np.array([row["standard errors"] for row in rows if row["part"] == part])
-    predicted = predicted_errors(_designs["error"], part).standard_error
+    predicted = predicted_errors(_designs["overall"][0], part).standard_error
     ratios = {
         "error, RMS over seeds": predicted / np.sqrt(np.mean(errors**2, axis=0)),
         "error, about its mean": predicted / np.std(errors, axis=0, ddof=1),
@@ -147,6 +136,18 @@ def repeated_text(rows: Sequence[dict[str, Any]], part: str) -> str:
     ]
     header = [f"{part}, {len(errors)} seeds: predicted over", "median", "least", "10 %"]
     return text_table([*header, "90 %", "greatest"], lines)
+
+
+def sequence_text(rows: Sequence[dict[str, Any]]) -> str:
+    """Seconds to the goal over seeds."""
+    lines = []
+    for name in rows[0]["seconds"]:
+        seconds = np.array([row["seconds"][name] for row in rows])
+        ratio = seconds / np.array([row["seconds"]["in sequence"] for row in rows])
+        low, high = np.quantile(ratio, [0.1, 0.9])
+        spread = f"{np.median(ratio):.2f} ({low:.2f} to {high:.2f})"
+        lines.append([name, f"{np.median(seconds):.3g}", spread])
+    return text_table([f"seconds to 5 %, {len(rows)} seeds", "median", "over sequence's"], lines)
 
 
 def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
@@ -168,6 +169,8 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
             f" most used of any limit {100 * max(worst):.4f} %, median"
             f" {100 * np.median(worst):.2f} %; over 100.1 %: {sum(x > 1.001 for x in worst)}"
         )
+    if sequences := parts["sequence"]:
+        texts.append(sequence_text(sequences))
     if pandas := parts["panda"]:
         spread = {
             name: np.quantile([row[name] for row in pandas], [0.0, 0.5, 1.0])
@@ -184,40 +187,56 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 def study(options: argparse.Namespace) -> int:
     """Runs what is missing, prints the tables."""
-    if options.design:
-        design_paths(options.output, options.quick, [options.design])
-        return 0
-    tasks: list[Task] = [("arms", "", i) for i in range(options.arms)]
-    tasks += [("regression", "", i) for i in range(options.repeats)]
-    tasks += [("compare", name, i) for i in range(options.seeds) for name in MOTIONS]
     urdf = options.panda or panda_urdf()
-    others: list[Task] = [("panda", "", i) for i in range(options.pandas if urdf else 0)]
-    fits: list[Task] = [("likelihood", "", i) for i in range(options.fits)]
-    # In turns, so that a run that is stopped has some of both.
-    tasks += [task for pair in zip_longest(fits, others) for task in pair if task]
-    files = [Path(__file__).with_name(name) for name in ("tasks.py", "motions.py")]
+    files = [Path(__file__).with_name(name) for name in ("tasks.py", "motions.py", "plans.py")]
     digest = made_of({"quick": options.quick}, files)
     finished = Rows(options.output / "rows.jsonl", ("part", "name", "number"), digest)
-    needed = DESIGNED if options.seeds or options.repeats or options.fits else ()
-    missing = [task for task in tasks if task not in finished]
-    designs = design_paths(options.output, options.quick, tuple(needed))
-    begin(designs, options.cache)
-    if missing:
-        _run(missing, finished, designs, str(urdf or ""), options)
+    end = time.monotonic() + 60.0 * options.minutes
+    compared = options.seeds or options.repeats or options.fits
+    draws = range(options.designs if compared else 0)
+    designs: list[Task] = [("design", name, i) for i in draws for name in DESIGNED]
+    _run(designs, finished, {}, str(urdf or ""), options, end)
+    parameters: dict[str, list[Any]] = {}
+    for task in designs:
+        if task in finished:
+            parameters.setdefault(task[1], []).append(finished[task]["parameters"])
+    begin(parameters, options.cache)
+    _run(_tasks(options, bool(urdf)), finished, parameters, str(urdf or ""), options, end)
     for text in tables([row for row in finished.all()]):
         print(text, end="\n\n")
     return 0
 
 
+def _tasks(options: argparse.Namespace, with_panda: bool) -> list[Task]:
+    """What is made of designs, or needs none."""
+    tasks: list[Task] = [("arms", "", i) for i in range(options.arms)]
+    tasks += [("sequence", "", i) for i in range(options.sequences)]
+    tasks += [("regression", "", i) for i in range(options.repeats)]
+    tasks += [("compare", name, i) for i in range(options.seeds) for name in MOTIONS]
+    others: list[Task] = [("panda", "", i) for i in range(options.pandas if with_panda else 0)]
+    fits: list[Task] = [("likelihood", "", i) for i in range(options.fits)]
+    # In turns, so that a run that is stopped has some of both.
+    return tasks + [task for pair in zip_longest(fits, others) for task in pair if task]
+
+
 def _run(
-    missing: Sequence[Task], finished: Rows, designs: Any, urdf: str, options: argparse.Namespace
+    tasks: Sequence[Task],
+    finished: Rows,
+    parameters: dict[str, list[Any]],
+    urdf: str,
+    options: argparse.Namespace,
+    end: float,
 ) -> None:
-    """In processes, until all is done or the time is over."""
-    end = time.monotonic() + 60.0 * options.minutes
+    """What is missing, in processes, until all is done or the time is over."""
+    missing = [task for task in tasks if task not in finished]
+    if not missing:
+        return
     context = multiprocessing.get_context("spawn")
     pool: Callable[..., ProcessPoolExecutor] = ProcessPoolExecutor
-    with pool(options.jobs, context, begin, (designs, options.cache)) as executor:
-        futures = [executor.submit(row_of, task, urdf, options.steps) for task in missing]
+    with pool(options.jobs, context, begin, (parameters, options.cache)) as executor:
+        futures = [
+            executor.submit(row_of, task, urdf, options.steps, options.quick) for task in missing
+        ]
         bar = command.progress(total=len(futures), desc="tasks")
         try:
             for future in as_completed(futures, timeout=max(end - time.monotonic(), 1.0)):
@@ -238,15 +257,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", type=int, default=50, help="random arms, of 20 designs each")
     parser.add_argument("--pandas", type=int, default=100, help="designs of a Panda")
     parser.add_argument("--panda", type=Path, default=None, help="its URDF")
-    parser.add_argument("--design", choices=list(DESIGNED), help="make this design, no more")
+    parser.add_argument("--designs", type=int, default=DESIGNS, help="of each criterion")
+    parser.add_argument("--sequences", type=int, default=12, help="of recordings")
     parser.add_argument("--steps", type=int, default=40, help="of a Panda's design, in a round")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--minutes", type=float, default=1e4, help="at most")
     parser.add_argument("--cache", default=".cache/jax", help="of compiled programs")
-    quick = {"seeds": 1, "repeats": 3, "fits": 0, "arms": 0, "pandas": 0, "jobs": 1}
+    quick = {"designs": 1, "seeds": 1, "repeats": 3, "fits": 0, "arms": 0, "pandas": 0, "jobs": 1}
+    quick["sequences"] = 0
     options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=0, repeats=0, fits=0, arms=0, pandas=0, jobs=1)
-    seconds = 200 + 25 * options.seeds + options.repeats + 10 * options.fits
+    command.require_least(parser, options, designs=1, sequences=0)
+    seconds = (
+        150 * options.designs
+        + 120 * options.sequences
+        + 25 * options.seeds
+        + options.repeats
+        + 10 * options.fits
+    )
     seconds += 60 * options.arms + 60 * options.pandas
     return command.run(
         parser, lambda: study(options), options.output / "rows.jsonl", seconds=seconds

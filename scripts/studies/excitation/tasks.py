@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -23,7 +23,15 @@ from jaxcslc.excitation import (
 from scripts.studies.static_friction.study import epsilon
 from scripts.studies.truth import moving_patterns, true_coefficients
 
-from .motions import TORQUE_NOISE, Path, network, performed
+from .motions import (
+    TORQUE_NOISE,
+    Designs,
+    fourier_planner,
+    network,
+    performed,
+    puma_design,
+)
+from .plans import seconds_to_goal
 
 
 jax.config.update("jax_enable_x64", True)
@@ -32,7 +40,25 @@ SETTINGS = jc.Settings(jc.Preparation(torque_alignment="mean"), jc.LeastSquares(
 ARMS_PER_STRUCTURE = 20
 
 
-def compared(name: str, seed: int, designs: dict[str, Path]) -> dict[str, Any]:
+def designed(name: str, seed: int, quick: bool) -> dict[str, Any]:
+    """A design's parameters, and the processor time that it took."""
+    begun = time.process_time()
+    design = puma_design(name, seed, quick)
+    return {
+        "parameters": design.parameters.round(12).tolist(),
+        "seconds": time.process_time() - begun,
+        "value": design.value,
+        "condition": design.prediction.condition,
+        "feasible": design.use.feasible,
+    }
+
+
+def sequence(seed: int, steps: int) -> dict[str, Any]:
+    """Seconds of recordings until 5 % on every coefficient, in sequence and of one repeated."""
+    return seconds_to_goal(seed, steps, lambda _: None)
+
+
+def compared(name: str, seed: int, designs: Designs) -> dict[str, Any]:
     """A motion with all disturbances: ε on the comparison trajectory, errors of coefficients."""
     machine = sim.disturbed(sim.puma560())
     recording, _ = performed(machine, name, designs, seed)
@@ -41,21 +67,23 @@ def compared(name: str, seed: int, designs: dict[str, Path]) -> dict[str, Any]:
     judged = moving_patterns(sim.simulate(undisturbed, sim.comparison(), seed=10_000 + seed))
     fit = SETTINGS.fit(network(), SETTINGS.patterns(recording))
     k, true = np.asarray(fit.k), np.asarray(true_coefficients(network(), machine))
-    size = np.abs(true)
+    reported, error = np.asarray(fit.standard_error), np.abs(k - true)
+    size, absolute = fourier_planner().problem.information.size, np.abs(true)
     return {
         "epsilon": epsilon(network(), k, judged),
-        "standard error": float(np.mean(np.asarray(fit.standard_error) / size)),
-        "median standard error": float(np.median(np.asarray(fit.standard_error) / size)),
-        "error": float(np.mean(np.abs(k - true) / size)),
-        "median error": float(np.median(np.abs(k - true) / size)),
+        "standard error": float(np.mean(reported / size)),
+        "error": float(np.mean(error / size)),
+        "median error": float(np.median(error / absolute)),
+        "standard error over value": float(np.mean(reported / absolute)),
+        "error over value": float(np.mean(error / absolute)),
         "condition": float(fit.condition),
     }
 
 
-def repeated(estimator: str, seed: int, designs: dict[str, Path]) -> dict[str, Any]:
+def repeated(estimator: str, seed: int, designs: Designs) -> dict[str, Any]:
     """The designed motion with noise of encoders and torques: errors and standard errors."""
     machine = sim.disturbed(sim.puma560(), "quantisation")
-    recording, _ = performed(machine, "error", designs, seed)
+    recording, _ = performed(machine, "overall", {"overall": designs["overall"][:1]}, seed)
     rng = np.random.default_rng(seed)
     torque = recording.torque + np.array(TORQUE_NOISE) * rng.normal(size=recording.torque.shape)
     recording = dataclasses.replace(recording, torque=torque)
@@ -158,7 +186,7 @@ def _random_limits(planner: Planner, rng: np.random.Generator) -> Limits:
 
 def panda(seed: int, urdf: str, steps: int) -> dict[str, Any]:
     """A Panda beside its table, 20 s: feasible? condition numbers, time."""
-    robot = jc.load_robot(FilePath(urdf), tip=["panda_link8"])
+    robot = jc.load_robot(Path(urdf), tip=["panda_link8"])
     if "panda" not in _pandas:
         of_maker = Limits.of(jc.panda())
         stated = {name: getattr(of_maker, name).tolist() for name in ("acceleration", "jerk")}

@@ -2,10 +2,7 @@
 
 from typing import Any
 
-from scripts.studies.excitation.study import compare_text, tables
-
-
-QUANTITIES = ("epsilon", "standard error", "error", "median error")
+from scripts.studies.excitation.study import QUANTITIES, compare_text, sequence_text, tables
 
 
 def compared(name: str, number: int, value: float) -> dict[str, Any]:
@@ -14,11 +11,11 @@ def compared(name: str, number: int, value: float) -> dict[str, Any]:
 
 
 def test_ratios_are_seed_by_seed() -> None:
-    rows = [compared("error", seed, 1.0 + seed) for seed in range(3)]
+    rows = [compared("overall", seed, 1.0 + seed) for seed in range(3)]
     rows += [compared("thesis", seed, 2.0 * (1.0 + seed)) for seed in range(3)]
     lines = compare_text(rows).splitlines()
-    assert [line.split()[0] for line in lines[1:]] == ["error", "thesis"]
-    assert lines[2].count("2.00 (2.00 to 2.00)") == 4
+    assert [line.split()[0] for line in lines[1:]] == ["overall", "thesis"]
+    assert lines[2].count("2.00 (2.00 to 2.00)") == len(QUANTITIES)
 
 
 def test_arms_beyond_a_limit_are_counted() -> None:
@@ -36,3 +33,12 @@ def test_pandas_are_summed_up() -> None:
     rows = [{"part": "panda", "name": "", "number": i, "feasible": i > 0, **row} for i in (0, 1)]
     (text,) = tables(rows)
     assert text.startswith("Panda: 1 of 2 seeds feasible; condition 90 to 90, median 90")
+
+
+def test_seconds_of_one_motion_are_over_those_of_the_sequence() -> None:
+    rows: list[dict[str, Any]] = [
+        {"part": "sequence", "name": "", "number": i, "seconds": {"in sequence": x, "worst": 3 * x}}
+        for i, x in enumerate((6.0, 9.0, 12.0))
+    ]
+    assert sequence_text(rows).splitlines()[2].split() == "worst 27 3.00 (3.00 to 3.00)".split()
+    assert tables(rows) == [sequence_text(rows)]
