@@ -16,7 +16,7 @@ Criterion = Literal[
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
 ON_TASK = ("overall", "torque")  # criteria that a task enters
 EXPLANATIONS: dict[str, str] = {
-    "overall": "geometric mean of `error` and `torque`",
+    "overall": "geometric mean of standard error over size and of torque errors on the task",
     "error": "mean standard error over size",
     "worst": "largest standard error over size, as a norm of eighth order",
     "A": "root mean square standard error over size",

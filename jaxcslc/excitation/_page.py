@@ -1,10 +1,12 @@
 import jax.numpy as jnp
 import numpy as np
 
+from ..identification.prediction import link_poses
 from ..page import (
     Code,
     Column,
     Curve,
+    Film,
     Message,
     Page,
     Panel,
@@ -18,6 +20,8 @@ from ._result import Design
 
 
 _PAGE_RATE = 50.0  # of curves [Hz]
+_FILM_RATE, _FRAMES = 15.0, 400  # frames a second, and at most
+_TIP = 0.12  # of the last joint's axis that is drawn [m]
 _QUANTITIES = (("Position", "rad"), ("Velocity", "rad/s"), ("Acceleration", "rad/s²"))
 
 
@@ -31,7 +35,7 @@ def design_page(design: Design, command: str = "") -> str:
         f"{design.family.duration:g} s of this motion determine {len(wanted)} coefficients to"
         f" {median:.2g} % of their size (median), {worst} to {largest:.2g} %."
     )
-    sections = [_predicted(design), *_motion(design), _margins(design)]
+    sections = [_predicted(design), *_film(design), *_motion(design), _margins(design)]
     if command:
         sections.append(Section("Command", "", (Code(command),)))
     page = Page(
@@ -70,6 +74,25 @@ def _predicted(design: Design) -> Section:
         f" {design.prediction.scaled_condition:.4g}."
     )
     return Section("Predicted intervals", lead, (Table(columns, rows, name="predicted"),))
+
+
+def _film(design: Design) -> list[Section]:
+    robot, duration = design.network.robot, design.family.duration
+    if any(
+        length.value is None for joint in robot.joints for length in (joint.a, joint.b, joint.d)
+    ):
+        return []  # lengths that are symbols have no positions
+    _, (q, _, _) = design.sampled(min(_FILM_RATE, _FRAMES / duration))
+    n = robot.joint_count
+    frames = np.zeros((len(q), n + 1, 2, 3))
+    for frame, pose in zip(frames, q, strict=True):
+        links = link_poses(robot, pose)
+        frame[:n, 1] = [link[:3, 3] for link in links]
+        frame[:n, 0] = [np.zeros(3) if i < 0 else frame[i, 1] for i in robot.parents]
+        frame[n] = links[-1][:3, 3] + [np.zeros(3), _TIP * links[-1][:3, 2]]
+    caption = f"Lines from joint to joint; {duration:g} s, over and over"
+    lead = "The arm in motion; at the end, with a dot, the axis of the last joint."
+    return [Section("Film", lead, (Film(frames, duration, caption),))]
 
 
 def _motion(design: Design) -> list[Section]:

@@ -40,5 +40,5 @@ def test_seconds_of_one_motion_are_over_those_of_the_sequence() -> None:
         {"part": "sequence", "name": "", "number": i, "seconds": {"in sequence": x, "worst": 3 * x}}
         for i, x in enumerate((6.0, 9.0, 12.0))
     ]
-    assert sequence_text(rows).splitlines()[2].split() == "worst 27 3.00 (3.00 to 3.00)".split()
+    assert sequence_text(rows).splitlines()[2].endswith("27  3.00 (3.00 to 3.00)")
     assert tables(rows) == [sequence_text(rows)]
