@@ -1,25 +1,15 @@
-"""Ways from a recording to coefficients with intervals, under the same settings."""
+"""Ways from a recording to coefficients with intervals."""
 
 import time
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import uncertainty_interval
+from jaxcslc.identification import LikelihoodFit, SimulationFit, uncertainty_interval
 from scripts.studies.estimators.recordings import Experiment
-
-
-NAMES = (
-    "least squares",
-    "least squares, systematic errors",
-    "instruments, known controller",
-    "instruments, observer",
-    "direct dynamics",
-    "maximum likelihood",
-)
 
 
 class Estimate(NamedTuple):
@@ -38,39 +28,66 @@ class Estimate(NamedTuple):
     p_value: float | None = None
 
 
-def estimates(network: jc.CSLC, experiment: Experiment) -> Iterator[Estimate]:
-    """All methods, one after the other; settings are chosen once, by cross-validation.
+class _Estimator(Protocol):
+    def fit(self, network: jc.CSLC, recording: jc.Recording) -> LikelihoodFit | SimulationFit: ...
 
-    Masks, alignment and parallel filter are those of least squares: instruments do not need the
-    filter, but standard errors rest on residuals that are not far from white.
+
+# The estimators beside least squares, of a recording's experiment and settings.
+_ESTIMATORS: dict[str, Callable[[Experiment, jc.Settings], _Estimator]] = {
+    "instruments, known controller": lambda made, settings: jc.InstrumentalVariables(
+        made.loop, settings
+    ),
+    "instruments, observer": lambda _, settings: jc.InstrumentalVariables(settings=settings),
+    "direct dynamics": lambda made, settings: jc.DirectDynamics(made.loop, settings),
+    "maximum likelihood": lambda _, settings: jc.MaximumLikelihood(
+        "sampled" if settings.preparation.torque_alignment == "sample" else "held", settings
+    ),
+}
+_ORDINARY, _SYSTEMATIC = "least squares", "least squares, systematic errors"
+_ROUGH = ", hardly smoothed"
+# As little smoothing as there is: nobody has chosen it for the recording.
+HARDLY_SMOOTHED = jc.Settings(
+    jc.Preparation(smoothing=jc.AveragedSplines(3), torque_alignment="mean")
+)
+NAMES = (
+    _ORDINARY,
+    _SYSTEMATIC,
+    *_ESTIMATORS,
+    _ORDINARY + _ROUGH,
+    "instruments, known controller" + _ROUGH,
+    "instruments, observer" + _ROUGH,
+)
+
+
+def estimates(
+    network: jc.CSLC, experiment: Experiment, methods: Collection[str]
+) -> Iterator[Estimate]:
+    """Those of some methods, one after the other.
+
+    Settings are chosen once, by cross-validation. Masks, alignment and parallel filter are those of
+    least squares for all: instruments do not need the filter, but standard errors rest on
+    residuals that are not far from white.
     """
-    recording = experiment.recording
-    settings = jc.choose_settings(network, recording).settings
-    start = time.process_time()
-    fit = settings.fit(network, settings.patterns(recording))
-    yield _of_fit(NAMES[0], fit, time.process_time() - start)
-    start = time.process_time()
-    report = jc.identify(network, recording, settings=settings, checks=False, possible="never")
-    interval = uncertainty_interval(report.fit, report.systematic)
-    k = np.asarray(report.fit.k)
-    yield Estimate(NAMES[1], k, np.asarray(interval), time.process_time() - start)
-    for name, estimator in (
-        (NAMES[2], jc.InstrumentalVariables(experiment.loop, settings)),
-        (NAMES[3], jc.InstrumentalVariables(settings=settings)),
-        (NAMES[4], jc.DirectDynamics(experiment.loop, settings)),
-    ):
-        start = time.process_time()
-        simulated = estimator.fit(network, recording)
+    recording, settings = experiment.recording, None
+    for name in (name for name in NAMES if name in methods):
+        rough = name.endswith(_ROUGH)
+        if settings is None and not rough:
+            settings = jc.choose_settings(network, recording).settings
+        of_method = HARDLY_SMOOTHED if rough or settings is None else settings
+        start, p_value = time.process_time(), None
+        if name == _SYSTEMATIC:
+            report = jc.identify(
+                network, recording, settings=of_method, checks=False, possible="never"
+            )
+            fit, interval = report.fit, uncertainty_interval(report.fit, report.systematic)
+        elif name.startswith(_ORDINARY):
+            fit = of_method.fit(network, of_method.patterns(recording))
+            interval = fit.confidence_interval()
+        else:
+            estimator = _ESTIMATORS[name.removesuffix(_ROUGH)](experiment, of_method)
+            result = estimator.fit(network, recording)
+            fit, interval = result.fit, result.fit.confidence_interval()
+            test = result.exogeneity if isinstance(result, SimulationFit) else None
+            p_value = None if test is None else test.p_value
         seconds = time.process_time() - start
-        test = simulated.exogeneity
-        estimate = _of_fit(name, simulated.fit, seconds)
-        yield estimate._replace(p_value=None if test is None else test.p_value)
-    start = time.process_time()
-    sampled = settings.preparation.torque_alignment == "sample"
-    likely = jc.MaximumLikelihood("sampled" if sampled else "held", settings)
-    result = likely.fit(network, recording)
-    yield _of_fit(NAMES[5], result.fit, time.process_time() - start)
-
-
-def _of_fit(name: str, fit: jc.Identification, seconds: float) -> Estimate:
-    return Estimate(name, np.asarray(fit.k), np.asarray(fit.confidence_interval()), seconds)
+        yield Estimate(name, np.asarray(fit.k), np.asarray(interval), seconds, p_value)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from scripts.studies.real_robots import arms, study
+from scripts.studies.real_robots import arms, intervals, load_friction, study
 from scripts.studies.real_robots.methods import Model
 from scripts.studies.real_robots.page import page_text
 
@@ -76,3 +76,41 @@ def test_missing_recordings_are_named(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "no such folder; expected the recordings of a KUKA KR300" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         study.main(["--arms", "R2D2"])
+
+
+@pytest.fixture
+def loaded() -> arms.Arm:
+    """The pendulum with 20 % more friction for each newton metre of load, and noise."""
+    arm = pendulum(Path())
+    rng = np.random.default_rng(0)
+
+    def with_load(recording: jc.Recording) -> jc.Recording:
+        q = np.asarray(recording.position)
+        speed = np.sign(np.cos(3 * np.asarray(recording.time)))[:, None]
+        rigid = np.asarray(recording.torque) - 0.2 * np.gradient(q, 0.005, axis=0) - 0.1 * speed
+        torque = np.asarray(recording.torque) + 0.2 * speed * np.abs(rigid)
+        return jc.Recording(recording.time, q, torque + 0.01 * rng.normal(size=q.shape))
+
+    parts = {"again": with_load(arm.training), "once more": with_load(arm.training)}
+    return arm._replace(training=with_load(arm.training), tests=parts)
+
+
+def test_load_dependent_friction_is_seen(loaded: arms.Arm) -> None:
+    held_out, again, _, coefficient = load_friction.lines_of("pendulum", loaded)
+    assert float(held_out[2]) < -20 and float(again[2]) < -20
+    assert abs(float(coefficient[2]) - 0.2) < 0.02
+
+
+def test_fits_of_the_same_arm_differ_by_their_errors() -> None:
+    arm = pendulum(Path())
+    rng = np.random.default_rng(1)
+    noisy = [
+        jc.Recording(part.time, part.position, part.torque + 0.02 * rng.normal(size=(600, 1)))
+        for part in [arm.training] * 3
+    ]
+    deviations = intervals.deviations_of(
+        arm._replace(training=noisy[0], tests={"second": noisy[1], "third": noisy[2]})
+    )
+    for kind in intervals.KINDS:
+        assert deviations[kind].shape == (15,)
+        assert np.median(deviations[kind]) < 2.0

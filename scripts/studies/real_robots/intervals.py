@@ -1,0 +1,98 @@
+"""Do intervals of real arms' coefficients hold? Fits of motion that they have not in common.
+
+Each arm's recordings (or thirds of one) are fitted apart, with settings that are chosen on the
+first. Two fits are of the same arm: the difference of a coefficient that both determine should be
+about as large as its standard error, the root of both fits' variances. The table has the median
+and the root mean square of difference over standard error, and how many differences are within
+1.96, for standard errors of independent residuals, for those of correlated ones (a sandwich, the
+default), and with systematic errors beside them (the bias of smoothing, timing, missing terms).
+"""
+
+import argparse
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+import jaxcslc as jc
+from jaxcslc.identification import standard_uncertainty, systematic_error
+from jaxcslc.identification.report import text_table
+from scripts.studies import command
+from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+
+
+jax.config.update("jax_enable_x64", True)
+
+KINDS = ("independent", "correlated", "correlated and systematic")
+_WITHIN = 1.96
+
+
+def parts_of(arm: Arm) -> list[jc.Recording]:
+    """Motion that is fitted apart: recordings, or halves of what is fitted and what is judged."""
+    if len(arm.tests) > 1:
+        return [arm.training, *arm.tests.values()]
+    length = float(np.ptp(arm.training.time))
+    halves = [(0.0, length / 2), (length / 2, length)]
+    return [*(arm.training.between(*half) for half in halves), *arm.tests.values()]
+
+
+def deviations_of(arm: Arm) -> dict[str, Float[np.ndarray, " differences"]]:
+    """Differences of all pairs of fits over their standard errors, by what these allow for."""
+    robot = arm.robot
+    kinds = [tuple(k for k in kinds if k != "static") for kinds in robot.friction_per_joint]
+    network = jc.derive(robot, lengths="numeric").with_joint_friction(kinds)
+    parts = parts_of(arm)
+    settings = jc.choose_settings(network, parts[0]).settings
+    fits: list[tuple[jc.Identification, dict[str, np.ndarray]]] = []
+    for part in parts:
+        patterns = settings.patterns(part)
+        fit = settings.fit(network, patterns)
+        error = systematic_error(network, part, settings, fit)
+        independent = np.sqrt(np.diag(np.asarray(fit.independent_covariance)))
+        fits.append(
+            (
+                fit,
+                {
+                    "independent": independent,
+                    "correlated": np.asarray(fit.standard_error),
+                    "correlated and systematic": np.asarray(standard_uncertainty(fit, error)),
+                },
+            )
+        )
+    deviations: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
+    for (first, of_first), (second, of_second) in combinations(fits, 2):
+        both = np.asarray(first.determined) & np.asarray(second.determined)
+        for kind in KINDS:
+            error = np.hypot(of_first[kind], of_second[kind])
+            deviations[kind].append((np.abs(np.asarray(first.k - second.k)) / error)[both])
+    return {kind: np.concatenate(values) for kind, values in deviations.items()}
+
+
+def study(options: argparse.Namespace) -> int:
+    """Prints the table."""
+    rows: list[list[str]] = []
+    for name in command.progress(options.arms, desc="arms", unit="arm"):
+        for kind, values in deviations_of(read(name, options.data)).items():
+            finite = values[np.isfinite(values)]
+            row = [np.median(finite), np.sqrt(np.mean(finite**2))]
+            inside = f"{100 * np.mean(finite <= _WITHIN):.0f} %"
+            rows.append([name, kind, *(f"{value:.2g}" for value in row), inside])
+    header = ["arm", "standard errors for", "median", "root mean square", "within 1.96"]
+    print(text_table(header, rows))
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "intervals")
+    parser.add_argument("--arms", nargs="+", default=list(READERS), help=", ".join(READERS))
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of the recordings")
+    options = command.parse(parser, argv, arms=["KUKA KR300"])
+    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
+    return command.run(parser, lambda: study(options), seconds=30.0 * len(options.arms))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
