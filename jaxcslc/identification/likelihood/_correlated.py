@@ -6,7 +6,8 @@ from jaxtyping import Bool, Float
 
 from ..solver import CosineSums, components_for, correlated_covariance, effective_counts
 from ._band import Factored
-from ._objective import Linear
+from ._linear import Linear
+from ._readings import score_share
 
 
 # Stretches of time in which products of rows are summed before they are multiplied by cosines.
@@ -24,6 +25,16 @@ class CorrelatedErrors(NamedTuple):
     covariance: Float[np.ndarray, "border border"]
     degrees_of_freedom: float
     effective: Float[np.ndarray, " joints"]
+
+    def at_least(self, bound: Float[np.ndarray, "border border"]) -> "CorrelatedErrors":
+        """The same with no variance below that of a bound.
+
+        Few readings are near the edges of their intervals. Each of them is fitted more closely than
+        it would be otherwise, and the spread of scores says less than the truth.
+        """
+        variance, least = np.diag(self.covariance), np.diag(bound)
+        growth = np.sqrt(np.maximum(1.0, least / np.where(variance > 0.0, variance, np.inf)))
+        return self._replace(covariance=self.covariance * growth[:, None] * growth)
 
 
 def correlated_errors(
@@ -67,7 +78,7 @@ def eliminated_rows(
     The first and the last sample have readings and no equation.
     """
     objective, order = linear.objective, linear.order
-    weights, residuals, eliminated = objective.weights, linear.residuals, factored.eliminated
+    weights, residuals, eliminated = linear.weights, linear.residuals, factored.eliminated
     samples, n = order.position.shape
     of_position = eliminated[order.position]  # (samples, n, border)
     torque = linear.by_border.copy()
@@ -90,6 +101,30 @@ def eliminated_rows(
     scaled[1:-1, :n] = residuals.torque * root
     scaled[:, n:] = residuals.position * np.sqrt(weights.position)
     return rows, np.einsum("srb,sr->sb", rows, scaled)
+
+
+def independent_covariance(
+    linear: Linear, factored: Factored, inverse: Float[np.ndarray, "border border"]
+) -> Float[np.ndarray, "border border"]:
+    """The Cramér-Rao bound; for counts that are intervals, what replaces it.
+
+    The bound of sharp intervals is none: errors fall with the number of readings, not with its
+    root. With edges of some width, scores vary less than curvatures say (`score_share`): a sandwich
+    of both.
+
+    **Arguments**
+
+    - `linear`, `factored`: the equations at the minimum.
+    - `inverse`: of the information, in units of the border's scale.
+    """
+    intervals = linear.objective.intervals
+    if intervals is None:
+        return inverse
+    rows, _ = eliminated_rows(linear, factored)
+    n = intervals.edge.shape[1]
+    readings = rows[:, n:] * np.sqrt(1.0 - score_share(intervals.edge))[:, :, None]
+    flat = readings.reshape(-1, rows.shape[2])
+    return inverse - inverse @ (flat.T @ flat) @ inverse
 
 
 def _sums(

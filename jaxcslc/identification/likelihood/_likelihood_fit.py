@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 from ...network import CSLC
 from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
-from ._correlated import CorrelatedErrors, correlated_errors
+from ._correlated import CorrelatedErrors, correlated_errors, independent_covariance
 from ._search import Minimum
 
 
@@ -24,7 +24,8 @@ class LikelihoodFit(eqx.Module):
     - `network`: with the slopes that were fitted: `network.torque(fit.k, ...)` predicts.
     - `fit`: its coefficients. `independent_covariance` is the inverse of the information that
       positions, slopes, encoder offsets and reversals leave: the Cramér-Rao bound for noise of the
-      estimated levels. `covariance` allows for what `MaximumLikelihood.errors` says.
+      estimated levels, or what the edges of encoders' intervals leave. `covariance` allows for
+      what `MaximumLikelihood.errors` says.
     - `slopes`: (n,) of static friction [s/rad or s/m]; `slope_error`: their standard deviations.
       Zeros for a network without static friction.
     - `offset`: (recordings, n) of each encoder within a step [rad or m]; `offset_error`.
@@ -97,11 +98,14 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     residual, used = minimum.linear.residuals.torque, minimum.counted
     counts = used.sum(axis=0).astype(float)
     inverse = spectrum.covariance
-    sandwich = CorrelatedErrors(inverse, max(float(counts.sum()) - p, 1.0), counts)
+    bound = independent_covariance(minimum.linear, minimum.factored, inverse)
+    sandwich = CorrelatedErrors(bound, max(float(counts.sum()) - p, 1.0), counts)
     if errors == "correlated":
         sandwich = correlated_errors(minimum.linear, minimum.factored, inverse, used)
+        if minimum.objective.intervals is not None:
+            sandwich = sandwich.at_least(bound)
     independent, covariance = (
-        matrix * border[:, None] * border[None, :] for matrix in (inverse, sandwich.covariance)
+        matrix * border[:, None] * border[None, :] for matrix in (bound, sandwich.covariance)
     )
     null = spectrum.undetermined[:, :p]
     undetermined = np.zeros((p, p))

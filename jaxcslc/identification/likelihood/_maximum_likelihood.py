@@ -12,8 +12,9 @@ from .._settings import Settings
 from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._objective import Point
+from ._problem import Problem
 from ._readings import TorqueSampling
-from ._search import Problem, search
+from ._search import search
 from ._start import starting_point
 
 
@@ -40,6 +41,9 @@ class MaximumLikelihood:
     - Torque noise of each joint is estimated by marginal likelihood, from a large value downwards;
       so is the noise of positions, but for encoders, whose step is read off the recording. Their
       constant offset within a step is an unknown.
+    - Where the equations say much more of a motion than single counts do, a count is the interval
+      that it is: the position is within a step of it. The edges of these intervals say more than
+      counts with normally distributed errors would; elsewhere counts have such errors.
     - Where a joint rests, friction has any value up to break-away: its equation is left out and
       its readings count as one. Equations far beyond the noise count by size, not square (Huber).
 
@@ -97,7 +101,7 @@ class MaximumLikelihood:
         - `recording`: at least ten samples. Velocities that it holds are not used. Each of several
           has noise levels and encoder offsets of its own.
         - `start`: coefficients to start from; by default those of a regression.
-        - `progress`: is called with a few words at each stage.
+        - `progress`: is called with a few words at each step.
 
         **Returns** a `LikelihoodFit`; look at `converged`.
 
@@ -154,9 +158,9 @@ class MaximumLikelihood:
                 slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
             ),
             np.broadcast_to(torque_noise, residual.shape),
-            np.where(problem.fixed_noise, noise, position_noise),
+            np.where(problem.encoder_step > 0.0, noise, position_noise),
             lambda words: None,
-            level_stages=0,
+            fixed_levels=True,
         )
         part, left = problem.readings.part[1:-1], minimum.linear.residuals
         error = np.hypot(

@@ -4,12 +4,20 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.special import ndtr
 
 from ...motion import Recording
 
 
 TorqueSampling = Literal["held", "sampled"]
 """What a recorded torque is: held until the next sample, or the value at the sample's instant."""
+
+# Edges further outside than this, in their widths, count by size and not by square (Huber).
+_OUTSIDE = 6.0
+# Least curvature, in inverse squares of a step: a reading amid its interval says nothing.
+_LEAST_CURVATURE = 1e-2
+# Terms of the exponential beyond which a normal density is nothing.
+_FAR = 38.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,3 +93,103 @@ def averaged_torque(
         return before * torque[:-2] + after * torque[1:-1]
     # Linear between samples: two thirds of each triangle are at its middle, a third at its end.
     return (before * torque[:-2] + 2.0 * torque[1:-1] + after * torque[2:]) / 3.0
+
+
+@dataclasses.dataclass(frozen=True)
+class WorkingReadings:
+    """A law of readings about residuals, as the weighted squares that have its derivatives.
+
+    **Attributes**
+
+    - `value`: (...), minus twice the logarithm of the density, up to a constant.
+    - `weight`: (...), half of its second derivative.
+    - `residual`: (...), half of its first derivative over `weight`.
+    """
+
+    value: Float[np.ndarray, "*shape"]
+    weight: Float[np.ndarray, "*shape"]
+    residual: Float[np.ndarray, "*shape"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Intervals:
+    """Encoders' counts as what they are: the position is within one step, and nothing else.
+
+    Where the equations of motion say much more about a motion than single readings do, the edges of
+    these intervals are what is left to learn from. The probability of a reading is
+
+        Φ((step/2 - r) / s) - Φ(-(step/2 + r) / s)
+
+    with r the residual and s, the width of an edge, how well all readings say where the joint is.
+    Where s is not much less than a step, counts are normally distributed about positions as far as
+    anybody could tell, with a variance of step²/12.
+
+    **Attributes**
+
+    - `share`: (samples, n) of a reading that counts, 1 but for joints at rest.
+    - `step`: (samples, n) of the encoders [rad or m].
+    - `edge`: (samples, n) widths of edges in steps; 0 for normally distributed readings.
+    """
+
+    share: Float[np.ndarray, "samples joints"]
+    step: Float[np.ndarray, "samples joints"]
+    edge: Float[np.ndarray, "samples joints"]
+
+    def working(
+        self,
+        residual: Float[np.ndarray, "samples joints"],
+        weight: Float[np.ndarray, "samples joints"],
+    ) -> WorkingReadings:
+        """Values and derivatives at residuals [rad or m]; `weight` of those without intervals."""
+        value, weight, working = weight * residual**2, weight.copy(), residual.copy()
+        rows = self.edge > 0.0
+        step, share = self.step[rows], self.share[rows]
+        of_interval = interval(residual[rows] / step, self.edge[rows])
+        value[rows] = share * of_interval.value
+        weight[rows] = share * of_interval.weight / step**2
+        working[rows] = of_interval.residual * step
+        return WorkingReadings(value, weight, working)
+
+
+def interval(
+    residual: Float[np.ndarray, "*shape"], edge: Float[np.ndarray, "*shape"]
+) -> WorkingReadings:
+    """Of readings that are intervals, residuals and edges in steps.
+
+    >>> import numpy as np
+    >>> interval(np.array([0.0, 0.49, 0.5, 0.53]), np.full(4, 0.01)).value.round(2).tolist()
+    [-0.0, 0.35, 1.39, 13.22]
+    """
+    size = np.abs(residual)
+    outside = np.maximum(size - 0.5 - _OUTSIDE * edge, 0.0)
+    inside = size - outside
+    far, near = np.minimum((0.5 + inside) / edge, _FAR), np.minimum((0.5 - inside) / edge, _FAR)
+    probability = ndtr(near) - ndtr(-far)
+    density_far, density_near = np.exp(-0.5 * far**2), np.exp(-0.5 * near**2)
+    root = np.sqrt(2.0 * np.pi) * edge * probability
+    score = (density_near - density_far) / root
+    bend = (near * density_near + far * density_far) / (root * edge)
+    # The first derivative stays what it is further outside, and the weight is a secant's.
+    curvature = (score**2 + bend) / (1.0 + outside / (_OUTSIDE * edge))
+    curvature = np.maximum(curvature, _LEAST_CURVATURE)
+    value = -2.0 * np.log(probability) + 2.0 * score * outside
+    return WorkingReadings(value, curvature, np.copysign(score, residual) / curvature)
+
+
+def score_share(edge: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """The variance of scores over their mean curvature, were edges sharp; 1 for none.
+
+    The width of an edge stands for what is not known of the position, not for noise: positions are
+    inside their intervals. So errors are smaller than a law says in which they may be outside.
+
+    >>> import numpy as np
+    >>> score_share(np.array([0.0, 0.01])).round(2).tolist()
+    [1.0, 0.41]
+    """
+    result = np.ones_like(edge)
+    position = np.linspace(-0.5, 0.5, 4001)
+    for width in np.unique(edge[edge > 0.0]):
+        working = interval(position, np.full_like(position, width))
+        squares = np.mean((working.weight * working.residual) ** 2)
+        result[edge == width] = squares / np.mean(working.weight)
+    return result

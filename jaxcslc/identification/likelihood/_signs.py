@@ -37,6 +37,7 @@ class Signs:
         margin: int,
         modelled: bool,
         joined: Bool[np.ndarray, " equations"] | None = None,
+        ambiguous: Bool[np.ndarray, "equations joints"] | None = None,
     ) -> "Signs":
         """The signs of a motion.
 
@@ -49,6 +50,7 @@ class Signs:
         - `modelled`: whether a reversal on its own, with clear motion on both sides, is a moment
           to be estimated, in place of uncertain equations.
         - `joined`: equations that span two recordings; there are none if omitted.
+        - `ambiguous`: equations that are uncertain whatever the motion; none if omitted.
         """
         intervals = np.diff(time)
         mean = np.diff(q, axis=0) / intervals[:, None]
@@ -62,6 +64,8 @@ class Signs:
         uncertain = dilated(at_rest, 3)
         if joined is not None:
             uncertain |= dilated(joined[:, None], margin)
+        if ambiguous is not None:
+            uncertain |= dilated(ambiguous, _ALONE)
         samples: list[int] = []
         joints: list[int] = []
         turns: list[float] = []
@@ -106,6 +110,15 @@ class Signs:
         result = np.full(self.direction.shape, -1.0)
         for offset in (-1, 0, 1):
             result[self.samples - 1 + offset, self.joints] = np.clip(turn - offset, -1.0, 1.0)
+        return result
+
+    def unmatched(self, other: "Signs") -> Bool[np.ndarray, "equations joints"]:
+        """Equations of reversals, of either, that are more than a sample from all of the other."""
+        result = np.zeros(self.direction.shape, bool)
+        for signs, others in ((self, other), (other, self)):
+            for sample, joint in zip(signs.samples, signs.joints, strict=True):
+                apart = np.abs(others.samples[others.joints == joint] - sample)
+                result[sample - 1, joint] |= not np.any(apart <= 1)
         return result
 
     def carried(

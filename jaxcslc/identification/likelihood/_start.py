@@ -11,8 +11,8 @@ from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
 from ._motion_equations import MotionEquations
 from ._objective import Point
+from ._problem import Problem
 from ._readings import Readings, TorqueSampling
-from ._search import Problem
 from ._signs import rests
 
 
@@ -115,7 +115,8 @@ def starting_point(
             np.log(1.0 / (_MOST_DECAY * fastest)),
         ),
         breakaway=breakaway,
-        fixed_noise=encoder,
+        encoder_step=steps,
+        least_position_noise=least,
     )
     point = Point(k, slopes, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, point, np.array(residual), position_noise

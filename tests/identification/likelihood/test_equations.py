@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.identification.likelihood._correlated import eliminated_rows
+from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._motion_equations import MotionEquations
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
 from jaxcslc.identification.likelihood._signs import Signs
@@ -80,7 +81,7 @@ def test_derivatives(objective: tuple[Objective, Point]) -> None:
 
 def test_a_step_is_that_of_dense_equations(objective: tuple[Objective, Point]) -> None:
     problem, point = objective
-    linear = problem.linearised(point)
+    linear = Linear.of(problem, point)
     step = linear.step(linear.factored(0.0), linear.residuals)
 
     # A dense regression of all residuals on all unknowns, columns from unit steps.
@@ -111,7 +112,7 @@ def test_rows_without_positions_make_up_the_information(
         turn=np.zeros_like(weights.turn),
         border=np.zeros_like(weights.border),
     )
-    linear = dataclasses.replace(problem, weights=data_alone).linearised(point)
+    linear = Linear.of(dataclasses.replace(problem, weights=data_alone), point)
     factored = linear.factored(0.0)
     rows, scores = eliminated_rows(linear, factored)
     information = np.einsum("srb,src->bc", rows, rows)
@@ -124,7 +125,7 @@ def test_rows_without_positions_make_up_the_information(
 
 def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, Point]) -> None:
     problem, point = objective
-    linear = problem.linearised(point)
+    linear = Linear.of(problem, point)
     rng = np.random.default_rng(1)
     size = 1e-6
     step = type(linear.step(linear.factored(0.0), linear.residuals))(

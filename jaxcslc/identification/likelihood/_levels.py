@@ -1,0 +1,117 @@
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ._band import Factored
+from ._linear import Linear
+from ._objective import Residuals
+
+
+# A noise level falls to no less than this part in a step (continuation: while torque counts for
+# little, the sum of squares has no other minima near).
+_FALL = 0.25
+Levels = Float[np.ndarray, "recordings joints"]
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseDraws:
+    """What fitting all unknowns leaves of noise of the present levels, one draw of each.
+
+    **Attributes**
+
+    - `by_torque`, `by_position`: residuals of torque's noise alone, and of positions' alone.
+    - `position`: (samples, n) the noise of positions that was drawn.
+    """
+
+    by_torque: Residuals
+    by_position: Residuals
+    position: Float[np.ndarray, "samples joints"]
+
+    @classmethod
+    def of(
+        cls,
+        linear: Linear,
+        factored: Factored,
+        part: Int[np.ndarray, " samples"],
+        torque_noise: Levels,
+        position_noise: Levels,
+    ) -> "NoiseDraws":
+        """`part`: number of the recording of each sample."""
+        rng = np.random.default_rng(0)
+        zeros = Residuals(**{name: 0.0 * values for name, values in vars(linear.residuals).items()})
+        counts = linear.weights.torque > 0.0
+        torque = rng.normal(size=counts.shape) * np.where(counts, torque_noise[part[1:-1]], 0.0)
+        position = rng.normal(size=linear.weights.position.shape) * position_noise[part]
+
+        def left(drawn: Residuals) -> Residuals:
+            return linear.after(linear.step(factored, drawn), drawn)
+
+        return cls(
+            left(dataclasses.replace(zeros, torque=torque)),
+            left(dataclasses.replace(zeros, position=position)),
+            position,
+        )
+
+
+def noise_levels(
+    residuals: Residuals,
+    draws: NoiseDraws,
+    counted: Bool[np.ndarray, "equations joints"],
+    moving: Bool[np.ndarray, "samples joints"],
+    part: Int[np.ndarray, " samples"],
+    torque_noise: Levels,
+    position_noise: Levels,
+    fixed: Bool[np.ndarray, "recordings joints"],
+) -> tuple[Levels, Levels]:
+    """The levels at which residuals would be as large as they are.
+
+    The squares of what is left of both kinds of noise add up, so that the level of torque noise
+    follows from what positions do not explain (a fixed point of the marginal likelihood, whose
+    trace is estimated from one draw; Harville 1977).
+
+    **Arguments**
+
+    - `residuals`: at the minimum; `draws`: of the present levels.
+    - `counted`: equations, `moving`: readings that count fully.
+    - `part`: number of the recording of each sample.
+    - `torque_noise`, `position_noise`: the present levels.
+    - `fixed`: noise of positions that is not to be estimated.
+    """
+    new_torque, new_position = torque_noise.copy(), position_noise.copy()
+    for index in np.ndindex(*torque_noise.shape):
+        number, joint = index
+        rows = counted[:, joint] & (part[1:-1] == number)
+        if rows.any():
+            square, alone, others = (
+                np.median(np.abs(x.torque[rows, joint])) ** 2
+                for x in (residuals, draws.by_torque, draws.by_position)
+            )
+            ratio = (square - others) / alone if alone > 0.0 else 0.0
+            new_torque[index] = torque_noise[index] * np.sqrt(np.clip(ratio, _FALL**2, 9.0))
+        if not fixed[index]:
+            rows = moving[:, joint] & (part == number)
+            square, alone, others = (
+                np.mean(x.position[rows, joint] ** 2)
+                for x in (residuals, draws.by_position, draws.by_torque)
+            )
+            ratio = (square - others) / alone if alone > 0.0 else 1.0
+            new_position[index] = position_noise[index] * np.sqrt(np.clip(ratio, 0.1, 9.0))
+    return new_torque, new_position
+
+
+def position_errors(
+    draws: NoiseDraws,
+    moving: Bool[np.ndarray, "samples joints"],
+    part: Int[np.ndarray, " samples"],
+    recordings: int,
+) -> Levels:
+    """Standard deviations of estimated positions with their offsets; infinite if none moves."""
+    squares = (draws.position - draws.by_position.position) ** 2 + draws.by_torque.position**2
+    result = np.full((recordings, squares.shape[1]), np.inf)
+    for index in np.ndindex(*result.shape):
+        number, joint = index
+        rows = moving[:, joint] & (part == number)
+        if rows.any():
+            result[index] = np.sqrt(np.mean(squares[rows, joint]))
+    return result

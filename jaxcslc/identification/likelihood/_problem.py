@@ -1,0 +1,69 @@
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ._motion_equations import MotionEquations
+from ._objective import Point
+from ._readings import Readings
+from ._signs import runs
+
+
+# No torque noise is below this part of the torque, where errors of second differences are.
+_LEAST_TORQUE_NOISE = 3e-5
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """What a search needs to know.
+
+    **Attributes**
+
+    - `equations`: torque as a function of positions.
+    - `readings`: of one recording or of several.
+    - `stuck`: (intervals, n), where joints are at standstill.
+    - `scale`: (border,) of the unknowns that all equations share; 0 fixes one.
+    - `known`: from a point, mean and inverse variance, (border,) each, of what is known of these
+      beforehand.
+    - `slope_bounds`: (n,) each, least and greatest logarithms of slopes.
+    - `breakaway`: from a point, (n,) the greatest friction at standstill.
+    - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts. The noise of
+      counts is not to be estimated.
+    - `least_position_noise`: (n,) [rad or m].
+    """
+
+    equations: MotionEquations
+    readings: Readings
+    stuck: Bool[np.ndarray, "intervals joints"]
+    scale: Float[np.ndarray, " border"]
+    known: Callable[[Point], tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]]
+    slope_bounds: tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]
+    breakaway: Callable[[Point], Float[np.ndarray, " joints"]]
+    encoder_step: Float[np.ndarray, "recordings joints"]
+    least_position_noise: Float[np.ndarray, " joints"]
+
+    @property
+    def at_rest(self) -> Bool[np.ndarray, "equations joints"]:
+        """Equations of joints at standstill."""
+        return self.stuck[1:] | self.stuck[:-1]
+
+    @property
+    def moving(self) -> Bool[np.ndarray, "samples joints"]:
+        """Readings of joints that are not."""
+        return ~np.concatenate([self.stuck, np.zeros_like(self.stuck[:1])])
+
+    @property
+    def reading_shares(self) -> Float[np.ndarray, "samples joints"]:
+        """The readings of a rest are one reading, for they have one error."""
+        shares = np.ones((len(self.stuck) + 1, self.stuck.shape[1]))
+        for joint in range(self.stuck.shape[1]):
+            for start, end in runs(self.stuck[:, joint]):
+                shares[start : end + 1, joint] = 1.0 / (end + 1 - start)
+        return shares
+
+    @property
+    def least_torque_noise(self) -> Float[np.ndarray, " joints"]:
+        """(n,) [N m or N]."""
+        size = np.sqrt(np.mean(self.readings.torque**2, axis=0))
+        return np.maximum(_LEAST_TORQUE_NOISE * size, 1e-9)
