@@ -47,21 +47,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--samples", type=int, default=3300)
     parser.add_argument("--rounds", type=int, default=None, help="2 under MJX, else 1, if omitted")
     parser.add_argument("--alike", action="store_true", help="one machine, many seeds")
+    parser.add_argument("--disturbed", action="store_true", help="with every disturbance")
     options = parser.parse_args(argv)
 
     prefix = f"recording.{options.backend}"
     report(f"{prefix}.disagreement", "rad", "lower", disagreement(options.backend))
     trajectory, puma = sim.training(samples=options.samples), sim.puma560()
+    puma = sim.disturbed(puma) if options.disturbed else puma
     start = time.perf_counter()
     jobs = [
         sim.Job(puma if options.alike else sim.specimen(puma, seed), trajectory, seed)
         for seed in range(options.machines)
     ]
     report(f"{prefix}.machines", "s", "lower", time.perf_counter() - start)
-    steps = options.machines * (options.samples - 1) * 4
+    of_sample = round(trajectory.sample_interval / puma.time_step)
+    steps = options.machines * (options.samples - 1) * of_sample
     rounds = options.rounds or (2 if options.backend == "mjx" else 1)
     for number in ("first", "second", "third")[:rounds] if rounds > 1 else ("only",):
-        start = time.perf_counter()
+        start, processor = time.perf_counter(), time.process_time()
         done = 0
         for _ in tqdm(
             sim.record_each(jobs, backend=options.backend, side_by_side=options.side_by_side),
@@ -73,6 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         seconds = time.perf_counter() - start
         report(f"{prefix}.{number}_round", "s", "lower", seconds)
         report(f"{prefix}.{number}_round.rate", "steps/s", "higher", steps / seconds)
+        processor = 1e6 * (time.process_time() - processor) / steps
+        report(f"{prefix}.{number}_round.processor", "us/step", "lower", processor)
         assert done == len(jobs)
     if options.backend == "mjx":
         device = jax.devices()[0]
