@@ -18,7 +18,7 @@ def require(module: str, extra: str) -> ModuleType:
 
     **Arguments**
 
-    - `module`: name of the module, such as `"cvxpy"` or `"matplotlib.figure"`.
+    - `module`: name of the module, such as `"clarabel"` or `"matplotlib.figure"`.
     - `extra`: the extra of `jaxcslc` that installs it, as in `pyproject.toml`.
 
     **Returns** the module.

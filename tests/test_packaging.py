@@ -360,11 +360,11 @@ def test_every_dependency_is_imported_and_every_import_declared() -> None:
     assert wrong == []
     ours = canonicalize_name(project["name"])
     asked = base.union(*extras.values()) - {ours}
-    # jax brings jaxlib; sympy finds python-flint by itself, cvxpy finds clarabel.
-    assert asked - used <= {"python-flint", "clarabel"}
+    # jax brings jaxlib; sympy finds python-flint by itself.
+    assert asked - used <= {"python-flint"}
 
 
-# What needs an extra, and the extra. The conic solver has two libraries: either may be missing.
+# What needs an extra, and the extra.
 NEEDS_AN_EXTRA = {
     "jaxcslc.puma560().to_pandas()": ("pandas", "tables"),
     "jaxcslc.load_robot('tests/data/puma560.xml')": ("mujoco", "urdf"),
@@ -375,7 +375,6 @@ NEEDS_AN_EXTRA = {
     ),
     "from jaxcslc.plotting import _look; _look.new_figure(3, 2)": ("matplotlib.figure", "plot"),
     "from jaxcslc.inertia import _semidefinite as s; s._conic_solver()": ("clarabel", "inertia"),
-    "del sys.modules['clarabel']; s._conic_solver()": ("cvxpy", "inertia"),
 }
 
 
@@ -383,7 +382,7 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it() -> None:
     """With the libraries out of reach, in a process of its own; the package imports without."""
     program = (
         "import sys\n"
-        "missing = ('pandas', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel', 'rosbags')\n"
+        "missing = ('pandas', 'mujoco', 'matplotlib', 'clarabel', 'rosbags')\n"
         "sys.modules.update(dict.fromkeys(missing))\n"
         "import jaxcslc\n"
         f"for code in {list(NEEDS_AN_EXTRA)!r}:\n"

@@ -1,4 +1,3 @@
-import warnings
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,11 @@ from .._environment import require
 from .._rank import numerical_rank
 
 
-_UPPER = [(a, b) for a in range(4) for b in range(a, 4)]
+# Entries of a symmetric matrix above its diagonal, column by column, and how a cone scales them so
+# that their products add up to the trace of a product.
+_UPPER = [(a, b) for b in range(4) for a in range(b + 1)]
+_DIAGONAL = np.array([float(a == b) for a, b in _UPPER])
+_TRIANGLE = np.where(_DIAGONAL > 0.0, 1.0, np.sqrt(2.0))
 
 
 def semidefinite_least_squares(
@@ -52,36 +55,56 @@ def semidefinite_least_squares(
     if lowest >= least and np.all(free[16 * bodies :][bounded > 0] >= 0) and within:
         return free, True
 
-    cp = _conic_solver()
     # From there, in steps that cost alike: what the data fix moves the bodies little. In the
     # unknowns themselves the condition number would be that of the data.
-    step = cp.Variable(size)
     steps = span @ inverse
-    full = free + steps @ step
-    constraints: list[Any] = [
-        cp.reshape(full[16 * i : 16 * (i + 1)], (4, 4), order="C") >> least * np.eye(4)
-        for i in range(bodies)
-    ]
-    if np.any(bounded):
-        constraints.append(full[16 * bodies + np.flatnonzero(bounded)] >= 0)
-    if above is not None and limits is not None and len(above):
-        constraints.append(above @ full >= limits)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(step)), constraints)
-    with warnings.catch_warnings():  # what they say is in the status
-        warnings.simplefilter("ignore")
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.error.SolverError:
-            return None, False
-    if step.value is None or not np.all(np.isfinite(step.value)):
+    others = 16 * bodies + np.flatnonzero(bounded)
+    slopes, starts = [steps[others]], [free[others]]
+    if above is not None and limits is not None:
+        slopes.append(above @ steps)
+        starts.append(above @ free - limits)
+    for body in range(bodies):
+        entries = 16 * body + np.array([4 * a + b for a, b in _UPPER])
+        slopes.append(_TRIANGLE[:, None] * steps[entries])
+        starts.append(_TRIANGLE * (free[entries] - least * _DIAGONAL))
+    inequalities = sum(map(len, slopes)) - len(_UPPER) * bodies
+    step, solved = _shortest(np.concatenate(slopes), np.concatenate(starts), inequalities, bodies)
+    return (None, False) if step is None else (free + steps @ step, solved)
+
+
+def _shortest(
+    slopes: Float[np.ndarray, "rows size"],
+    starts: Float[np.ndarray, " rows"],
+    inequalities: int,
+    bodies: int,
+) -> tuple[Float[np.ndarray, " size"] | None, bool]:
+    """The shortest x with starts + slopes @ x in a product of cones, by Clarabel.
+
+    - `inequalities`: the first rows, which are ≥ 0; behind them are scaled triangles of matrices.
+
+    **Returns** x, None where the solver fails, and whether the solver says that it is optimal.
+    """
+    solver = _conic_solver()
+    from scipy.sparse import csc_matrix
+
+    size = slopes.shape[1]
+    options = solver.DefaultSettings()
+    options.verbose = False
+    cones = [solver.NonnegativeConeT(inequalities)] if inequalities else []
+    cones += [solver.PSDTriangleConeT(4)] * bodies
+    # min ½ x'Px + q'x subject to Ax + s = b, s in the cones
+    problem = csc_matrix(2.0 * np.eye(size)), np.zeros(size), csc_matrix(-slopes), starts
+    solution = solver.DefaultSolver(*problem, cones, options).solve()
+    status = str(solution.status)
+    x = np.asarray(solution.x)
+    if status not in ("Solved", "AlmostSolved", "MaxIterations") or not np.all(np.isfinite(x)):
         return None, False
-    return free + steps @ np.asarray(step.value), problem.status == cp.OPTIMAL
+    return x, status == "Solved"
 
 
 def _conic_solver() -> Any:
-    """CVXPY with Clarabel; they take a second to import and few fits need them."""
-    require("clarabel", "inertia")
-    return require("cvxpy", "inertia")
+    """Clarabel by itself: a modelling library takes a second to import."""
+    return require("clarabel", "inertia")
 
 
 def _expansion(bodies: int, others: int) -> Float[np.ndarray, "unknowns independent"]:

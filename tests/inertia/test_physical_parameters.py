@@ -411,7 +411,7 @@ def test_a_missing_conic_solver_is_named(
     pendulum: jc.CSLC, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only where it is needed: possible coefficients are their own answer."""
-    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    monkeypatch.setitem(sys.modules, "clarabel", None)
     possible = np.array([1.0, 0.3, 0.0, 0.2, 0.05])
     assert jc.physical_parameters(pendulum, fit_of(possible)).result == POSSIBILITY.successful
     with pytest.raises(ImportError, match=r"pip install 'jaxcslc\[inertia\]'"):
