@@ -1,46 +1,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..network import CSLC, AbstractFunctions
-from ..network.straight_line import Expressions, Motion, Value
-
-
-class CFunctions(AbstractFunctions):
-    """The functions of terms' inputs as operations of C code."""
-
-    def __init__(self, graph: Expressions) -> None:
-        self.graph = graph
-
-    def constant(self, number: float, like: Value) -> Value:
-        del like
-        return self.graph.constant(float(number))
-
-    def sign(self, x: Value) -> Value:
-        return self.graph.apply("sign", x)
-
-    def absolute(self, x: Value) -> Value:
-        return self.graph.apply("fabs", x)
-
-    def positive(self, x: Value) -> Value:
-        return self.graph.apply("positive", x)
-
-    def negative(self, x: Value) -> Value:
-        return self.graph.apply("negative", x)
-
-    def sqrt(self, x: Value) -> Value:
-        return self.graph.apply("sqrt", x)
-
-    def exp(self, x: Value) -> Value:
-        return self.graph.apply("exp", x)
-
-    def tanh(self, x: Value) -> Value:
-        return self.graph.apply("tanh", x)
-
-    def sin(self, x: Value) -> Value:
-        return self.graph.apply("sin", x)
-
-    def cos(self, x: Value) -> Value:
-        return self.graph.apply("cos", x)
+from ..network import CSLC, term_entries
+from ..network.straight_line import Motion, Value
 
 
 def input_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]:
@@ -50,12 +12,10 @@ def input_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]
 
     - Joint, coefficient and value of each.
     """
-    functions = CFunctions(motion.graph)
     entries: list[tuple[int, int, Value]] = []
     for term in network.input_terms:
-        indices = network.layout.indices(term.kind)[list(term.input_indices)].tolist()
-        values = term.inputs(functions, motion.q, motion.qd, motion.qdd)
-        entries += zip(term.input_joints, indices, values, strict=True)
+        indices = network.layout.indices(term.kind).tolist()
+        entries += [(joint, indices[i], value) for joint, i, value in term_entries(term, motion)]
     return entries
 
 

@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -10,6 +10,7 @@ from ..manipulator import LinkParameters, Manipulator
 from ._coefficient_values import coefficient_values
 from ._counts import counts_of, order_per_joint
 from ._term_sum import AbstractTermSum
+from .straight_line import Motion, Value
 from .terms import (
     AbstractInputTerm,
     AbstractManipulatorTerm,
@@ -22,6 +23,7 @@ from .terms import (
     carrier,
     input_terms,
     payload_term,
+    term_entries,
 )
 
 
@@ -72,6 +74,27 @@ class CSLC(AbstractTermSum):
         """The term of the payload, or None. See `with_payload`."""
         last = self.terms[-1]
         return last if last.kind == "payload" else None
+
+    @property
+    def has_column_entries(self) -> bool:
+        """Whether all terms are of kinds that can be written as expressions."""
+        kinds = RigidBodyRecursion | RigidBodyTables | AbstractInputTerm
+        return all(isinstance(term, kinds) for term in self.terms)
+
+    def column_entries(self, motion: Motion) -> Iterator[tuple[int, int, Value]]:
+        """Joint, coefficient and value of the regressor's entries that are not always zero.
+
+        As expressions of the motion, for programs other than JAX's; with the numbers that the
+        terms have, which JAX must not be tracing.
+        """
+        for term in self.terms:
+            indices = self.layout.indices(term.kind).tolist()
+            if isinstance(term, RigidBodyRecursion | RigidBodyTables):
+                entries = term.entries(motion)
+            else:
+                assert isinstance(term, AbstractInputTerm)
+                entries = term_entries(term, motion)
+            yield from ((joint, indices[index], value) for joint, index, value in entries)
 
     def coefficients_from(
         self,

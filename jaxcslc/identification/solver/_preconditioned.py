@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ...network import AbstractLinearNetwork
 from ._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
+from .fused import fused_gram_matrices, fused_kernel_of
 
 
 # Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30
@@ -180,8 +181,11 @@ def gram_matrices(
 ) -> tuple[Float[Array, "_ _"], ...]:
     """For each joint the products of weighted rows behind a preconditioner, (s + 1, s + 1).
 
-    Pure, and its memory beyond the arguments is one block of patterns.
+    Pure, and its memory beyond the arguments is one block of patterns; none where a kernel
+    computes columns and their products at once.
     """
+    if on_gpu and (kernel := fused_kernel_of(network)) is not None:
+        return fused_gram_matrices(kernel, inverses, q, qd, qdd, torque, weight)
     rows, products = (_GPU_ROWS, _GPU_PRODUCTS) if on_gpu else (_CPU_ROWS, _CPU_PRODUCTS)
     samples = len(q)
     products = max(min(products, samples // rows), 1)

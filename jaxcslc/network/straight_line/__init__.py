@@ -1,5 +1,7 @@
 from ._arrays import array_outputs as array_outputs
 from ._closed_form import ClosedForm as ClosedForm, nested as nested
+from ._cuda import Kernel as Kernel, assembly as assembly, kernels_run as kernels_run
+from ._cuda_text import CudaText as CudaText
 from ._expressions import (
     Expressions as Expressions,
     Motion as Motion,
@@ -14,5 +16,6 @@ from ._rigid_body import (
     columns_code as columns_code,
     mass_matrix_code as mass_matrix_code,
     named as named,
+    regressor_rows as regressor_rows,
     torque_code as torque_code,
 )

@@ -92,12 +92,12 @@ def mass_matrix_code(bodies: LinkedBodies) -> StraightLine:
 def columns_code(bodies: LinkedBodies, entries: tuple[tuple[int, int], ...]) -> StraightLine:
     """Entries (joint, coefficient) of the regressor."""
     motion = Motion(len(bodies.joints))
-    rows = _regressor_rows(motion, bodies)
+    rows = regressor_rows(motion, bodies)
     zero = motion.graph.constant(0.0)
     return StraightLine(motion, tuple(rows[joint].get(index, zero) for joint, index in entries))
 
 
-def _regressor_rows(motion: Motion, bodies: LinkedBodies) -> list[dict[int, Value]]:
+def regressor_rows(motion: Motion, bodies: LinkedBodies) -> list[dict[int, Value]]:
     """For each joint the entries of the regressor that are not always zero, by coefficient."""
     recursion = newton_euler(motion, bodies.joints, bodies.parents, bodies.gravity)
     units = [

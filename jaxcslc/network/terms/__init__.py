@@ -1,3 +1,4 @@
+from ._input_expressions import term_entries as term_entries
 from ._input_term import (
     JAX_FUNCTIONS as JAX_FUNCTIONS,
     AbstractFunctions as AbstractFunctions,

@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -14,10 +15,13 @@ from ...manipulator import Joint
 from .._compilation import in_blocks
 from ..straight_line import (
     LinkedBodies,
+    Motion,
     Program,
     StraightLine,
+    Value,
     columns_code,
     mass_matrix_code,
+    regressor_rows,
     torque_code,
 )
 from ._link_motion import (
@@ -133,6 +137,12 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
             code = _columns(self.linked_bodies, self.support)
             return tuple(jnp.split(unrolled(code, None, q.T, qd.T, qdd.T), ends))
         return self._compiled_columns(q, qd, qdd)
+
+    def entries(self, motion: Motion) -> Iterator[tuple[int, int, Value]]:
+        """Joint, coefficient and value of the regressor's entries, as expressions."""
+        for joint, row in enumerate(regressor_rows(motion, self.linked_bodies)):
+            for index, value in row.items():
+                yield joint, index, value
 
     @eqx.filter_jit
     def _compiled_columns(self, q: Any, qd: Any, qdd: Any) -> Columns:
@@ -361,7 +371,7 @@ def _composite(geometry: Geometry, links: Links, motion: LinkMotion) -> tuple[Ar
     ones = jnp.ones((1, samples), p.dtype)
     parts = tensor.reshape(n, 9, samples), first, (mass * ones)[:, None]
     flat = jnp.concatenate(parts, axis=1).reshape(n, 13 * samples)
-    total = (jnp.asarray(geometry.carries) @ flat).reshape(n, 13, samples)
+    total = _product(jnp.asarray(geometry.carries), flat).reshape(n, 13, samples)
     return total[:, :9].reshape(n, 3, 3, samples), total[:, 9:12], total[:, 12]
 
 
@@ -410,12 +420,18 @@ def _torque_of_block(
     # What each joint carries, as moments about the base's origin.
     carries = jnp.asarray(geometry.carries)
     force, moment = (
-        (carries @ x.reshape(x.shape[0], 3 * x.shape[2])).reshape(x.shape) for x in (force, moment)
+        _product(carries, x.reshape(x.shape[0], 3 * x.shape[2])).reshape(x.shape)
+        for x in (force, moment)
     )
     turns = jnp.asarray(geometry.turning)[:, None, None]
     axis = motion.axes[:, 2]
     along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
     return jnp.sum(axis * along, axis=1) + links.motor[:, None] * qdd
+
+
+def _product(x: Array, y: Array) -> Array:
+    """The product of matrices in the precision that they have: GPUs round float32 to ten bits."""
+    return jnp.matmul(x, y, precision="highest")
 
 
 def _samples_last(x: Joints) -> Float[Array, "joints samples"]:

@@ -1,4 +1,4 @@
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain, pairwise
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..._environment import array_namespace
 from ...derivation import Algebra, Coefficient, PositionRing, Table
 from .._compilation import in_stage
-from ..straight_line import ClosedForm, Motion, Program
+from ..straight_line import ClosedForm, Motion, Program, Value
 from ._input_term import by_joint
 from ._term import (
     AbstractManipulatorTerm,
@@ -86,6 +86,12 @@ class RigidBodyTables(AbstractManipulatorTerm):
             else jnp.zeros((0, *zero.shape), zero.dtype)
             for joint, support in enumerate(self.support)
         )
+
+    def entries(self, motion: Motion) -> Iterator[tuple[int, int, Value]]:
+        """Joint, coefficient and value of the regressor's entries, as expressions."""
+        tables = {"mass": self.mass, "velocity": self.velocity, "gravity": self.gravity}
+        for (joint, index), value in ClosedForm(motion, self.ring, **tables).entries().items():
+            yield joint, index, value
 
     def _program(self) -> Program:
         return _program(self.ring, self.mass, self.velocity, self.gravity, self.joint_count)

@@ -1,0 +1,67 @@
+from collections.abc import Callable, Iterable
+
+from ._expressions import Expressions, Operation, Value
+
+
+_SYMBOLS = {"add": "+", "subtract": "-", "multiply": "*"}
+# Of CUDA's mathematics under other names than the graph's, for any x.
+_FUNCTIONS = {
+    "sign": "(real)(({0} > 0) - ({0} < 0))",
+    "positive": "({0} > 0 ? {0} : (real)0)",
+    "negative": "({0} < 0 ? {0} : (real)0)",
+}
+
+
+class CudaText:
+    """Statements of CUDA C that compute values of a graph, one constant of type `real` each.
+
+    - `inputs`: what an input or a function's value is in the kernel; None for what statements
+      compute.
+    """
+
+    def __init__(self, graph: Expressions, inputs: Callable[[Operation], str | None]) -> None:
+        self._graph, self._inputs = graph, inputs
+
+    def statements(self, outputs: Iterable[tuple[Value, str]]) -> list[str]:
+        """Lines that compute values and, as soon as each is there, store it.
+
+        - `outputs`: values, and a statement with `{0}` in place of the value.
+        """
+        stores: dict[int, list[str]] = {}
+        for value, store in outputs:
+            stores.setdefault(value.index, []).append(store)
+        lines: list[str] = []
+        names: dict[int, str] = {}
+        for index in self.needed([Value(self._graph, index) for index in stores]):
+            operation = self._graph.operations[index]
+            text = self._inputs(operation) or self._text(operation, names)
+            if operation.name == "constant":
+                names[index] = text
+            else:
+                names[index] = f"x{index}"
+                lines.append(f"const real x{index} = {text};")
+            lines += [store.format(names[index]) for store in stores.get(index, [])]
+        return lines
+
+    def needed(self, outputs: Iterable[Value]) -> list[int]:
+        """Everything to compute for the outputs, in order; not what only an input needs."""
+        needed: set[int] = set()
+        todo = [output.index for output in outputs]
+        while todo:
+            index = todo.pop()
+            if index not in needed:
+                needed.add(index)
+                operation = self._graph.operations[index]
+                if self._inputs(operation) is None:
+                    todo += operation.arguments
+        return sorted(needed)
+
+    def _text(self, operation: Operation, names: dict[int, str]) -> str:
+        arguments = [names[index] for index in operation.arguments]
+        if operation.name == "constant":
+            return f"(real){operation.number!r}"
+        if operation.name in _SYMBOLS:
+            return f" {_SYMBOLS[operation.name]} ".join(arguments)
+        if operation.name == "negate":
+            return f"-{arguments[0]}"
+        return _FUNCTIONS.get(operation.name, operation.name + "({0})").format(*arguments)

@@ -1,0 +1,112 @@
+"""The kernel that multiplies columns where it computes them: what of it runs without a GPU."""
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcslc as jc
+from jaxcslc.identification.solver._preconditioned import Preconditioner
+from jaxcslc.identification.solver.fused import (
+    fused_kernel_of,
+    gram_kernel,
+    packed_inverses,
+    unpacked_products,
+)
+from jaxcslc.network.straight_line import CudaText, Motion, Operation
+
+
+SIZES = (11, 5, 16)
+
+
+def test_tiles_are_those_of_the_products(rng: np.random.Generator) -> None:
+    """The kernel's loops over tiles, by NumPy: rows by pivots, a triangle, products, 8 x 8 each."""
+    rows = [rng.normal(size=(100, size)) * np.logspace(0, 3, size) for size in SIZES]
+    inverses = Preconditioner.of_rows(rows).inverses
+    of_kernel = packed_inverses(SIZES, [jnp.asarray(inverse) for inverse in inverses])
+    packed, row_of = (np.asarray(x) for x in of_kernel)
+    tiles: list[np.ndarray] = []
+    first, base = 0, 0
+    for size, joint_rows in zip(SIZES, rows, strict=True):
+        high = -(-size // 8)
+        memory = np.zeros((8 * high, 100))
+        memory[row_of[base : base + size] - base] = joint_rows.T
+        y = np.zeros((high, 8, 100))
+        for i in range(high):
+            for k in range(2 * i + 2):
+                piece = packed[first + (i * (i + 1) + k) * 32 :][:32].reshape(8, 4)
+                y[i] += piece @ memory[4 * k : 4 * k + 4]
+        tiles += [y[i] @ y[j].T for i in range(high) for j in range(i + 1)]
+        first, base = first + 32 * high * (high + 1), base + size
+    products = unpacked_products(SIZES, jnp.asarray(np.array(tiles)))
+    for product, joint_rows, inverse in zip(products, rows, inverses, strict=True):
+        transformed = joint_rows @ inverse
+        np.testing.assert_allclose(product, transformed.T @ transformed, atol=1e-13)
+
+
+def statements_in_c(network: jc.CSLC, folder: Path) -> Any:
+    """The columns' statements as a C function of one sample."""
+    motion = Motion(network.joint_count)
+    entries = list(network.column_entries(motion))
+
+    def reading(operation: Operation) -> str | None:
+        return operation.text if operation.name == "input" else None
+
+    outputs = [(value, f"out[{i}] = {{0}};") for i, (_, _, value) in enumerate(entries)]
+    lines = CudaText(motion.graph, reading).statements(outputs)
+    arguments = "const real *q, const real *qd, const real *qdd, real *out"
+    source = "\n".join(
+        [
+            "#include <math.h>",
+            "typedef double real;",
+            f"void columns({arguments})",
+            "{",
+            *lines,
+            "}",
+        ]
+    )
+    (folder / "columns.c").write_text(source)
+    library = folder / "columns.so"
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "-o", library, folder / "columns.c", "-lm"], check=True
+    )
+    return ctypes.CDLL(str(library)).columns, entries
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
+@pytest.mark.parametrize("name", ["puma560", "panda"])
+def test_statements_compute_the_columns(
+    name: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    friction = ("viscous", "dry", "offset", "spring")
+    robot = getattr(jc, name)().with_friction(*friction)
+    network = jc.derive(robot, lengths="auto")
+    function, entries = statements_in_c(network, tmp_path)
+    q, qd, qdd = rng.uniform(-3, 3, (3, network.joint_count, 1))
+    out = np.empty(len(entries))
+    function(*(np.ascontiguousarray(x).ctypes.data_as(ctypes.c_void_p) for x in (q, qd, qdd, out)))
+    columns = [np.zeros(network.size) for _ in network.support]
+    for (joint, index, _), value in zip(entries, out, strict=True):
+        columns[joint][index] += value
+    for joint, (row, values) in enumerate(
+        zip(network.support, network.columns(q, qd, qdd), strict=True)
+    ):
+        np.testing.assert_allclose(columns[joint][list(row)], np.ravel(values), atol=1e-11)
+
+
+def test_the_kernel_fits_a_multiprocessor(puma: jc.CSLC) -> None:
+    kernel = gram_kernel(puma)
+    assert kernel.sizes == tuple(len(row) + 1 for row in puma.support)
+    assert kernel.kernel.shared_bytes * kernel.resident <= 227 * 1024
+    # Every row of columns is written once, whichever warp computes it.
+    rows = [kernel.kernel.source.count(f"row_of[{row}]") for row in range(sum(kernel.sizes))]
+    assert set(rows) == {1}
+
+
+def test_without_an_nvidia_gpu_there_is_no_kernel(puma: jc.CSLC) -> None:
+    assert fused_kernel_of(puma) is None
