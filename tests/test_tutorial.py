@@ -11,7 +11,7 @@ from tests.conftest import run
 
 PAGE = (Path(__file__).parents[1] / "docs" / "tutorial.md").read_text("utf-8")
 # As slow as everything else together; other tests run these commands on smaller robots.
-ELSEWHERE = ("excite", "results_offset")
+ELSEWHERE = ("excite", "results_offset", "results_static")
 
 
 def steps() -> Iterator[tuple[str, str]]:

@@ -56,7 +56,7 @@ try:
     jobs = [sim.recording.Job(machine, trajectory, seed) for seed in range(6)]
     for i, result in sim.record_each(jobs, store="store", side_by_side=1):
         print(i, float(result.truth.position.sum()).hex())
-except KeyboardInterrupt:
+except (KeyboardInterrupt, ImportError):  # an extension that is being initialised
     sys.exit(130)
 """
 STUDY = """

@@ -1,6 +1,5 @@
 """Ctrl-C ends programs of `scripts` in one line, from their first import on."""
 
-import signal
 import subprocess
 import sys
 
@@ -10,7 +9,12 @@ import pytest
 @pytest.mark.parametrize(
     ("program", "code", "words"),
     [
-        ("import scripts; raise KeyboardInterrupt", -signal.SIGINT, "interrupted"),
+        ("import scripts; raise KeyboardInterrupt", 130, "interrupted"),
+        (
+            "import scripts; raise ImportError('extension') from KeyboardInterrupt()",
+            130,
+            "interrupted",
+        ),
         ("import scripts; raise ValueError('what')", 1, "ValueError: what"),
     ],
 )
