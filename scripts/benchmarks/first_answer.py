@@ -4,8 +4,9 @@
 
 A PUMA 560's recording is simulated; a Panda's is that of `scripts/benchmarks/robot.py`, of 20,000
 samples. Every figure is of a process of its own, first with no compiled program in the user's
-cache, then with those that the first run stored. Processor time, since it depends little on what
-else the machine does; wall-clock time too, which does.
+cache, then with those that the first run stored; modules are byte code, as an installation leaves
+them. Processor time, since it depends little on what else the machine does; wall-clock time too,
+which does.
 """
 
 import argparse
@@ -65,18 +66,28 @@ print(json.dumps({"interpreter": marks[0][1]} | times))
 """
 
 
+def _environment(**variables: str) -> dict[str, str]:
+    """That of a user's process, who has not switched off the storing of byte code."""
+    kept = {name: x for name, x in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | variables
+
+
 def steps(folder: Path, robot: str, recording: Path) -> dict[str, float]:
     """Processor time of each step, of a process with the programs that are in `folder` [s]."""
     arguments = [str(folder / "cache"), robot, str(recording), str(folder / "out")]
     done = subprocess.run(
-        [sys.executable, "-c", _STEPS, *arguments], check=True, capture_output=True, text=True
+        [sys.executable, "-c", _STEPS, *arguments],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=_environment(),
     )
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def command(folder: Path, *arguments: str) -> tuple[float, float]:
     """Processor and wall-clock time of the command `jaxcslc`, the whole process [s]."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache of the command")}
+    environment = _environment(XDG_CACHE_HOME=str(folder / "cache of the command"))
     before, start = os.times(), time.perf_counter()
     subprocess.run(
         [sys.executable, "-c", _COMMAND, *arguments],
@@ -105,6 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             trajectory = sim.training(samples=options.samples)
             jc.save_recording(sim.simulate(sim.puma560(), trajectory, seed=1).recording, path)
+        command(folder, "--help")  # stores byte code
         first, later = (steps(folder, robot, path) for _ in range(2))
         print(f"{'CPU s':34} {'first':>7} {'later':>7}")
         for label, seconds in later.items():

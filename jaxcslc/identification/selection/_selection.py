@@ -1,6 +1,7 @@
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from ._search import CoordinateSearch
 
 # Of a shorter recording NumPy's operations take so little that threads wait for the interpreter.
 _SAMPLES_OF_THREADS = 8192
+_MOST_THREADS = 4  # each holds the columns and the equations of a candidate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,8 +169,11 @@ def choose_settings(
     if candidates is None:
         candidates = Candidates.suited_to(recording, network)
     trials = _Trials(network, recording, candidates, backlash=backlash, folds=folds, gap=gap)
-    search = CoordinateSearch(trials.scores)
-    best = search.run(trials.start, candidates.families(), candidates.options())
+    # The same threads throughout: what new ones allocate, the process would keep.
+    with ThreadPoolExecutor(min(core_count(), _MOST_THREADS)) as pool:
+        several = recording.samples >= _SAMPLES_OF_THREADS
+        search = CoordinateSearch(partial(trials.scores, pool.map if several else map))
+        best = search.run(trials.start, candidates.families(), candidates.options())
     best = settled_alignment(
         best,
         candidates.torque_alignments,
@@ -222,20 +227,20 @@ class _Trials:
     def score_of(self, settings: Settings) -> float:
         """The score of settings, computed once."""
         trial = self.by_settings.get(settings)
-        return self.scores([settings])[0] if trial is None else trial.score
+        return self.scores(map, [settings])[0] if trial is None else trial.score
 
-    def scores(self, candidates: Sequence[Settings]) -> list[float]:
-        """The scores of candidates that have no trial yet, of a long recording side by side."""
+    def scores(
+        self, run: Callable[..., Iterable[Trial]], candidates: Sequence[Settings]
+    ) -> list[float]:
+        """The scores of candidates that have no trial yet.
+
+        - `run`: `map`, or that of a pool of threads.
+        """
         by_motion = {_motion_part(settings.preparation): settings for settings in candidates}
         if len(by_motion) < len(candidates):  # threads would repeat what candidates share
             for settings in by_motion.values():
                 self._columns_of(settings.preparation, self._patterns(settings))
-        threads = min(core_count(), len(candidates))
-        if threads > 1 and self.recording.samples >= _SAMPLES_OF_THREADS:
-            with ThreadPoolExecutor(threads) as pool:
-                trials = list(pool.map(self._trial, candidates))
-        else:
-            trials = [self._trial(settings) for settings in candidates]
+        trials = list(run(self._trial, candidates))
         self.by_settings |= {trial.settings: trial for trial in trials}
         return [trial.score for trial in trials]
 

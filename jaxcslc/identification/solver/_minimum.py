@@ -166,8 +166,7 @@ def fold_coefficients(
         )
         if not np.all(spread * tolerance < 1.0):
             return Coefficients(minimum(unknowns, others, weights, rcond).k)
-        scaled = np.linalg.solve(reduced.matrix, reduced.target[..., None])[..., 0]
-        return Coefficients(scaled / reduced.scale)
+        return Coefficients(_times(inverse, reduced.target) / reduced.scale)
 
     return weighted_minimum(unknowns, others, joint_weights, solve)[0].k
 
