@@ -261,7 +261,7 @@ def simulated_derivatives(
         raise RuntimeError(
             f"the simulated arm does not follow the recording: joint {joint + 1} is"
             f" {off[sample, joint]:.3g} off at {recording.time[sample]:.4g} s, more than"
-            " the joint's span; expected the recording's controller and reference, or a correction"
-            " of more bandwidth"
+            " the joint's span; expected the recording's controller and reference, a correction of"
+            " more bandwidth, or a better start"
         )
     return q, qd, qdd

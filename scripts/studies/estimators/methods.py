@@ -29,7 +29,9 @@ class Estimate(NamedTuple):
 
 
 class _Estimator(Protocol):
-    def fit(self, network: jc.CSLC, recording: jc.Recording) -> LikelihoodFit | SimulationFit: ...
+    def fit(
+        self, network: jc.CSLC, recording: jc.Recording, start: jc.Identification | None = None
+    ) -> LikelihoodFit | SimulationFit: ...
 
 
 # The estimators beside least squares, of a recording's experiment and settings.
@@ -49,6 +51,8 @@ _ROUGH = ", hardly smoothed"
 HARDLY_SMOOTHED = jc.Settings(
     jc.Preparation(smoothing=jc.AveragedSplines(3), torque_alignment="mean")
 )
+# Of the first simulation then: the arm that least squares makes of noise does not follow.
+_FIRST = jc.Settings(jc.Preparation(torque_alignment="mean"))
 NAMES = (
     _ORDINARY,
     _SYSTEMATIC,
@@ -85,7 +89,8 @@ def estimates(
             interval = fit.confidence_interval()
         else:
             estimator = _ESTIMATORS[name.removesuffix(_ROUGH)](experiment, of_method)
-            result = estimator.fit(network, recording)
+            first = _FIRST.fit(network, _FIRST.patterns(recording)) if rough else None
+            result = estimator.fit(network, recording, first)
             fit, interval = result.fit, result.fit.confidence_interval()
             test = result.exogeneity if isinstance(result, SimulationFit) else None
             p_value = None if test is None else test.p_value
