@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from .._environment import require
 from ..manipulator import Manipulator
+from ._coal import CoalShapes
 from ._families import AbstractFamily, Parameters, sample_times
 from ._geometry import compiled_geometry
 from ._limits import Surroundings
@@ -21,7 +22,7 @@ _POSES, _ALWAYS = 100, 0.9  # random poses; bodies that touch in most of them ar
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bodies:
-    """The shapes of a robot and of what surrounds it, and their distances, by MuJoCo.
+    """The shapes of a robot and of what surrounds it, and their distances, by MuJoCo or Coal.
 
     Bodies that a joint connects may touch, and those that touch in nearly every pose: their shapes
     overlap by design.
@@ -35,6 +36,7 @@ class Bodies:
       against those of the other, at most [m/rad or 1].
     - `wanted`: (pairs,) the least distance [m]: the clearance, or half of the distance of bodies
       that are that near in most poses by design.
+    - `coal`: the shapes for Coal's distances; None for MuJoCo's.
     """
 
     model: Any
@@ -42,6 +44,7 @@ class Bodies:
     pairs: np.ndarray
     levers: Float[np.ndarray, "pairs joints"]
     wanted: Float[np.ndarray, " pairs"]
+    coal: CoalShapes | None = None
 
     @classmethod
     def of(cls, robot: Manipulator, surroundings: Surroundings) -> "Bodies":
@@ -59,11 +62,12 @@ class Bodies:
             )
         model, columns = compiled_geometry(robot, surroundings)
         pairs = _candidate_pairs(model, surroundings)
-        everything = cls(model, columns, pairs, np.zeros((0, 0)), np.zeros(0))
+        coal = CoalShapes.of(model) if surroundings.distances == "coal" else None
+        everything = cls(model, columns, pairs, np.zeros((0, 0)), np.zeros(0), coal)
         usual, apart = everything._usual_distances(2.0 * surroundings.clearance + 1e-3)
         wanted = np.minimum(surroundings.clearance, usual[apart] / 2)
         pairs = pairs[apart]
-        return cls(model, columns, pairs, _levers(model, columns, pairs), wanted)
+        return cls(model, columns, pairs, _levers(model, columns, pairs), wanted, coal)
 
     def distances(
         self, q: Float[np.ndarray, " joints"], farthest: float
@@ -80,7 +84,10 @@ class Bodies:
         distance, ends = np.full(len(self.pairs), farthest), np.zeros((len(self.pairs), 6))
         for i in np.flatnonzero(gap < farthest):
             a, b = (int(g) for g in self.pairs[i])
-            distance[i] = mujoco.mj_geomDistance(self.model, data, a, b, farthest, ends[i])
+            if self.coal is None:
+                distance[i] = mujoco.mj_geomDistance(self.model, data, a, b, farthest, ends[i])
+            else:
+                distance[i] = self.coal.distance(data, a, b, farthest, ends[i])
         return distance, ends, data
 
     def contacts(self, q: Float[np.ndarray, "samples joints"], beside: float = _BESIDE) -> Contacts:

@@ -18,6 +18,7 @@ Joints = Float[np.ndarray, " joints"]
 _TO_SPEED, _TO_ACCELERATION = 0.2, 0.05
 _NAMES = ("position", "velocity", "acceleration", "jerk", "torque", "power", "torque_margin")
 _ROBOTS = Path(__file__).parent / "robots"
+DISTANCES = ("mujoco", "coal")
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 
 
@@ -167,6 +168,11 @@ class Surroundings:
     - `radius`: of a capsule along each link [m], for robots whose file has no shapes; None for
       those of the file.
     - `ignore`: pairs of bodies' names that may touch.
+    - `distances`: by `"mujoco"`, or by `"coal"`, the library beside Pinocchio (extra `collision`).
+
+    **Raises**
+
+    - `ValueError`: distances by something else.
     """
 
     clearance: float = 0.02
@@ -177,6 +183,14 @@ class Surroundings:
     spheres: tuple[tuple[tuple[float, ...], float], ...] = ()
     radius: float | tuple[float, ...] | None = None
     ignore: tuple[tuple[str, str], ...] = ()
+    distances: str = "mujoco"
+
+    def __post_init__(self) -> None:
+        if self.distances not in DISTANCES:
+            raise ValueError(
+                f"surroundings, distances: expected {' or '.join(DISTANCES)}, got"
+                f" {self.distances!r}"
+            )
 
 
 def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundings | None]:
@@ -233,11 +247,18 @@ def _surroundings(table: Mapping[str, Any]) -> Surroundings:
                     f"surroundings, {name}: expected {lengths[0]} and {lengths[1]} numbers in m,"
                     f" got {entry!r}"
                 )
-    return Surroundings(**{name: _frozen(value) for name, value in table.items()})
+    frozen = {name: _frozen(value) for name, value in table.items()}
+    if "spheres" in frozen:  # radii as numbers or as lists of one
+        frozen["spheres"] = tuple(
+            (centre, float(np.ravel(radius)[0])) for centre, radius in frozen["spheres"]
+        )
+    return Surroundings(**frozen)
 
 
 def _frozen(value: Any) -> Any:
-    return tuple(_frozen(part) for part in value) if isinstance(value, list) else value
+    if isinstance(value, list):
+        return tuple(_frozen(part) for part in value)
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 def _of_file(robot: Manipulator) -> dict[str, Any]:

@@ -19,7 +19,6 @@ import numpy as np
 from jaxcslc.excitation import (
     Design,
     Knowledge,
-    Noise,
     Planner,
     design_motion,
     family_named,
@@ -29,7 +28,7 @@ from jaxcslc.excitation import (
 from jaxcslc.identification.report import text_table
 from scripts.studies import command
 
-from .motions import TORQUE_NOISE, knowledge, limits, network, noise
+from .motions import knowledge, limits, network, noise
 
 
 jax.config.update("jax_enable_x64", True)
@@ -99,13 +98,12 @@ def seconds_to_goal(seed: int, steps: int, say: Callable[[str], None]) -> dict[s
     - `seed`: of the random motions that designs begin with.
     - `steps`: of each design, in a round.
     """
-    loud = Noise(tuple(5 * x for x in TORQUE_NOISE), noise().resolution, torque_bandwidth=20.0)
 
     def design_after(known: Knowledge, criterion: str, number: int) -> Design:
         return design_motion(
             network(),
             limits(),
-            loud,
+            noise(),
             duration=PIECE,
             criterion=criterion,
             knowledge=known,

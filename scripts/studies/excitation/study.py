@@ -244,8 +244,9 @@ def _run(
                 bar.update()
         except TimeoutError:
             print("the time is over; what is missing can be made later")
+            processes = list(executor._processes.values())  # pyright: ignore
             executor.shutdown(wait=False, cancel_futures=True)
-            for process in list(executor._processes.values()):  # pyright: ignore
+            for process in processes:
                 process.kill()
 
 

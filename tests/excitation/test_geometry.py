@@ -1,0 +1,149 @@
+"""Shapes of robots' files: meshes of packages, what cannot be read; files of surroundings."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxcslc as jc
+from jaxcslc.excitation import Surroundings, load_limits
+from jaxcslc.excitation._collision import Bodies
+
+
+# A cube of 0.2 m: two triangles a face.
+CORNERS = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+URDF = """<robot name="arm"><link name="base"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="link"/><axis xyz="0 0 1"/>
+ <limit lower="-3" upper="3" velocity="2" effort="10"/></joint>
+<link name="link"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+ iyz="0"/></inertial><visual><geometry><mesh filename="missing.dae"/></geometry></visual>
+ <collision><origin xyz="0.5 0 0"/><geometry><mesh filename="{mesh}"/></geometry></collision>
+</link></robot>"""
+
+
+def stl() -> bytes:
+    """A binary STL file of the cube."""
+    triangles = [(a, b, c) for a, b, c, _ in FACES] + [(a, c, d) for a, _, c, d in FACES]
+    facets = [
+        struct.pack("<12fH", 0, 0, 0, *CORNERS[list(corners)].ravel(), 0) for corners in triangles
+    ]
+    return bytes(80) + struct.pack("<I", len(facets)) + b"".join(facets)
+
+
+def robot_with(folder: Path, mesh: str) -> jc.Manipulator:
+    """A link whose shape is a mesh, in a package of ROS."""
+    (folder / "arm_description" / "urdf").mkdir(parents=True)
+    (folder / "arm_description" / "meshes").mkdir()
+    (folder / "arm_description" / "meshes" / "cube.stl").write_bytes(stl())
+    (folder / "arm_description" / "meshes" / "cube.dae").write_text("<COLLADA/>")
+    path = folder / "arm_description" / "urdf" / "arm.urdf"
+    path.write_text(URDF.format(mesh=mesh))
+    return jc.load_robot(path)
+
+
+@pytest.mark.parametrize(
+    "mesh", ["package://arm_description/meshes/cube.stl", "../meshes/cube.stl"]
+)
+def test_meshes_are_looked_for_as_ros_does(tmp_path: Path, mesh: str) -> None:
+    surroundings = Surroundings(spheres=(((1.0, 0.0, 0.0), 0.15),), floor=-0.4)
+    bodies = Bodies.of(robot_with(tmp_path, mesh), surroundings)
+    distance, _, _ = bodies.distances(np.zeros(1), 2.0)
+    # From the cube's face to the sphere, and from its lower face to the floor.
+    np.testing.assert_allclose(np.sort(distance), [1.0 - 0.15 - 0.6, 0.4 - 0.1], atol=1e-6)
+    turned, _, _ = bodies.distances(np.array([np.pi / 4]), 2.0)
+    corner = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4)])
+    nearest = 0.5 * corner + 0.1 * corner + 0.1 * np.array([corner[1], -corner[0]])
+    gap = float(np.linalg.norm([1.0, 0.0] - nearest)) - 0.15
+    assert turned.max() == pytest.approx(gap, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (
+            "package://other/meshes/no.stl",
+            "mesh 'package://other/meshes/no.stl' of .* is not there",
+        ),
+        ("../meshes/cube.dae", "mesh 'cube.dae' of .*: expected .stl, .obj, .msh, or 'radius'"),
+    ],
+)
+def test_meshes_that_cannot_be_read_are_named(tmp_path: Path, mesh: str, message: str) -> None:
+    robot = robot_with(tmp_path, mesh)
+    with pytest.raises(ValueError, match=message):
+        Bodies.of(robot, Surroundings(floor=-1.0))
+
+
+LIMITS = """[joints]
+velocity = 1.5
+[surroundings]
+clearance = 0.03
+self_collision = false
+floor = -0.1
+workspace = [[-1, -1, -0.5], [1, 1, 1.5]]
+boxes = [[[0.6, 0, 0.2], [0.2, 0.2, 0.4]]]
+spheres = [[[0, 0.7, 0.5], [0.1]]]
+radius = [0.06, 0.05, 0.05, 0.05, 0.05, 0.05]
+ignore = [["link 1", "link 3"]]
+distances = "coal"
+"""
+
+
+def test_all_surroundings_of_a_file_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "limits.toml"
+    path.write_text(LIMITS)
+    limits, surroundings = load_limits(path, jc.puma560())
+    assert limits.velocity.tolist() == [1.5] * 6
+    assert surroundings == Surroundings(
+        clearance=0.03,
+        self_collision=False,
+        floor=-0.1,
+        workspace=((-1.0, -1.0, -0.5), (1.0, 1.0, 1.5)),
+        boxes=(((0.6, 0.0, 0.2), (0.2, 0.2, 0.4)),),
+        spheres=(((0.0, 0.7, 0.5), 0.1),),
+        radius=(0.06, 0.05, 0.05, 0.05, 0.05, 0.05),
+        ignore=(("link 1", "link 3"),),
+        distances="coal",
+    )
+
+
+def test_without_the_table_nothing_is_watched(tmp_path: Path) -> None:
+    path = tmp_path / "limits.toml"
+    path.write_text("[joints]\nvelocity = 1.5\n")
+    assert load_limits(path, jc.puma560())[1] is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("walls = 1", "surroundings: unknown entry 'walls'; expected boxes, clearance"),
+        ("floor = 'low'", "surroundings, floor: expected numbers in m, got 'low'"),
+        ("clearance = inf", "surroundings, clearance: expected numbers in m, got inf"),
+        ("workspace = [[0, 0], [1, 1]]", "surroundings, workspace: expected 3 and 3 numbers in m"),
+        ("boxes = [[[0, 0, 0], [1, 1]]]", "surroundings, boxes: expected 3 and 3 numbers in m"),
+        ("spheres = [[[0, 0, 0], [1, 2]]]", "surroundings, spheres: expected 3 and 1 numbers in m"),
+        ("distances = 'fcl'", "surroundings, distances: expected mujoco or coal, got 'fcl'"),
+    ],
+)
+def test_wrong_surroundings_are_named_with_their_file(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "limits.toml"
+    path.write_text(f"[surroundings]\n{text}\n")
+    with pytest.raises(ValueError, match=rf"limits\.toml: {message}"):
+        load_limits(path, jc.puma560())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[other]\n", "unknown entry 'other'; expected joints or surroundings"),
+        ("joints = 3\n", "joints: expected a table, got 3"),
+    ],
+)
+def test_other_tables_are_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "limits.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        load_limits(path, jc.puma560())
