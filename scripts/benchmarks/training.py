@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcslc as jc
-import sim
 from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
 from jaxcslc.training import (
     PERAL,
@@ -68,12 +67,29 @@ def timed(
     return first, second, result
 
 
-def training(trainings: int = 256, epochs: int = 100, block: int | None = None) -> Iterator[Metric]:
-    """PERAL on the training recording's 3,300 samples, and backpropagation on its equations."""
+def recorded_patterns() -> jc.Patterns:
+    """Those of the simulated training recording, 3,300 samples."""
+    import sim
+
+    recording = sim.simulate(sim.puma560(), sim.training(), seed=1).recording
+    return jc.prepare(recording, threshold_fraction=0.01)
+
+
+def random_patterns(cslc: jc.CSLC, samples: int) -> jc.Patterns:
+    """Random states with their torques, where there is no simulator."""
+    q, qd, qdd = np.random.default_rng(0).uniform(-2.0, 2.0, (3, samples, cslc.joint_count))
+    torque = np.asarray(jax.jit(cslc.torque)(jnp.ones(cslc.size), q, qd, qdd))
+    mask = np.ones(q.shape, bool)
+    return jc.Patterns(0.01 * np.arange(samples), q, qd, qdd, torque, mask, mask)
+
+
+def training(
+    trainings: int = 256, epochs: int = 100, block: int | None = None, samples: int | None = None
+) -> Iterator[Metric]:
+    """PERAL on the training recording, or random states, and backpropagation on its equations."""
     cslc = jc.derive(jc.puma560())
     network = inverse_dynamics(cslc)
-    recording = sim.simulate(sim.puma560(), sim.training(), seed=1).recording
-    patterns = jc.prepare(recording, threshold_fraction=0.01)
+    patterns = recorded_patterns() if samples is None else random_patterns(cslc, samples)
     training_set = examples(network, patterns, patterns.torque, patterns.mask)
     samples = training_set.targets.shape[-1]
     start = jnp.asarray(
@@ -120,11 +136,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--trainings", type=int, default=256)
     parser.add_argument("--epochs", type=int, default=100, help="of the single training")
     parser.add_argument("--block", type=int, default=None, help="trainings side by side")
+    parser.add_argument("--samples", type=int, help="random states, not the simulated recording")
     options = parser.parse_args(argv)
     if min(options.trainings, options.epochs) < 2:
         parser.error("--trainings and --epochs must be at least 2")
     metrics: list[Metric] = []
-    for metric in training(options.trainings, options.epochs, options.block):
+    for metric in training(options.trainings, options.epochs, options.block, options.samples):
         print(f"  {metric.name} {metric.value:.4g} {metric.unit}", file=sys.stderr, flush=True)
         metrics.append(metric)
     report(metrics, {})

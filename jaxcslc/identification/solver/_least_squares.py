@@ -330,14 +330,14 @@ class LeastSquares:
         check_patterns(network, patterns)
         rows: AbstractRows | None = None
         samples = len(patterns.q)
-        weight = patterns.mask.astype(float)
-        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
+        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, patterns.mask)
         if self.cutoff is not None or computed_on_host(network, *motion):
             equations = equations_of(network, patterns, self.cutoff)
             return self.fit_equations(equations, samples, fixed, throw=False)
         if not self._passes_twice and not traced(motion) and are_many(patterns):
             return self.fit_factors(network, factors_of_patterns(network, patterns), fixed, False)
-        q, qd, qdd, torque, weight = (filled_up(x) for x in motion)
+        q, qd, qdd, torque = (filled_up(x) for x in motion[:-1])
+        weight = filled_up(patterns.mask.astype(float))
         factors = pattern_factors(network, patterns)
         if self._passes_twice and (traced(motion) or patterns.q.size * network.size > _KEPT):
             phase = (jnp.arange(len(q)) + 0.5) / samples
