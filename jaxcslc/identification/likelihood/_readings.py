@@ -91,8 +91,13 @@ def averaged_torque(
     before, after = h[:-1] / (h[:-1] + h[1:]), h[1:] / (h[:-1] + h[1:])
     if torque_sampling == "held":
         return before * torque[:-2] + after * torque[1:-1]
-    # Linear between samples: two thirds of each triangle are at its middle, a third at its end.
-    return (before * torque[:-2] + 2.0 * torque[1:-1] + after * torque[2:]) / 3.0
+    # The mean of a parabola through three samples, from the triangle's mean and mean square.
+    before, after = h[:-1], h[1:]
+    rising, falling = np.diff(torque[1:], axis=0) / after, np.diff(torque[:-1], axis=0) / before
+    bend = (rising - falling) / (before + after)
+    slope = rising - bend * after
+    mean, mean_square = (after - before) / 3.0, (before**3 + after**3) / (before + after) / 6.0
+    return torque[1:-1] + slope * mean + bend * mean_square
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,7 @@ from jaxcslc.identification.likelihood._correlated import eliminated_rows
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._motion_equations import MotionEquations
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
+from jaxcslc.identification.likelihood._readings import averaged_torque
 from jaxcslc.identification.likelihood._signs import Signs
 
 
@@ -137,3 +138,15 @@ def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, 
     actual = problem.residuals(problem.moved(point, step))
     for name, values in vars(actual).items():
         assert_allclose(getattr(predicted, name), values, atol=1e-9)
+
+
+def test_sampled_torque_is_averaged_as_a_parabola() -> None:
+    """Against a sum over the triangle, at uneven intervals."""
+    time = np.array([0.0, 0.3, 0.8, 1.0])
+    torque = (1.0 - 2.0 * time + 3.0 * time**2)[:, None]
+    obtained = averaged_torque(time, torque, "sampled")[:, 0]
+    for row, (start, middle, end) in enumerate(zip(time, time[1:], time[2:], strict=False)):
+        t = np.linspace(start, end, 200_001)
+        triangle = np.minimum((t - start) / (middle - start), (end - t) / (end - middle))
+        expected = np.sum(triangle * (1.0 - 2.0 * t + 3.0 * t**2)) / np.sum(triangle)
+        assert_allclose(obtained[row], expected, rtol=1e-8)
