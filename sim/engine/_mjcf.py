@@ -1,5 +1,6 @@
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -119,22 +120,20 @@ def mjcf(
         "  </option>",
         "  <worldbody>",
     ]
-    for i, (joint, link) in enumerate(zip(robot.joints, possible_links(robot, links), strict=True)):
+    bodies = rigid_bodies(robot, links)
+    for i, (joint, link, body) in enumerate(zip(robot.joints, links, bodies, strict=True)):
         a, d = float(joint.a.value or 0.0), float(joint.d.value or 0.0)
         position = (a, -math.sin(joint.alpha) * d, math.cos(joint.alpha) * d)
         ca, sa = math.cos(joint.alpha / 2), math.sin(joint.alpha / 2)
         ct, st = math.cos(joint.theta / 2), math.sin(joint.theta / 2)
         rotation = (ca * ct, sa * ct, -sa * st, ca * st)
-        moments, axes = _principal_moments(np.asarray(link.inertia, dtype=np.float64))
-        centre = np.asarray(link.centre_of_gravity, dtype=np.float64)
-        mass = max(float(link.mass), _SMALLEST_MASS)
         motor = 0.0 if i in soft else float(link.motor_inertia)
         pad = "  " * (i + 2)
         lines += [
             f'{pad}<body name="link_{i + 1}" pos="{_numbers(position)}"'
             f' quat="{_numbers(rotation)}">',
-            f'{pad}  <inertial pos="{_numbers(centre)}" mass="{mass!r}"'
-            f' quat="{_numbers(axes)}" diaginertia="{_numbers(moments)}"/>',
+            f'{pad}  <inertial pos="{_numbers(body.centre)}" mass="{body.mass!r}"'
+            f' quat="{_numbers(body.axes)}" diaginertia="{_numbers(body.moments)}"/>',
             f"{pad}  {joint_line(f'joint_{i + 1}', i, motor, i)}",
         ]
     lines += ["  " * (i + 2) + "</body>" for i in reversed(range(n))]
@@ -165,6 +164,33 @@ def mjcf(
     lines += [f'    <motor name="drive_{i + 1}" joint="{actuated[i]}"/>' for i in range(n)]
     lines += ["  </actuator>", "</mujoco>"]
     return "\n".join(lines) + "\n"
+
+
+class RigidBody(NamedTuple):
+    """A link as MuJoCo has it: mass [kg], centre of gravity [m], principal moments [kg m²], and the
+    quaternion (w, x, y, z) of their axes."""
+
+    mass: float
+    centre: Float[np.ndarray, "3"]
+    moments: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "4"]
+
+
+def rigid_bodies(robot: Manipulator, links: Sequence[LinkParameters]) -> list[RigidBody]:
+    """The bodies of a robot's links.
+
+    **Raises**
+
+    - `MachineError`: link parameters that cannot be made into rigid bodies.
+    """
+    return [
+        RigidBody(
+            max(float(link.mass), _SMALLEST_MASS),
+            np.asarray(link.centre_of_gravity, dtype=np.float64),
+            *_principal_moments(np.asarray(link.inertia, dtype=np.float64)),
+        )
+        for link in possible_links(robot, links)
+    ]
 
 
 def _principal_moments(
