@@ -23,8 +23,9 @@ def figure(rows: Sequence[dict[str, Any]], motion: Any, path: Path) -> None:
     """
     drawing = new_figure(9.5, 3.6)
     left, right = drawing.subplots(1, 2, gridspec_kw={"width_ratios": [1.15, 1.0]})
-    names = [name for name in MOTIONS if any(row.get("name") == name for row in rows)]
-    values = [[row["epsilon"] for row in rows if row.get("name") == name] for name in names]
+    compared = [row for row in rows if row["part"] == "compare"]
+    names = [name for name in MOTIONS if any(row["name"] == name for row in compared)]
+    values = [[row["epsilon"] for row in compared if row["name"] == name] for name in names]
     left.boxplot(
         values, vert=False, whis=(10, 90), showfliers=False, medianprops={"color": COLOURS[0]}
     )

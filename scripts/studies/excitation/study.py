@@ -35,6 +35,7 @@ from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
 from .motions import DESIGNED, DESIGNS, MOTIONS, Designs, path_of, predicted_errors
+from .pictures import figure
 
 
 jax.config.update("jax_enable_x64", True)
@@ -202,8 +203,11 @@ def study(options: argparse.Namespace) -> int:
             parameters.setdefault(task[1], []).append(finished[task]["parameters"])
     begin(parameters, options.cache)
     _run(_tasks(options, bool(urdf)), finished, parameters, str(urdf or ""), options, end)
-    for text in tables([row for row in finished.all()]):
+    rows = [row for row in finished.all()]
+    for text in tables(rows):
         print(text, end="\n\n")
+    if any(row["part"] == "compare" for row in rows):
+        figure(rows, _designs["overall"][0], options.output / "excitation.png")
     return 0
 
 
