@@ -14,9 +14,10 @@ ValidationOption = Annotated[
 EstimatorOption = Annotated[
     str,
     typer.Option(
-        metavar="least-squares|maximum-likelihood|auto",
+        metavar="least-squares|maximum-likelihood|instrumental-variables|auto",
         help="Regression on smoothed motion; or positions and coefficients estimated together,"
-        " without a smoothing; or the one that predicts motion that was not fitted better.",
+        " without a smoothing; or instruments from simulated motion, which say whether regression"
+        " is biased; or the one of the first two that predicts motion that was not fitted better.",
     ),
 ]
 OffsetsOption = Annotated[

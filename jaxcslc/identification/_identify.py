@@ -8,7 +8,7 @@ from ._identify_one import identify_one, without_lag, without_progress
 from ._identify_several import identify_several
 from ._settings import Settings
 from .checks import DataCheck, check
-from .estimators import EstimatorChoice, check_estimator, with_likelihood
+from .estimators import EstimatorChoice, check_estimator, with_instruments, with_likelihood
 from .possible import Choice
 from .prediction import file_coefficients, prediction_error
 from .prior import Prior
@@ -58,6 +58,8 @@ def identify(
       smoothing (`MaximumLikelihood`); `"auto"` fits both, and uses the latter where it predicts
       motion that was not fitted better by more than chance: the validation recording or, without
       one, the last quarter of each training recording. `report.estimators` compares them.
+      `"instrumental-variables"` is of one recording, without possible bodies and systematic errors
+      (`InstrumentalVariables`); a note says whether least squares is biased.
     - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
@@ -106,11 +108,19 @@ def identify(
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
     _check_arguments(network, previous, groups, possible, prior)
-    check_estimator(estimator, previous=previous is not None, offsets=offsets)
     step = progress or without_progress
     by_name = (
         {"training recording": training} if isinstance(training, Recording) else _by_name(training)
     )
+    check_estimator(
+        estimator,
+        previous=previous is not None,
+        offsets=offsets,
+        recordings=len(by_name),
+        possible=possible,
+    )
+    if estimator == "instrumental-variables":
+        possible, systematic = "never", False
     data_check = None
     if checks:
         lag = 0.0 if settings is None else settings.preparation.torque_lag
@@ -156,7 +166,10 @@ def identify(
             data_check=data_check,
             step=step,
         )
-    if estimator != "least-squares":
+    if estimator == "instrumental-variables":
+        recording = next(iter(by_name.values()))
+        report = with_instruments(report, recording, prior=prior, step=step)
+    elif estimator != "least-squares":
         report = with_likelihood(
             report,
             network,

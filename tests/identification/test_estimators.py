@@ -159,3 +159,30 @@ class TestBadInput:
                 memory=1e-5,
                 **QUICK,
             )
+
+
+class TestInstruments:
+    def test_they_replace_coefficients_and_say_whether_least_squares_is_biased(
+        self, network: jc.CSLC
+    ) -> None:
+        rough = jc.Settings(jc.Preparation(jc.AveragedSplines(3)))
+        options: dict[str, Any] = {**QUICK, "settings": rough}
+        recording = swing(network, 0)
+        report = jc.identify(network, recording, estimator="instrumental-variables", **options)
+        before = jc.identify(network, recording, **options)
+        ours, theirs = (np.abs(np.asarray(k) - K)[0] for k in (report.k, before.k))
+        assert ours < 0.2 * theirs  # of inertia, which noise of accelerations attenuates
+        assert any("least squares is biased" in note for note in report.notes)
+        assert report.held_out is not None and report.held_out.source == "held-out stretch"
+        assert report.possible is None and report.systematic is None
+        alone = jc.InstrumentalVariables(settings=rough).fit(network, recording)
+        assert_allclose(report.k, alone.k, rtol=0.01)
+
+    def test_what_they_cannot_do(self, network: jc.CSLC) -> None:
+        recording = swing(network, 0)
+        options: dict[str, Any] = {**QUICK, "estimator": "instrumental-variables"}
+        with pytest.raises(ValueError, match="for one recording, got 2"):
+            jc.identify(network, [recording, recording], **options)
+        with pytest.raises(ValueError, match="fits no possible bodies; got 'always'"):
+            options["possible"] = "always"
+            jc.identify(network, recording, **options)

@@ -26,8 +26,8 @@ from ..report import Report, compare, degree_of_excitation, fit_warnings
 from ..solver import Identification, torque_of
 
 
-EstimatorChoice = Literal["least-squares", "maximum-likelihood", "auto"]
-"""An estimator, or whichever predicts motion that was not fitted better."""
+EstimatorChoice = Literal["least-squares", "maximum-likelihood", "instrumental-variables", "auto"]
+"""An estimator, or whichever of the first two predicts motion that was not fitted better."""
 
 # Without a validation recording, estimators are judged on this part of each recording, its last;
 # in as many stretches, whose spread says what is chance.
@@ -324,7 +324,9 @@ class _Judged:
         )
 
 
-def check_estimator(estimator: str, *, previous: bool, offsets: bool) -> None:
+def check_estimator(
+    estimator: str, *, previous: bool, offsets: bool, recordings: int, possible: Choice
+) -> None:
     """**Raises** `ValueError` for an unknown estimator, and what only least squares can do."""
     if estimator not in get_args(EstimatorChoice):
         raise ValueError(
@@ -333,6 +335,11 @@ def check_estimator(estimator: str, *, previous: bool, offsets: bool) -> None:
     if estimator != "least-squares" and (previous or offsets):
         option = "previous" if previous else "offsets"
         raise ValueError(f"estimator {estimator!r}: not with {option}, which is of least-squares")
+    if estimator == "instrumental-variables":
+        if recordings > 1:
+            raise ValueError(f"estimator {estimator!r}: is for one recording, got {recordings}")
+        if possible == "always":
+            raise ValueError(f"estimator {estimator!r}: fits no possible bodies; got 'always'")
 
 
 def _check_size(network: CSLC, training: Mapping[str, Recording], memory: float) -> None:

@@ -20,7 +20,8 @@ least error over all samples, joint by joint, and those within 2 % of it.
 
 - **usual pipeline**: 20 Hz Butterworth of order 4, forwards and backwards, on positions and
   torques, central differences, ordinary (OLS) or weighted (WLS) least squares; what examples of
-  Pinocchio do. It is judged on its own motion too, and the better of both counts.
+  Pinocchio do, and FIGAROH 1.0.2 (its coefficients are those of the OLS rows to ten digits). It is
+  judged on its own motion too, and the better of both counts.
 - **least-squares**: `--estimator least-squares`, the default: settings chosen by
   cross-validation.
 - **maximum-likelihood**: `--estimator maximum-likelihood`: no smoothing, positions are estimated
