@@ -35,7 +35,7 @@ ForOption = Annotated[
 CriterionOption = Annotated[
     str,
     typer.Option(
-        metavar="overall|error|worst|torque|A|D|E|condition|scaled_condition",
+        metavar="overall|error|worst|torque|bodies|A|D|E|condition|scaled_condition",
         help="What is made small: mean or largest standard error over size, error of torques on"
         " --task, the mean of the first and the third (overall), or what other designs use"
         " (docs/excitation.md).",

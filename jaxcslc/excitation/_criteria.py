@@ -8,10 +8,11 @@ from jaxtyping import Array, Float, Int
 
 from ..network import CSLC
 from ._information import Moments, Square, error_covariance
+from ._task import BodyPrior
 
 
 Criterion = Literal[
-    "overall", "error", "worst", "torque", "A", "D", "E", "condition", "scaled_condition"
+    "overall", "error", "worst", "torque", "bodies", "A", "D", "E", "condition", "scaled_condition"
 ]
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
 ON_TASK = ("overall", "torque")  # criteria that a task enters
@@ -23,6 +24,7 @@ EXPLANATIONS: dict[str, str] = {
     "D": "geometric mean of the principal standard errors over size",
     "E": "largest principal standard error over size",
     "torque": "standard deviation of torque predicted on the task, over the noise",
+    "bodies": "root mean square error of links' numbers over what the file's bodies leave open",
     "condition": "condition number of the regressor in SI units",
     "scaled_condition": "condition number of the regressor with columns of unit length",
 }
@@ -47,7 +49,7 @@ def log_criterion(
     - `prior`: (p, p) information before it, in units of the coefficients' sizes.
     - `wanted`: indices of the coefficients that matter; others may have any error.
     - `task`: (p, p) mean squared torque of coefficients' errors, in the same units, for those of
-      `ON_TASK`.
+      `ON_TASK`; of `"bodies"`, their `BodyPrior`.
     """
     if criterion in ("condition", "scaled_condition"):
         products = moments.plain[jnp.ix_(wanted, wanted)]
@@ -57,6 +59,8 @@ def log_criterion(
         values = jnp.linalg.eigvalsh(products)
         least = values[-1] * 1e-14
         return 0.5 * (jnp.log(values[-1]) - jnp.log(jnp.maximum(values[0], least)))
+    if criterion == "bodies":
+        return 0.5 * jnp.log(jnp.mean(body_variances(moments, prior, task)))
     part = error_covariance(moments, prior)[jnp.ix_(wanted, wanted)]
     variance = jnp.maximum(jnp.diagonal(part), 1e-30)
     mean_error = jnp.log(jnp.mean(jnp.sqrt(variance)))
@@ -76,6 +80,22 @@ def log_criterion(
             jnp.log(jnp.maximum(jnp.linalg.eigvalsh(part / (unit[:, None] * unit[None])), 1e-30))
         ) + jnp.mean(jnp.log(unit))
     return 0.5 * jnp.log(jnp.linalg.eigvalsh(part)[-1])
+
+
+def body_variances(moments: Moments, prior: Any, bodies: BodyPrior) -> Any:
+    """(numbers,) of links' numbers after a motion, over those before.
+
+    **Arguments**
+
+    - `prior`: (p, p) information of coefficients, of `prior_information`; bodies bring their own in
+      place of its weak one.
+    """
+    to, weak = bodies.to_coefficients, jnp.eye(prior.shape[0])
+    of_bodies = lambda matrix: to.T @ matrix @ to
+    known = of_bodies(prior - weak) + jnp.eye(to.shape[1])
+    changes = Moments(of_bodies(moments.normal), of_bodies(moments.spread), moments.plain)
+    covariance = error_covariance(changes, known)
+    return jnp.sum((bodies.to_numbers @ covariance) * bodies.to_numbers, axis=1)
 
 
 def wanted_indices(network: CSLC, names: Sequence[str] | None) -> Int[np.ndarray, " wanted"]:

@@ -34,7 +34,7 @@ from ._limits import Limits, Surroundings
 from ._noise import Noise
 from ._result import UNDETERMINED, Design
 from ._search import Problem, Search
-from ._task import random_parameters, random_states, task_products
+from ._task import body_prior, random_parameters, random_states, task_products
 
 
 FamilyName = Literal["splines", "fourier", "periodic", "moves"]
@@ -207,6 +207,9 @@ class Planner:
         information = MotionInformation(network, knowledge.k, size, noise, interval)
         if task is None and criterion in ON_TASK:
             task = random_states(check, network, model, time, np.random.default_rng(seed))
+        of_task = (
+            body_prior(network, size) if criterion == "bodies" else task_products(information, task)
+        )
         problem = Problem.of(
             information,
             family,
@@ -214,7 +217,7 @@ class Planner:
             limits,
             prior=prior_information(size, knowledge.information),
             wanted=wanted_indices(network, wanted),
-            task=task_products(information, task),
+            task=of_task,
             criterion=criterion,
             start=start,
         )

@@ -99,7 +99,7 @@ class Problem(eqx.Module):
             information,
             jnp.asarray(prior),
             jnp.asarray(wanted),
-            jnp.asarray(task),
+            jax.tree.map(jnp.asarray, task),
             jnp.asarray(np.stack([family.basis(time, order) for order in range(4)])),
             jnp.asarray(np.stack([middle for middle, _ in ranges])),
             jnp.asarray(_INSIDE * half),

@@ -1,9 +1,10 @@
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..inertia import balls, body_map, body_of_pseudo_inertia, prior_of, pseudo_inertia
 from ..motion import Preparation, Recording
 from ..network import CSLC
 from ._families import Parameters, Times
@@ -77,3 +78,68 @@ def task_products(information: MotionInformation, task: Any) -> Float[np.ndarray
     deviation = information.noise.torque_deviation(network.joint_count)
     rows = (rows / deviation[:, None]).reshape(-1, network.size)
     return rows.T @ rows / (len(rows))
+
+
+class BodyPrior(NamedTuple):
+    """Links as the robot's file has them, uncertain by about themselves.
+
+    A body's pseudo-inertia is J = L (1 + X) Lᵀ, with L Lᵀ that of the file, X symmetric, and
+    independent standard deviations of 1 (of diagonal entries √2): changes of mass, centre and
+    inertia count by the body's own size, whatever the axes. Motor inertias and friction are
+    uncertain by their sizes.
+
+    **Attributes**
+
+    - `to_coefficients`: (p, unknowns), of unit changes, in units of the coefficients' sizes.
+    - `to_numbers`: (numbers, unknowns), of what each coefficient depends on: m, m c, and the
+      inertia about the frame's origin, in units of their prior standard deviations.
+    """
+
+    to_coefficients: Any
+    to_numbers: Any
+
+
+def body_prior(network: CSLC, size: Float[np.ndarray, " coefficients"]) -> BodyPrior:
+    """Of the links of the robot's file.
+
+    **Raises**
+
+    - `ValueError`: the file has no masses.
+    """
+    robot = network.robot
+    if robot.links is None:
+        raise ValueError(
+            f"criterion 'bodies': the file of {robot.name!r} has no masses; expected links' masses,"
+            " centres and inertias, or another criterion"
+        )
+    of_bodies, of_motors = body_map(network.algebra)
+    inertial, links, numbers = of_bodies.shape
+    changes = np.zeros((links, numbers, links, numbers))
+    mass = float(np.mean([float(link.mass) for link in robot.links])) or 1.0
+    # Links that the file has without mass, or flat, borrow what they lack.
+    prior = prior_of(robot, robot.links, balls(robot, mass), np.zeros((links, numbers)))
+    for link, body in enumerate(prior.bodies):
+        changes[link, :, link] = _body_changes(body)
+    others = np.eye(network.size)[:, inertial:]
+    inertias = np.zeros((network.size, links))
+    bodies = np.zeros((network.size, links * numbers))
+    bodies[:inertial] = np.einsum("clk,lkx->cx", of_bodies, changes.reshape(links, numbers, -1))
+    inertias[:inertial] = of_motors * prior.motor_scales
+    to_coefficients = np.hstack([bodies / size[:, None], inertias / size[:, None], others])
+    seen = np.any(of_bodies != 0.0, axis=0).ravel()
+    rows = changes.reshape(links * numbers, -1)[seen]
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    unknowns = to_coefficients.shape[1]
+    return BodyPrior(to_coefficients, np.pad(rows, ((0, 0), (0, unknowns - rows.shape[1]))))
+
+
+def _body_changes(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 10"]:
+    """What unit changes of a pseudo-inertia in its own units make of the ten numbers."""
+    root = np.linalg.cholesky(pseudo_inertia(body))
+    columns: list[np.ndarray] = []
+    for i in range(4):
+        for j in range(i + 1):
+            unit = np.zeros((4, 4))
+            unit[i, j] = unit[j, i] = 1.0 if i != j else np.sqrt(2.0)
+            columns.append(body_of_pseudo_inertia(root @ unit @ root.T))
+    return np.stack(columns, axis=1)

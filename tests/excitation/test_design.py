@@ -1,5 +1,6 @@
 """Designs: limits hold at all times, gradients are those of differences, seeds repeat."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -21,8 +22,11 @@ from jaxcslc.excitation import (
     family_named,
     random_parameters,
 )
-from jaxcslc.excitation._criteria import log_criterion
+from jaxcslc.excitation._criteria import body_variances, log_criterion
+from jaxcslc.excitation._information import Moments
 from jaxcslc.excitation._search import Multipliers, _no_contacts
+from jaxcslc.excitation._task import body_prior
+from jaxcslc.inertia import body_of, body_of_pseudo_inertia, link_of, pseudo_inertia
 
 
 def test_all_limits_hold_on_a_much_finer_grid(pendulum_design: Design) -> None:
@@ -90,7 +94,7 @@ def test_gradient_of_the_lagrangian(pendulum_planner: Planner, rng: np.random.Ge
     np.testing.assert_allclose(jax.grad(value)(x) @ direction, numeric, rtol=1e-3)
 
 
-@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("criterion", [name for name in CRITERIA if name != "bodies"])
 def test_criteria_follow_their_definitions(
     pendulum_planner: Planner, pendulum_design: Design, criterion: str
 ) -> None:
@@ -126,6 +130,63 @@ def test_criteria_follow_their_definitions(
     assert size.shape == (5,)
 
 
+def two_links() -> jc.CSLC:
+    """An arm in a plane with bodies off their axes."""
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, -9.81, 0))
+    links = (
+        jc.LinkParameters(3.0, np.array([0.2, 0.01, 0.0]), np.diag([0.02, 0.05, 0.06]), 0.1),
+        jc.LinkParameters(1.0, np.array([0.1, 0.0, 0.02]), np.diag([0.004, 0.01, 0.012]), 0.0),
+    )
+    arm = dataclasses.replace(arm, links=links)
+    return jc.derive(arm, lengths="numeric")
+
+
+def test_changes_of_bodies_are_those_of_their_coefficients(rng: np.random.Generator) -> None:
+    """A body's changed pseudo-inertia, by the network's way from links to coefficients."""
+    network = two_links()
+    assert network.robot.links is not None
+    prior = body_prior(network, np.ones(network.size))
+    links = list(network.robot.links)
+    k = np.asarray(network.coefficients_from(links, viscous=[0.0, 0.0], dry=[0.0, 0.0]))
+    change = 0.05 * rng.normal(size=(2, 10))
+    unknowns = np.zeros(prior.to_coefficients.shape[1])
+    for i, link in enumerate(links):
+        symmetric = np.zeros((4, 4))
+        symmetric[np.tril_indices(4)] = change[i]
+        symmetric = np.where(np.eye(4) > 0, np.sqrt(2) * symmetric, symmetric + symmetric.T)
+        root = np.linalg.cholesky(pseudo_inertia(body_of(link)))
+        body = body_of_pseudo_inertia(root @ (np.eye(4) + symmetric) @ root.T)
+        links[i] = link_of(body, float(link.motor_inertia))
+        unknowns[10 * i : 10 * i + 10] = change[i]
+    changed = np.asarray(network.coefficients_from(links, viscous=[0.0, 0.0], dry=[0.0, 0.0]))
+    np.testing.assert_allclose(prior.to_coefficients @ unknowns, changed - k, atol=1e-12)
+
+
+def test_errors_of_bodies_begin_at_what_the_file_leaves_open() -> None:
+    """Nothing recorded: all of it; much recorded: what coefficients do not determine is left."""
+    network = two_links()
+    prior = body_prior(network, np.ones(network.size))
+    weak = np.eye(network.size)
+    for much, least, most in ((0.0, 1 - 1e-9, 1 + 1e-9), (1e8, 0.01, 0.9)):
+        moments = Moments(much * weak, much * weak, weak)
+        variances = np.asarray(body_variances(moments, weak, prior))
+        assert least <= variances.mean() <= most
+        assert np.all(variances <= 1 + 1e-9)
+
+
+def test_a_design_for_bodies_is_better_than_its_start() -> None:
+    network = two_links()
+    limits = Limits.of(network.robot, {"position": [-2, 2], "velocity": 3, "torque": 80})
+    planner = Planner.of(network, limits, Noise(0.5, 1e-3), BSplines(2.0, 5), criterion="bodies")
+    design = planner.design(0, 1, 2, 8, lambda _: None)
+    start = random_parameters(
+        planner.check, planner.rest_pose(np.random.default_rng(0)), np.random.default_rng(0)
+    )
+    assert design.use.feasible
+    assert design.value < planner.criterion_of(start)
+    assert design.value < 1.0
+
+
 def test_an_infeasible_wish_names_the_limit() -> None:
     arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
     network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
@@ -140,6 +201,7 @@ def test_an_infeasible_wish_names_the_limit() -> None:
     [
         ({"criterion": "other"}, "criterion: expected overall, error, "),
         ({"criterion": "D", "task": (0, 0, 0)}, "criterion 'D' has no task; expected overall or"),
+        ({"criterion": "bodies"}, "criterion 'bodies': the file of .* has no masses"),
         ({"wanted": ["kd9"]}, "'kd9' is no coefficient or group"),
         ({"family": "other"}, "family: expected splines, fourier, periodic, moves, got 'other'"),
         ({"start": np.zeros(2)}, "start: expected 1 positions"),
