@@ -229,6 +229,9 @@ def _without_geometry(spec: Any, urdf: bool) -> set[str]:
                 unknown.add(body.name)
             if urdf or geom.type not in primitive or body.explicitinertial:
                 spec.delete(geom)
+            else:
+                geom.material = ""  # of what remains: it is removed below
+    spec.memory = spec.nstack = -1  # what a file allots may not do for tensors of its own
     for kind in (
         *("keys", "sensors", "actuators", "tendons", "excludes", "pairs", "tuples", "skins"),
         *("flexes", "cameras", "lights", "sites", "meshes", "hfields", "materials", "textures"),

@@ -1,5 +1,6 @@
 """Robots from URDF and MJCF: torque and base parameters against Pinocchio and MuJoCo."""
 
+import re
 from collections.abc import Callable, Iterator
 from importlib.metadata import files
 from pathlib import Path
@@ -321,3 +322,21 @@ def test_random_robots(
     assert base_parameters(robot) == oracle.rank(*state)
     few = tuple(x[:4] for x in state)
     assert disagreement(rigid_torque(robot)(*few), oracle.torque(*few)) < AGREEMENT
+
+
+def test_materials_and_memory_do_not_matter(tmp_path: Path) -> None:
+    """Geometry that masses follow from may refer to materials, which are not read."""
+    text = """<mujoco><size memory="20K"/><asset><texture name="t" type="2d" builtin="flat"
+    width="9" height="9"/><material name="grey" texture="t"/></asset>
+    <default><geom material="grey"/></default>
+    <worldbody><geom type="plane" size="1 1 1" material="grey"/><body name="arm">
+    <joint name="hinge" axis="0 1 0"/><geom name="rod" size="0.1" pos="0.3 0 0" mass="2"/></body>
+    </worldbody></mujoco>"""
+    (tmp_path / "grey.xml").write_text(text)
+    (tmp_path / "plain.xml").write_text(re.sub(' material="grey"|<size[^>]*>', "", text))
+    of_grey, of_plain = (
+        jc.load_robot(tmp_path / f"{name}.xml").links for name in ("grey", "plain")
+    )
+    assert of_grey is not None and of_plain is not None
+    assert float(of_grey[0].mass) == float(of_plain[0].mass) == pytest.approx(2.0)
+    assert_allclose(of_grey[0].inertia, of_plain[0].inertia)
