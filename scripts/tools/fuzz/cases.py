@@ -129,6 +129,7 @@ def _line(draw: random.Random, templates: Path, folder: Path) -> Arguments:
         *WORDS,
         *("puma560", "panda", folder / "out", folder, "-", "--", "~", "/dev/null", "viscous,dry"),
         *("always", "never", "0.1", "fix", "couple", "auto", "maximum-likelihood", "local"),
+        "instrumental-variables",
         *("splines", "moves", "error", "D", "likelihood", "regression", "kv1"),
         *("1,2", "1,2,-1", "inf,2", "1,1", "0,1", "0,9", "5,1", "numeric", "huber", "static"),
     )
