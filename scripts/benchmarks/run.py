@@ -31,6 +31,7 @@ import sim
 from jaxcslc.motion import RecordingChunk, iterate_recording, save_recording
 from scripts.benchmarks.c_code import pinocchio_model
 from scripts.benchmarks.control import metrics as control_metrics
+from scripts.benchmarks.evaluation import metrics as evaluation_metrics
 from scripts.benchmarks.metrics import Metric, best_of, report
 from scripts.benchmarks.robot import metrics as robot_metrics
 from scripts.benchmarks.training import training
@@ -218,6 +219,7 @@ GROUPS: dict[str, Callable[[jc.CSLC, jax.Array], Iterator[Metric]]] = {
     "commands": lambda network, k: command_times(),
     "robots": lambda network, k: robot_metrics(),
     "control": lambda network, k: control_metrics(),
+    "evaluation": lambda network, k: evaluation_metrics(20_000),
 }
 """What is measured, by name: of the PUMA 560's network and coefficients."""
 
