@@ -103,14 +103,17 @@ class CosineSums(NamedTuple):
         number = xp.arange(1, len(used) + 1)
         cosines = used[:, None] * np.sqrt(2.0)
         cosines = cosines * xp.cos(np.pi * number[:, None] * phase[None, :])
-        weighted = rows * weight[None, :]
         square = xp.sum(cosines**2, axis=0)
         both = (indices[:, None], indices[None, :])
-        grams = (cosines[:, None, :] * weighted[None]) @ rows.T
+        # Products are symmetric: those of each pair of rows, once for all components.
+        first, second = np.triu_indices(len(indices))
+        pair = np.empty((len(indices), len(indices)), int)
+        pair[first, second] = pair[second, first] = np.arange(len(first))
+        products = (rows * weight[None, :])[first] * rows[second]
         return CosineSums(
             _added(self.sums, (slice(None), indices), (cosines * residual[None, :]) @ rows.T),
-            _added(self.grams, (slice(None), *both), grams),
-            _added(self.power, both, (weighted * square[None, :]) @ rows.T),
+            _added(self.grams, (slice(None), *both), (cosines @ products.T)[:, pair]),
+            _added(self.power, both, (products @ square)[pair]),
         )
 
 
