@@ -1,8 +1,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..network import CSLC, term_entries
+from ..network import CSLC
 from ..network.straight_line import Motion, Value
+from ..network.terms import term_entries
 
 
 def input_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]:

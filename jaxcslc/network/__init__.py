@@ -18,5 +18,4 @@ from .terms import (
     StaticFriction as StaticFriction,
     carrier as carrier,
     input_rows as input_rows,
-    term_entries as term_entries,
 )
