@@ -227,8 +227,10 @@ def gram_matrices(
 def _grams(
     network: AbstractLinearNetwork, inverses: tuple[np.ndarray, ...], *motion: Array | np.ndarray
 ) -> tuple[Array, ...]:
-    on_gpu = jax.default_backend() != "cpu"
-    return _compiled_grams(network, inverses, *(jnp.asarray(x) for x in motion), on_gpu=on_gpu)
+    arrays = [jnp.asarray(x) for x in motion]
+    # Where the patterns are: with a GPU at hand, a caller may still keep to the processor.
+    on_gpu = all(device.platform != "cpu" for device in arrays[0].devices())
+    return _compiled_grams(network, inverses, *arrays, on_gpu=on_gpu)
 
 
 _compiled_grams = eqx.filter_jit(gram_matrices)
