@@ -83,6 +83,7 @@ def _film(design: Design) -> list[Section]:
     ):
         return []  # lengths that are symbols have no positions
     _, (q, _, _) = design.sampled(min(_FILM_RATE, _FRAMES / duration))
+    q = np.asarray(design.network.positions_of_all_joints(q))
     n = robot.joint_count
     frames = np.zeros((len(q), n + 1, 2, 3))
     for frame, pose in zip(frames, q, strict=True):
