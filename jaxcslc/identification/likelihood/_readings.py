@@ -3,8 +3,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.special import ndtr
 
 from ...motion import Recording
 
@@ -169,7 +169,7 @@ def interval(
     outside = np.maximum(size - 0.5 - _OUTSIDE * edge, 0.0)
     inside = size - outside
     far, near = np.minimum((0.5 + inside) / edge, _FAR), np.minimum((0.5 - inside) / edge, _FAR)
-    probability = ndtr(near) - ndtr(-far)
+    probability = scipy.special.ndtr(near) - scipy.special.ndtr(-far)
     density_far, density_near = np.exp(-0.5 * far**2), np.exp(-0.5 * near**2)
     root = np.sqrt(2.0 * np.pi) * edge * probability
     score = (density_near - density_far) / root
