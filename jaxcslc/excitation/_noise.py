@@ -172,7 +172,7 @@ class Noise:
         error = np.maximum(error, 1e-9 * error.max())
         correlated: dict[str, Any] = {
             "torque": tuple(error.tolist()),
-            "torque_bandwidth": tuple(bandwidth),
+            "torque_bandwidth": tuple(bandwidth.tolist()),
         }
         return cls(**(correlated | fields))
 
