@@ -301,8 +301,3 @@ def _margin(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"limits, torque_margin: expected a number, got {value!r}")
     return float(value)
-
-
-def margins_text(margins: Sequence[tuple[str, float]]) -> str:
-    """The least margins, as in "velocity of joint 2: 3.1 %"."""
-    return ", ".join(f"{name} {100 * margin:.2g} %" for name, margin in margins)
