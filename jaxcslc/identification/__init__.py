@@ -63,6 +63,7 @@ from .likelihood import (
     MaximumLikelihood as MaximumLikelihood,
     Misfit as Misfit,
     TorqueSampling as TorqueSampling,
+    TorqueUnknown as TorqueUnknown,
 )
 from .possible import (
     POSSIBILITY as POSSIBILITY,

@@ -29,6 +29,10 @@ class LikelihoodFit(eqx.Module):
     - `slopes`: (n,) of static friction [s/rad or s/m]; `slope_error`: their standard deviations.
       Zeros for a network without static friction.
     - `offset`: (recordings, n) of each encoder within a step [rad or m]; `offset_error`.
+    - `torque_lag`: how much later than positions torques were measured [s], 0 if that was not
+      asked for; `torque_lag_error`: its standard deviation.
+    - `torque_gain`: (n,) torque over what was recorded, ones if that was not asked for;
+      `torque_gain_error`: infinite where nothing tells it from coefficients.
     - `position`: (samples, n) estimated positions [rad or m], of one recording after the other.
     - `torque_noise`: (recordings, n) [N m or N]; `position_noise`: (recordings, n) [rad or m]:
       standard deviations.
@@ -52,6 +56,10 @@ class LikelihoodFit(eqx.Module):
     slope_error: Float[np.ndarray, " joints"]
     offset: Float[np.ndarray, "recordings joints"]
     offset_error: Float[np.ndarray, "recordings joints"]
+    torque_lag: float
+    torque_lag_error: float
+    torque_gain: Float[np.ndarray, " joints"]
+    torque_gain_error: Float[np.ndarray, " joints"]
     position: Float[np.ndarray, "samples joints"]
     torque_noise: Float[np.ndarray, "recordings joints"]
     position_noise: Float[np.ndarray, "recordings joints"]
@@ -107,16 +115,17 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     independent, covariance = (
         matrix * border[:, None] * border[None, :] for matrix in (bound, sandwich.covariance)
     )
+    unclear = np.sqrt(np.sum(spectrum.undetermined**2, axis=0)) >= _SHARE
     null = spectrum.undetermined[:, :p]
     undetermined = np.zeros((p, p))
     undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
-    determined = np.sqrt(np.sum(null**2, axis=0)) < _SHARE
-    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    determined = ~unclear[:p]
+    error = np.where(unclear, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     squares = np.sum(np.where(used, residual, 0.0) ** 2, axis=0)
     complete = len(null) == 0
     fit = Identification(
         k=jnp.asarray(point.k),
-        standard_error=jnp.asarray(np.where(determined, error[:p], np.inf)),
+        standard_error=jnp.asarray(error[:p]),
         covariance=jnp.asarray(covariance[:p, :p]),
         independent_covariance=jnp.asarray(independent[:p, :p]),
         torque_error=jnp.asarray(np.sqrt(squares / np.maximum(counts, 1.0))),
@@ -133,13 +142,20 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     )
     static = network.static_slopes is not None
     slopes = np.exp(point.slopes) if static else np.zeros(n)
+    calibration, values = minimum.objective.torque, point.calibration
+    first = p + n + len(values)
+    of_calibration = error[p + n : first] if len(values) else np.zeros(1 + n)
     return LikelihoodFit(
         network=network.with_static_slopes(slopes) if static else network,
         fit=fit,
         slopes=slopes,
         slope_error=slopes * error[p : p + n],
         offset=point.offset,
-        offset_error=error[p + n :].reshape(point.offset.shape),
+        offset_error=error[first:].reshape(point.offset.shape),
+        torque_lag=calibration.lag(values),
+        torque_lag_error=float(of_calibration[0]),
+        torque_gain=calibration.gain(values),
+        torque_gain_error=of_calibration[1:],
         position=point.q,
         torque_noise=minimum.torque_noise,
         position_noise=minimum.position_noise,

@@ -38,23 +38,29 @@ class Linear:
         derivatives = objective.equations.linearised(
             point.k, point.slopes, point.q, signs.turns(point.turn), signs.direction
         )
+        gain = objective.torque.gain(point.calibration)
+        predicted = np.asarray(derivatives.torque)
+        of_coefficients = np.asarray(derivatives.by_coefficient) / gain[:, None]
+        of_calibration = objective.torque.by_values(point.calibration, predicted / gain)
+        first = of_coefficients.shape[2]
+        last = first + of_calibration.shape[2]
         by_border = np.zeros((samples - 2, n, len(scale)))
-        unknowns = derivatives.by_coefficient.shape[2]
-        by_border[:, :, :unknowns] = np.asarray(derivatives.by_coefficient) * scale[:unknowns]
-        all_by_turn = np.asarray(derivatives.by_turn)
+        by_border[:, :, :first] = of_coefficients * scale[:first]
+        by_border[:, :, first:last] = of_calibration * scale[first:last]
+        all_by_turn = np.asarray(derivatives.by_turn) / gain
         by_turn = np.zeros((3, len(signs.samples)))
         for index, offset in enumerate((-1, 0, 1)):
             inside = np.abs(point.turn - offset) < 1.0
             of_turn = all_by_turn[signs.samples - 1 + offset, signs.joints]
             by_turn[index] = np.where(inside, of_turn, 0.0)
-        residuals = objective.residuals_of(point, np.asarray(derivatives.torque))
+        residuals = objective.residuals_of(point, predicted)
         readings = objective.readings(residuals)
         return cls(
             objective,
             dataclasses.replace(objective.weights, position=readings.weight),
             dataclasses.replace(residuals, position=readings.residual),
             Order.of(samples, n, signs.samples),
-            np.asarray(derivatives.by_position),
+            np.asarray(derivatives.by_position) / gain[:, None],
             by_border,
             by_turn,
         )

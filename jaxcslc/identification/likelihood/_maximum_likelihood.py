@@ -9,13 +9,15 @@ from ..._environment import require_float64
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
+from ..prior import Known, Prior
 from ..solver import ERRORS, Errors, Identification
+from ._calibration import TorqueUnknown
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._objective import Point
 from ._problem import Problem
-from ._readings import TorqueSampling
 from ._search import search
 from ._start import starting_point
+from ._torque_record import TorqueSampling
 
 
 _FEWEST_SAMPLES = 10
@@ -58,8 +60,14 @@ class MaximumLikelihood:
     - `errors`: what standard errors allow for: `"correlated"` residuals, as a model that lacks
       something leaves them; or `"independent"` ones of the estimated levels only, for which they
       are the Cramér-Rao bound.
+    - `unknowns`: of recorded torques, to be estimated too. `"torque_lag"`: how much later than
+      positions they were measured, the same for all joints; negative for demands that act later
+      than they are recorded. `"torque_gains"`: torque of each joint over what was recorded.
+      Gains and coefficients scale together, so that gains need a `prior`.
+    - `prior`: values of coefficients that are known beforehand, with their errors, or fixed.
 
-    **Raises** `ValueError`: a `torque_sampling`, or `errors`, that are none of these.
+    **Raises** `ValueError`: a `torque_sampling`, `errors` or `unknowns` that are none of these,
+    gains without a value that is known, bounds or links in a prior.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -77,6 +85,8 @@ class MaximumLikelihood:
     settings: Settings | None = None
     resolution: tuple[float, ...] | None = None
     errors: Errors = "correlated"
+    unknowns: tuple[TorqueUnknown, ...] = ()
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
         if self.torque_sampling not in get_args(TorqueSampling):
@@ -85,6 +95,11 @@ class MaximumLikelihood:
             )
         if self.errors not in ERRORS:
             raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
+        for name in self.unknowns:
+            if name not in get_args(TorqueUnknown):
+                expected = " or ".join(get_args(TorqueUnknown))
+                raise ValueError(f"unknowns: expected {expected}, got {name!r}")
+        _check_prior(self.prior, "torque_gains" in self.unknowns)
 
     def fit(
         self,
@@ -125,6 +140,7 @@ class MaximumLikelihood:
         k: Float[Array | np.ndarray, " coefficients"],
         torque_noise: Float[np.ndarray, " joints"],
         position_noise: Float[np.ndarray, " joints"],
+        calibration: LikelihoodFit | None = None,
     ) -> Misfit:
         """How well coefficients agree with recordings, without a smoothing of these.
 
@@ -139,6 +155,7 @@ class MaximumLikelihood:
         - `k`: (p,) coefficients.
         - `torque_noise`: (n,) standard deviations [N m or N].
         - `position_noise`: (n,) of joints without encoder steps [rad or m].
+        - `calibration`: a fit whose lag and gains of torque hold; by default there are none.
 
         **Returns** a `Misfit`.
 
@@ -147,7 +164,7 @@ class MaximumLikelihood:
         require_float64()
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
         problem, point, residual, noise = self._start(network, recordings, None)
-        shared = len(point.k) + len(point.slopes)
+        shared = len(point.border) - point.offset.size
         scale = np.where(np.arange(len(problem.scale)) < shared, 0.0, problem.scale)
         slopes = network.static_slopes
         minimum = search(
@@ -156,6 +173,7 @@ class MaximumLikelihood:
                 point,
                 k=np.asarray(k, float),
                 slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
+                calibration=_values(point, calibration),
             ),
             np.broadcast_to(torque_noise, residual.shape),
             np.where(problem.encoder_step > 0.0, noise, position_noise),
@@ -181,6 +199,30 @@ class MaximumLikelihood:
             self.torque_sampling,
             None if self.resolution is None else np.array(self.resolution),
             start,
+            self.unknowns,
+            {} if self.prior is None else self.prior.coefficient_values(network),
+        )
+
+
+def _values(point: Point, fit: LikelihoodFit | None) -> Float[np.ndarray, " unknowns"]:
+    """The calibration of a fit where a point has one."""
+    if fit is None or not len(point.calibration):
+        return point.calibration
+    return np.append(fit.torque_lag, fit.torque_gain)
+
+
+def _check_prior(prior: Prior | None, gains: bool) -> None:
+    """**Raises** `ValueError` as `MaximumLikelihood`."""
+    entries: dict[str, Known] = {} if prior is None else dict(prior.coefficients)
+    if prior is not None and prior.links:
+        raise ValueError("prior: maximum likelihood takes coefficients, got links")
+    for name, entry in entries.items():
+        if entry.value is None or entry.low > -np.inf or entry.high < np.inf:
+            raise ValueError(f"prior, {name}: maximum likelihood takes values, got bounds")
+    if gains and not entries:
+        raise ValueError(
+            "torque gains and coefficients scale together; expected a prior that knows the value of"
+            " at least one coefficient, as from a link or payload that was weighed"
         )
 
 

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
+from ._calibration import TorqueCalibration
 from ._motion_equations import MotionEquations
 from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
@@ -19,20 +20,22 @@ class Point:
     **Attributes**
 
     - `k`: (p,) coefficients; `slopes`: (n,) logarithms of static friction's.
+    - `calibration`: (unknowns,) of recorded torques, see `TorqueCalibration`.
     - `offset`: (recordings, n) of the encoders.
     - `q`: (samples, n) positions; `turn`: (reversals,) moments of the reversals.
     """
 
     k: Float[np.ndarray, " coefficients"]
     slopes: Float[np.ndarray, " joints"]
+    calibration: Float[np.ndarray, " unknowns"]
     offset: Float[np.ndarray, "recordings joints"]
     q: Float[np.ndarray, "samples joints"]
     turn: Float[np.ndarray, " reversals"]
 
     @property
     def border(self) -> Float[np.ndarray, " border"]:
-        """Coefficients, slopes and offsets: what all equations share."""
-        return np.concatenate([self.k, self.slopes, self.offset.ravel()])
+        """Coefficients, slopes, calibration and offsets: what all equations share."""
+        return np.concatenate([self.k, self.slopes, self.calibration, self.offset.ravel()])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +76,7 @@ class Objective:
     **Attributes**
 
     - `equations`: torque as a function of positions.
-    - `position`: (samples, n) as recorded; `torque`: (equations, n) as recorded.
+    - `position`: (samples, n) as recorded; `torque`: what was recorded, and what is unknown of it.
     - `part`: (samples,) number of the recording.
     - `signs`: directions and reversals.
     - `weights`: inverse variances of all residuals; of the border 0 where nothing is known
@@ -85,7 +88,7 @@ class Objective:
 
     equations: MotionEquations
     position: Float[np.ndarray, "samples joints"]
-    torque: Float[np.ndarray, "equations joints"]
+    torque: TorqueCalibration
     part: Int[np.ndarray, " samples"]
     signs: Signs
     weights: Residuals
@@ -120,10 +123,12 @@ class Objective:
         """The point after a step."""
         border = point.border + self.scale * step.border
         p, n = len(point.k), point.q.shape[1]
+        first = p + n + len(point.calibration)
         return Point(
             border[:p],
             border[p : p + n],
-            border[p + n :].reshape(-1, n),
+            border[p + n : first],
+            border[first:].reshape(-1, n),
             point.q + step.position,
             point.turn + step.turn,
         )
@@ -133,7 +138,7 @@ class Objective:
     ) -> Residuals:
         """Recorded minus predicted, with torque that has been predicted before."""
         return Residuals(
-            self.torque - predicted,
+            self.torque.torque(point.calibration) - predicted / self.torque.gain(point.calibration),
             self.position - point.q - point.offset[self.part],
             -np.diff(point.q, axis=0),
             self.signs.turn - point.turn,

@@ -4,6 +4,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ._calibration import TorqueCalibration
 from ._motion_equations import MotionEquations
 from ._objective import Point
 from ._readings import Readings
@@ -22,12 +23,13 @@ class Problem:
 
     - `equations`: torque as a function of positions.
     - `readings`: of one recording or of several.
+    - `calibration`: of recorded torques.
     - `stuck`: (intervals, n), where joints are at standstill.
     - `scale`: (border,) of the unknowns that all equations share; 0 fixes one.
     - `known`: from a point, mean and inverse variance, (border,) each, of what is known of these
       beforehand.
     - `slope_bounds`: (n,) each, least and greatest logarithms of slopes.
-    - `breakaway`: from a point, (n,) the greatest friction at standstill.
+    - `breakaway`: from a point, (n,) the greatest friction at standstill, as it is recorded.
     - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts. The noise of
       counts is not to be estimated.
     - `least_position_noise`: (n,) [rad or m].
@@ -35,6 +37,7 @@ class Problem:
 
     equations: MotionEquations
     readings: Readings
+    calibration: TorqueCalibration
     stuck: Bool[np.ndarray, "intervals joints"]
     scale: Float[np.ndarray, " border"]
     known: Callable[[Point], tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]]
@@ -65,5 +68,5 @@ class Problem:
     @property
     def least_torque_noise(self) -> Float[np.ndarray, " joints"]:
         """(n,) [N m or N]."""
-        size = np.sqrt(np.mean(self.readings.torque**2, axis=0))
+        size = np.sqrt(np.mean(self.readings.torque.averaged() ** 2, axis=0))
         return np.maximum(_LEAST_TORQUE_NOISE * size, 1e-9)

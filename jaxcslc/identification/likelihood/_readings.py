@@ -1,16 +1,13 @@
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
 from ...motion import Recording
+from ._torque_record import TorqueRecord, TorqueSampling
 
-
-TorqueSampling = Literal["held", "sampled"]
-"""What a recorded torque is: held until the next sample, or the value at the sample's instant."""
 
 # Edges further outside than this, in their widths, count by size and not by square (Huber).
 _OUTSIDE = 6.0
@@ -28,7 +25,7 @@ class Readings:
 
     - `time`: (samples,) going on after each recording [s].
     - `position`: (samples, n) as recorded.
-    - `torque`: (equations, n), averaged over the two intervals of each equation.
+    - `torque`: as recorded.
     - `part`: (samples,) number of the recording that a sample belongs to.
     - `joined`: (equations,) those that span two recordings, and are none.
 
@@ -43,7 +40,7 @@ class Readings:
 
     time: Float[np.ndarray, " samples"]
     position: Float[np.ndarray, "samples joints"]
-    torque: Float[np.ndarray, "equations joints"]
+    torque: TorqueRecord
     part: Int[np.ndarray, " samples"]
     joined: Bool[np.ndarray, " equations"]
 
@@ -58,11 +55,10 @@ class Readings:
             start = float(time[-1] + np.mean(np.diff(time)))
         part = np.repeat(np.arange(len(recordings)), [len(time) for time in times])
         time = np.concatenate(times)
-        torque = np.concatenate([np.asarray(recording.torque) for recording in recordings])
         return cls(
             time,
             np.concatenate([np.asarray(recording.position) for recording in recordings]),
-            averaged_torque(time, torque, torque_sampling),
+            TorqueRecord.of(recordings, torque_sampling),
             part,
             part[2:] != part[:-2],
         )
@@ -71,33 +67,6 @@ class Readings:
     def recordings(self) -> int:
         """How many."""
         return int(self.part[-1]) + 1
-
-
-def averaged_torque(
-    time: Float[np.ndarray, " samples"],
-    torque: Float[np.ndarray, "samples joints"],
-    torque_sampling: TorqueSampling,
-) -> Float[np.ndarray, "equations joints"]:
-    """The recorded torque, averaged as the second difference averages acceleration.
-
-    >>> import numpy as np
-    >>> line = np.arange(5.0)[:, None]
-    >>> averaged_torque(np.arange(5.0), line, "held")[:, 0].tolist()
-    [0.5, 1.5, 2.5]
-    >>> averaged_torque(np.arange(5.0), line, "sampled")[:, 0].tolist()
-    [1.0, 2.0, 3.0]
-    """
-    h = np.diff(time)[:, None]
-    before, after = h[:-1] / (h[:-1] + h[1:]), h[1:] / (h[:-1] + h[1:])
-    if torque_sampling == "held":
-        return before * torque[:-2] + after * torque[1:-1]
-    # The mean of a parabola through three samples, from the triangle's mean and mean square.
-    before, after = h[:-1], h[1:]
-    rising, falling = np.diff(torque[1:], axis=0) / after, np.diff(torque[:-1], axis=0) / before
-    bend = (rising - falling) / (before + after)
-    slope = rising - bend * after
-    mean, mean_square = (after - before) / 3.0, (before**3 + after**3) / (before + after) / 6.0
-    return torque[1:-1] + slope * mean + bend * mean_square
 
 
 @dataclasses.dataclass(frozen=True)

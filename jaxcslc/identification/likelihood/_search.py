@@ -203,7 +203,8 @@ def _objective(problem: Problem, state: _State) -> tuple[Objective, Mask]:
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
     extra = _friction_variance(problem, signs, point)
     weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + extra)
-    without = problem.at_rest | readings.joined[:, None]
+    beyond = problem.calibration.outside(point.calibration)
+    without = problem.at_rest | (readings.joined | beyond)[:, None]
     weight[without] = 0.0
     expected, known = problem.known(point)
     at_rest = 1.0 / (_REST * state.position_noise[of_interval]) ** 2
@@ -217,7 +218,7 @@ def _objective(problem: Problem, state: _State) -> tuple[Objective, Mask]:
     objective = Objective(
         problem.equations,
         readings.position,
-        readings.torque,
+        problem.calibration,
         readings.part,
         signs,
         weights,
@@ -297,6 +298,7 @@ def _bounded(problem: Problem, point: Point, before: Point) -> Point:
     return dataclasses.replace(
         point,
         slopes=np.clip(near, low, high),
+        calibration=problem.calibration.bounded(point.calibration, before.calibration),
         turn=np.clip(point.turn, -LATEST_TURN, LATEST_TURN),
     )
 

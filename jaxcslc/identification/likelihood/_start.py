@@ -1,4 +1,5 @@
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,13 +8,16 @@ from jaxtyping import Bool, Float
 from ...motion import Patterns, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
+from ..prior import Known
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
+from ._calibration import TorqueCalibration, TorqueUnknown
 from ._motion_equations import MotionEquations
 from ._objective import Point
 from ._problem import Problem
-from ._readings import Readings, TorqueSampling
+from ._readings import Readings
 from ._signs import rests
+from ._torque_record import TorqueSampling
 
 
 # The share of its dry friction that static friction starts with; the speed at which it has gone to
@@ -37,8 +41,14 @@ def starting_point(
     torque_sampling: TorqueSampling,
     resolution: Joints | None,
     start: Identification | None,
+    unknowns: tuple[TorqueUnknown, ...] = (),
+    known_values: Mapping[int, Known] = MappingProxyType({}),
 ) -> tuple[Problem, Point, Recordings, Recordings]:
     """The problem of recordings, and where its search starts: regression on smoothed motion.
+
+    **Arguments** as attributes of `MaximumLikelihood`, and
+
+    - `known_values`: by index of a coefficient, values that are known beforehand.
 
     **Returns** the problem, the point, and the noise of torque and of positions.
 
@@ -78,6 +88,9 @@ def starting_point(
     slopes = np.log(1.0 / (_DECAY * fastest))
     if start is None:
         k[static.indices] = _STATIC_SHARE * static.dry(k)[static.joints]
+    calibration = TorqueCalibration(readings.torque, unknowns)
+    values, precision, fixed = _knowledge(known_values, p)
+    k[fixed] = values[fixed]
 
     def known(point: Point) -> tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]:
         # Encoders are within half a step, and friction at rest rarely is above twice the dry one:
@@ -88,27 +101,30 @@ def starting_point(
         of_k[static.indices] = np.where(static.with_dry, np.maximum(dry, 1e-9) ** -2.0, 0.0)
         of_slopes = np.zeros(n)
         of_slopes[static.joints] = _SLOPE_DEVIATION**-2
+        expected = precision * values / np.maximum(of_k + precision, 1e-300)
+        free = np.zeros(len(point.calibration))
         return (
-            np.concatenate([np.zeros(p), slopes, np.zeros(position_noise.size)]),
-            np.concatenate([of_k, of_slopes, position_noise.ravel() ** -2.0]),
+            np.concatenate([expected, slopes, free, np.zeros(position_noise.size)]),
+            np.concatenate([of_k + precision, of_slopes, free, position_noise.ravel() ** -2.0]),
         )
 
     def breakaway(point: Point) -> Joints:
         dry, at_rest = static.dry(point.k), np.zeros(n)
         at_rest[static.joints] = np.abs(point.k[static.indices])
         beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
-        return dry + beyond + 1e-9
+        return (dry + beyond + 1e-9) / calibration.gain(point.calibration)
 
     moves = np.zeros(n)
     moves[static.joints] = 0.5
     residual = [_residual(static.without, values, regression) for values in patterns.values()]
     torque_noise = np.sqrt(np.mean(np.square(residual), axis=0))
-    scale = _scale(network, patterns.values(), torque_noise)
+    scale = np.where(fixed, 0.0, _scale(network, patterns.values(), torque_noise))
     problem = Problem(
         equations=MotionEquations(network, jnp.asarray(np.diff(readings.time))),
         readings=readings,
+        calibration=calibration,
         stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
-        scale=np.concatenate([scale, moves, position_noise.ravel()]),
+        scale=np.concatenate([scale, moves, calibration.scale, position_noise.ravel()]),
         known=known,
         slope_bounds=(
             np.log(1.0 / (_LEAST_DECAY * fastest)),
@@ -118,8 +134,20 @@ def starting_point(
         encoder_step=steps,
         least_position_noise=least,
     )
-    point = Point(k, slopes, np.zeros(position_noise.shape), q, np.zeros(0))
+    point = Point(k, slopes, calibration.start, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, point, np.array(residual), position_noise
+
+
+def _knowledge(
+    known: Mapping[int, Known], size: int
+) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, " coefficients"]]:
+    """Values, (p,) inverse variances that are 0 where nothing is known, and what is fixed."""
+    values, precision, fixed = np.zeros(size), np.zeros(size), np.zeros(size, bool)
+    for index, entry in known.items():
+        assert entry.value is not None
+        values[index], fixed[index] = entry.value, entry.fixed
+        precision[index] = 0.0 if entry.fixed else entry.error**-2.0
+    return values, precision, fixed
 
 
 def _regression(

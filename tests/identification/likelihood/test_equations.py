@@ -9,12 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.identification.likelihood._calibration import TorqueCalibration
 from jaxcslc.identification.likelihood._correlated import eliminated_rows
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._motion_equations import MotionEquations
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
-from jaxcslc.identification.likelihood._readings import averaged_torque
 from jaxcslc.identification.likelihood._signs import Signs
+from jaxcslc.identification.likelihood._torque_record import TorqueRecord
 
 
 SAMPLES = 12
@@ -35,7 +36,7 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     signs = Signs.of(q, time, np.zeros((SAMPLES - 1, 2), bool), margin=1, modelled=True)
     assert len(signs.samples) == 1
     k = rng.uniform(0.2, 1.0, arm.size)
-    border = arm.size + 6
+    border = arm.size + 9
     weights = Residuals(
         torque=rng.uniform(1.0, 2.0, (SAMPLES - 2, 2)),
         position=rng.uniform(1e4, 2e4, (SAMPLES, 2)),
@@ -44,18 +45,19 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
         border=rng.uniform(0.1, 1.0, border),
     )
     equations = MotionEquations(arm, jnp.asarray(np.diff(time)))
-    torque = rng.normal(size=(SAMPLES - 2, 2))
+    record = TorqueRecord((time,), (rng.normal(size=(SAMPLES, 2)),), "held")
     result = Objective(
         equations,
         q + 1e-3,
-        torque,
+        TorqueCalibration(record, ("torque_lag", "torque_gains")),
         np.repeat([0, 1], [5, SAMPLES - 5]),  # encoder offsets of two recordings
         signs,
         weights,
         np.zeros(border),
         rng.uniform(0.5, 2, border),
     )
-    return result, Point(k, np.log([2.0, 3.0]), np.zeros((2, 2)), q, signs.turn)
+    calibration = np.array([3e-3, 1.1, 0.8])
+    return result, Point(k, np.log([2.0, 3.0]), calibration, np.zeros((2, 2)), q, signs.turn)
 
 
 def test_derivatives(objective: tuple[Objective, Point]) -> None:
@@ -138,15 +140,3 @@ def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, 
     actual = problem.residuals(problem.moved(point, step))
     for name, values in vars(actual).items():
         assert_allclose(getattr(predicted, name), values, atol=1e-9)
-
-
-def test_sampled_torque_is_averaged_as_a_parabola() -> None:
-    """Against a sum over the triangle, at uneven intervals."""
-    time = np.array([0.0, 0.3, 0.8, 1.0])
-    torque = (1.0 - 2.0 * time + 3.0 * time**2)[:, None]
-    obtained = averaged_torque(time, torque, "sampled")[:, 0]
-    for row, (start, middle, end) in enumerate(zip(time, time[1:], time[2:], strict=False)):
-        t = np.linspace(start, end, 200_001)
-        triangle = np.minimum((t - start) / (middle - start), (end - t) / (end - middle))
-        expected = np.sum(triangle * (1.0 - 2.0 * t + 3.0 * t**2)) / np.sum(triangle)
-        assert_allclose(obtained[row], expected, rtol=1e-8)

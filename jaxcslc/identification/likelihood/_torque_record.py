@@ -1,0 +1,171 @@
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float
+
+from ...motion import Recording
+
+
+TorqueSampling = Literal["held", "sampled"]
+"""What a recorded torque is: held until the next sample, or the value at the sample's instant."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TorqueRecord:
+    """Recorded torques of one recording or of several, as the equations of motion need them.
+
+    The second difference of positions is the acceleration averaged with a triangle over the two
+    intervals that meet at a sample; torque in the same equation is averaged alike.
+
+    **Attributes**
+
+    - `times`: (samples,) of each recording [s]; `torques`: (samples, n) of each.
+    - `sampling`: what a recorded torque is.
+
+    >>> import numpy as np
+    >>> line = np.arange(5.0)[:, None]
+    >>> record = TorqueRecord.of([Recording(np.arange(5.0), line, line)], "held")
+    >>> record.averaged()[:, 0].tolist(), record.averaged(0.25)[:, 0].tolist()
+    ([0.5, 1.5, 2.5], [0.75, 1.75, 2.75])
+    >>> record.outside(0.25).tolist()
+    [False, False, False]
+    """
+
+    times: tuple[Float[np.ndarray, " _"], ...]
+    torques: tuple[Float[np.ndarray, "_ joints"], ...]
+    sampling: TorqueSampling
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], sampling: TorqueSampling) -> "TorqueRecord":
+        """Those of recordings of the same joints."""
+        return cls(
+            tuple(np.asarray(recording.time, float) for recording in recordings),
+            tuple(np.asarray(recording.torque, float) for recording in recordings),
+            sampling,
+        )
+
+    def averaged(self, lag: float = 0.0) -> Float[np.ndarray, "equations joints"]:
+        """Torque of every equation; zeros where an equation spans two recordings.
+
+        **Arguments**
+
+        - `lag`: how much later than positions torques were measured [s]; negative for demands that
+          act later than they are recorded.
+        """
+
+        def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
+            if self.sampling == "held":
+                return _held(time, torque, lag, _remaining)
+            if lag != 0.0:
+                torque = _spline(time, torque)(_within(time, lag))
+            return _sampled(time, torque)
+
+        return self._of_each(values)
+
+    def rate(self, lag: float) -> Float[np.ndarray, "equations joints"]:
+        """The derivative of `averaged` by the lag [N m/s or N/s]."""
+
+        def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
+            if self.sampling == "held":
+                return _held(time, torque, lag, _density)
+            return _sampled(time, _spline(time, torque)(_within(time, lag), 1))
+
+        return self._of_each(values)
+
+    def outside(self, lag: float) -> Bool[np.ndarray, " equations"]:
+        """Equations whose torque, so much later, is before the record's start or after its end."""
+        parts: list[np.ndarray] = []
+        for time in self.times:
+            # A torque that is held is known for one interval more.
+            end = time[-1] + (time[-1] - time[-2] if self.sampling == "held" else 0.0)
+            parts.append((time[:-2] + lag < time[0]) | (time[2:] + lag > end))
+        return np.concatenate(self._apart(parts, np.ones(2, bool)))
+
+    def _of_each(self, values: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        pairs = zip(self.times, self.torques, strict=True)
+        parts = [values(time, torque) for time, torque in pairs]
+        return np.concatenate(self._apart(parts, np.zeros((2, self.torques[0].shape[1]))))
+
+    @staticmethod
+    def _apart(parts: list[np.ndarray], between: np.ndarray) -> list[np.ndarray]:
+        """With the two equations between that span two recordings."""
+        result = [parts[0]]
+        for part in parts[1:]:
+            result += [between, part]
+        return result
+
+
+def _within(time: Float[np.ndarray, " samples"], lag: float) -> Float[np.ndarray, " samples"]:
+    return np.clip(time + lag, time[0], time[-1])
+
+
+def _spline(
+    time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
+) -> scipy.interpolate.CubicSpline:
+    return scipy.interpolate.CubicSpline(time, torque)
+
+
+def _held(
+    time: Float[np.ndarray, " samples"],
+    torque: Float[np.ndarray, "samples joints"],
+    lag: float,
+    weight: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+) -> Float[np.ndarray, "equations joints"]:
+    """The triangle's mean of steps: each step counts by the part of the triangle after it.
+
+    **Arguments**
+
+    - `weight`: of a step, `_remaining`; or its derivative by the lag, `_density`.
+    """
+    start, middle, end = time[:-2], time[1:-1], time[2:]
+    first = np.maximum(np.searchsorted(time, start + lag, side="right"), 1)
+    last = np.searchsorted(time, end + lag, side="left")  # the first step that is too late
+    result = torque[first - 1] if weight is _remaining else np.zeros_like(torque[1:-1])
+    for number in range(max(int(np.max(last - first)), 0)):
+        index = np.minimum(first + number, len(time) - 1)
+        moment = time[index] - lag - middle
+        share = np.where(first + number < last, weight(moment, middle - start, end - middle), 0.0)
+        result = result + share[:, None] * (torque[index] - torque[index - 1])
+    return result
+
+
+def _remaining(
+    moment: Float[np.ndarray, " equations"],
+    before: Float[np.ndarray, " equations"],
+    after: Float[np.ndarray, " equations"],
+) -> Float[np.ndarray, " equations"]:
+    """The part of a triangle over two intervals that is after a moment."""
+    early = 1.0 - np.square(np.maximum(moment + before, 0.0)) / (before * (before + after))
+    late = np.square(np.maximum(after - moment, 0.0)) / (after * (before + after))
+    return np.where(moment < 0.0, early, late)
+
+
+def _density(
+    moment: Float[np.ndarray, " equations"],
+    before: Float[np.ndarray, " equations"],
+    after: Float[np.ndarray, " equations"],
+) -> Float[np.ndarray, " equations"]:
+    """The height of a triangle over two intervals at a moment."""
+    side = np.where(moment < 0.0, (moment + before) / before, (after - moment) / after)
+    return 2.0 * np.maximum(side, 0.0) / (before + after)
+
+
+def _sampled(
+    time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
+) -> Float[np.ndarray, "equations joints"]:
+    """The mean of a parabola through three samples, from the triangle's mean and mean square.
+
+    >>> import numpy as np
+    >>> _sampled(np.arange(5.0), np.arange(5.0)[:, None])[:, 0].tolist()
+    [1.0, 2.0, 3.0]
+    """
+    h = np.diff(time)[:, None]
+    before, after = h[:-1], h[1:]
+    rising, falling = np.diff(torque[1:], axis=0) / after, np.diff(torque[:-1], axis=0) / before
+    bend = (rising - falling) / (before + after)
+    slope = rising - bend * after
+    mean, mean_square = (after - before) / 3.0, (before**3 + after**3) / (before + after) / 6.0
+    return torque[1:-1] + slope * mean + bend * mean_square
