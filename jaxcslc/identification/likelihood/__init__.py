@@ -1,6 +1,5 @@
-from ._calibration import TorqueUnknown as TorqueUnknown
 from ._comparison import Estimator as Estimator, EstimatorComparison as EstimatorComparison
 from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._signs import runs as runs
-from ._torque_record import TorqueSampling as TorqueSampling
+from .torque import TorqueSampling as TorqueSampling, TorqueUnknown as TorqueUnknown

@@ -11,13 +11,12 @@ from ...network import CSLC
 from .._settings import Settings
 from ..prior import Known, Prior
 from ..solver import ERRORS, Errors, Identification
-from ._calibration import TorqueUnknown
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._objective import Point
 from ._problem import Problem
 from ._search import search
 from ._start import starting_point
-from ._torque_record import TorqueSampling
+from .torque import TorqueSampling, TorqueUnknown
 
 
 _FEWEST_SAMPLES = 10

@@ -3,10 +3,10 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._calibration import TorqueCalibration
 from ._motion_equations import MotionEquations
 from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
+from .torque import TorqueCalibration
 
 
 # Prior standard deviation of a reversal about where velocity crosses zero, in intervals.

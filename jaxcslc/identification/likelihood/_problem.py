@@ -4,11 +4,11 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ._calibration import TorqueCalibration
 from ._motion_equations import MotionEquations
 from ._objective import Point
 from ._readings import Readings
 from ._signs import runs
+from .torque import TorqueCalibration
 
 
 # No torque noise is below this part of the torque, where errors of second differences are.

@@ -6,7 +6,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from ...motion import Recording
-from ._torque_record import TorqueRecord, TorqueSampling
+from .torque import TorqueRecord, TorqueSampling
 
 
 # Edges further outside than this, in their widths, count by size and not by square (Huber).

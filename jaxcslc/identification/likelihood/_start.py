@@ -11,13 +11,12 @@ from .._settings import Settings
 from ..prior import Known
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
-from ._calibration import TorqueCalibration, TorqueUnknown
 from ._motion_equations import MotionEquations
 from ._objective import Point
 from ._problem import Problem
 from ._readings import Readings
 from ._signs import rests
-from ._torque_record import TorqueSampling
+from .torque import TorqueCalibration, TorqueSampling, TorqueUnknown
 
 
 # The share of its dry friction that static friction starts with; the speed at which it has gone to

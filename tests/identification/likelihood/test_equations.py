@@ -9,13 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.likelihood._calibration import TorqueCalibration
 from jaxcslc.identification.likelihood._correlated import eliminated_rows
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._motion_equations import MotionEquations
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
 from jaxcslc.identification.likelihood._signs import Signs
-from jaxcslc.identification.likelihood._torque_record import TorqueRecord
+from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord
 
 
 SAMPLES = 12

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.identification import Known, Prior
 from jaxcslc.identification.likelihood import TorqueSampling
-from jaxcslc.identification.likelihood._torque_record import TorqueRecord
+from jaxcslc.identification.likelihood.torque import TorqueRecord
 
 
 INERTIA, VISCOUS, STEP = 0.4, 0.3, 0.005

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from ...motion import Recording
+from ....motion import Recording
 
 
 TorqueSampling = Literal["held", "sampled"]
