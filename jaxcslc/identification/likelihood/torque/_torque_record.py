@@ -104,7 +104,7 @@ def _within(time: Float[np.ndarray, " samples"], lag: float) -> Float[np.ndarray
 
 def _spline(
     time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
-) -> scipy.interpolate.CubicSpline:
+) -> Callable[..., np.ndarray]:
     return scipy.interpolate.CubicSpline(time, torque)
 
 
