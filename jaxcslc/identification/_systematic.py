@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ..motion import Patterns, Preparation, Recording
+from ..motion import CubicSpline, Patterns, Preparation, Recording
 from ..network import CSLC
 from ._missing_terms import (
     Columns,
@@ -245,7 +245,7 @@ def _exact_derivatives(
 
     - `keep_velocity`: the velocities themselves were measured; accelerations are theirs.
     """
-    spline = scipy.interpolate.CubicSpline(time, qd if keep_velocity else q, axis=0)
+    spline = CubicSpline(time, qd if keep_velocity else q)
     moves = np.any(qd != 0.0, axis=0)  # elsewhere rounding, whose sign would be a direction
     if keep_velocity:
         return qd, np.where(moves, spline(time, 1), 0.0)
@@ -265,22 +265,24 @@ def _shift(
     - `samples`: of the recording.
     """
     size = problem.equations.unknowns.size
+    stretch = np.arange(samples) * min(_STRETCHES, samples) // samples
     wider = with_columns(problem.equations, inputs)
-    determined = np.asarray(problem.solution(wider).determined)[size:]
+    # One factorisation of each stretch: the others' triangles are joined.
+    stretches = problem.factors_of_folds(wider, stretch)
+    solution = problem.minimum(wider.unknowns, stretches.joined_folds())
+    determined = np.asarray(solution.determined)[size:]
     if not np.all(determined):  # such as an offset where a joint moves one way only
         ends = np.cumsum([columns.shape[1] for columns in inputs])[:-1]
         parts = np.split(determined, ends)
         inputs = [columns[:, kept] for columns, kept in zip(inputs, parts, strict=True)]
         wider = with_columns(problem.equations, inputs)
-    stretch = np.arange(samples) * min(_STRETCHES, samples) // samples
-    k = problem.solution(wider).k[size:]
+        stretches = problem.factors_of_folds(wider, stretch)
+    whole = stretches.joined_folds()
+    k = problem.minimum(wider.unknowns, whole).k[size:]
     without = fold_coefficients(
-        wider.unknowns,
-        wider.times(problem.roots).factors_of_folds(stretch, int(stretch[-1]) + 1),
-        tuple(problem.weights.tolist()),
-        problem.rcond,
+        wider.unknowns, stretches, tuple(problem.weights.tolist()), problem.rcond
     )[:, size:]
-    change = changes_of(problem.stacked(wider), size)
-    stretches = len(without)
+    change = changes_of(np.asarray(whole.stacked(wider.unknowns, problem.weights)), size)
+    number = len(without)
     spread = np.sum(((without - np.mean(without, axis=0)) @ change.T) ** 2, axis=0)
-    return np.sqrt(np.maximum((change @ k) ** 2 - (stretches - 1) / stretches * spread, 0.0))
+    return np.sqrt(np.maximum((change @ k) ** 2 - (number - 1) / number * spread, 0.0))

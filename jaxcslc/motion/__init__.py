@@ -4,6 +4,7 @@ from ._clock import (
     restore_clock as restore_clock,
     uniform_interval as uniform_interval,
 )
+from ._cubic_spline import CubicSpline as CubicSpline
 from ._filters import (
     Butterworth as Butterworth,
     CentralDifferences as CentralDifferences,
@@ -15,11 +16,6 @@ from ._masks import (
     friction_thresholds as friction_thresholds,
     possible_backlash as possible_backlash,
     static_fractions as static_fractions,
-)
-from ._parallel_filter import (
-    FilteredEquations as FilteredEquations,
-    decimation_for as decimation_for,
-    parallel_filter as parallel_filter,
 )
 from ._patterns import (
     Patterns as Patterns,
@@ -65,7 +61,6 @@ from ._smoothing import (
 )
 from ._spacing import choose_spacing as choose_spacing, left_out_error as left_out_error
 from ._splines import AveragedSplines as AveragedSplines
-from ._zero_phase import zero_phase as zero_phase
 from .files import (
     ColumnMapping as ColumnMapping,
     RecordingChunk as RecordingChunk,
@@ -74,4 +69,10 @@ from .files import (
     load_recording as load_recording,
     load_recordings as load_recordings,
     save_recording as save_recording,
+)
+from .low_pass import (
+    FilteredEquations as FilteredEquations,
+    decimation_for as decimation_for,
+    parallel_filter as parallel_filter,
+    zero_phase as zero_phase,
 )

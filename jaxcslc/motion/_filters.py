@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from ._clock import uniform_interval
 from ._smoothing import AbstractSmoothing, Derivatives, register_smoothing
-from ._zero_phase import zero_phase
+from .low_pass import zero_phase
 
 
 @register_smoothing("central_differences")
@@ -172,11 +172,11 @@ class SavitzkyGolay(AbstractSmoothing):
             raise ValueError(
                 f"{time.size} samples; expected {self.window} or more for a window of as many"
             )
-        from scipy.ndimage import correlate1d  # takes a while to import
-
         half = self.window // 2
         weights = _polynomial_weights(self.window, self.order, derivative) / interval**derivative
-        filtered = correlate1d(signal, weights[half], axis=0, mode="nearest")
+        filtered = np.empty(signal.shape)
+        for smoothed, column in zip(filtered.T, signal.T, strict=True):
+            smoothed[half:-half] = np.correlate(column, weights[half], mode="valid")
         filtered[:half] = weights[:half] @ signal[: self.window]
         filtered[-half:] = weights[-half:] @ signal[-self.window :]
         return filtered

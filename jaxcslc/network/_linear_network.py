@@ -1,5 +1,6 @@
 import abc
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -79,7 +80,7 @@ class AbstractLinearNetwork(eqx.Module):
         """`"joint 1"` to `"joint n"`, or as the outputs are called."""
         return tuple(f"{self.output_kind} {label}" for label in self.output_labels)
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
         """Which entries of `k` are which coefficients."""
         return layout_of(self.terms)
@@ -120,7 +121,7 @@ class AbstractLinearNetwork(eqx.Module):
         _, q, qd, qdd = self._checked(None, q, qd, qdd)
         return jnp.concatenate([term.regressor(q, qd, qdd) for term in self.terms], axis=-1)
 
-    @property
+    @cached_property
     def support(self) -> tuple[tuple[int, ...], ...]:
         """For each output, the coefficients that it can depend on, in ascending order."""
         indices = self.layout.split(np.arange(self.size))

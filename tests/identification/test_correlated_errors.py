@@ -14,8 +14,8 @@ from scipy.stats import t as student
 import jaxcslc as jc
 from jaxcslc.identification.solver._equations import Equations
 from jaxcslc.identification.solver._factors import Unknowns
-from jaxcslc.identification.solver._rows import KeptRows, PatternRows
 from jaxcslc.identification.solver._standard_errors import COMPONENTS, Errors, effective_counts
+from jaxcslc.identification.solver.second_pass import KeptRows, PatternRows
 
 from .conftest import ORDINARY, Motion, patterns_of
 

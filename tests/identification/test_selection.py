@@ -1,8 +1,6 @@
 import dataclasses
 import json
-from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ import jaxcslc as jc
 from jaxcslc.identification import TorqueLag, settings_document, settings_from
 from jaxcslc.identification.selection import _selection as selection_module
 from jaxcslc.identification.selection._alignment import settled_alignment
-from jaxcslc.identification.solver._factors import triangle_of
 from jaxcslc.motion import AbstractSmoothing, CentralDifferences, Sampling, register_smoothing
 
 
@@ -64,51 +61,6 @@ def test_candidates_side_by_side_are_those_one_after_the_other(
     assert together.settings == alone.settings
     assert [x.settings for x in together.trials] == [x.settings for x in alone.trials]
     assert [x.score for x in together.trials] == [x.score for x in alone.trials]
-
-
-# Folds
-
-
-def test_triangle_keeps_the_products_of_columns(rng: np.random.Generator):
-    for rows in (1, 3, 40, 5000):
-        batch = rng.normal(size=(2, rows, 7))
-        triangle = triangle_of(batch)
-        assert triangle.shape == (2, 7, 7)
-        np.testing.assert_allclose(
-            np.swapaxes(triangle, 1, 2) @ triangle, np.swapaxes(batch, 1, 2) @ batch, atol=1e-9
-        )
-
-
-@pytest.mark.parametrize("weights", ["equal", "residual"])
-@pytest.mark.parametrize("cutoff", [None, 8.0])
-def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
-    weights: Literal["equal", "residual"], cutoff: float | None, rng: np.random.Generator
-):
-    network = jc.derive(jc.puma560())
-    robot = jc.puma560()
-    assert robot.links is not None
-    true = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
-    samples, folds = 1200, 3
-    q, qd, qdd = rng.normal(size=(3, samples, 6))
-    noise = np.array([3.0, 2.0, 1.0, 0.3, 0.2, 0.1])
-    torque = np.asarray(network.torque(true, q, qd, qdd)) + noise * rng.normal(size=q.shape)
-    counts = rng.uniform(size=q.shape) < 0.8
-    time = np.arange(samples) * INTERVAL
-    patterns = jc.Patterns(time, q, qd, qdd, torque, np.ones_like(counts), counts)
-    fold = np.arange(samples) // (samples // folds)
-    solver = jc.LeastSquares(joint_weights=weights, errors="independent", cutoff=cutoff)
-    equations = solver.equations(network, patterns)
-    k = solver.fit_folds(network, patterns, fold)
-    for number in range(folds):
-        others = equations.selected(fold != number)
-        oracle = solver.fit_equations(others, samples)
-        np.testing.assert_allclose(k[number], oracle.k, rtol=1e-8, atol=1e-8)
-
-    errors = solver.held_out_errors(network, patterns, fold)
-    for number in range(folds):
-        left_out = fold == number
-        predicted = network.torque(jnp.asarray(k[number]), q[left_out], qd[left_out], qdd[left_out])
-        np.testing.assert_allclose(errors[left_out], torque[left_out] - predicted, atol=1e-9)
 
 
 # The choice

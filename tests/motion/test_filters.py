@@ -18,6 +18,8 @@ from jaxcslc.motion import (
 
 
 INTERVAL = 0.002
+# What filters remember of how a record goes on at its ends, and in 10 periods of 12 Hz.
+AT_THE_ENDS, FORGOTTEN = 1e-5, 1e-11
 
 
 def test_differences_by_hand() -> None:
@@ -187,7 +189,11 @@ def test_every_column_goes_through_the_same_filter(
         rows = filtered.joint == joint
         assert filtered.sample[rows].tolist() == list(range(2000))
         expected = zero_phase(regressor[:, joint], INTERVAL, cutoff=12.0)
-        np.testing.assert_allclose(filtered.regressor[rows], expected, atol=1e-12)
+        assert np.ptp(filtered.regressor[rows] - expected) < AT_THE_ENDS
+        inside = slice(400, -400)
+        np.testing.assert_allclose(
+            filtered.regressor[rows][inside], expected[inside], atol=FORGOTTEN
+        )
     np.testing.assert_allclose(filtered.weight, 1.0, atol=1e-9)
 
 

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy import interpolate
 
-from jaxcslc.motion import AveragedSplines, CentralDifferences, find_reversals
+from jaxcslc.motion import AveragedSplines, CentralDifferences, CubicSpline, find_reversals
 
 
 COUNT = 1e-4
@@ -42,7 +42,7 @@ def test_spacing_one_interpolates(rng: np.random.Generator) -> None:
     q, qd, _ = AveragedSplines(1, sections=False).smooth(time, position)
     np.testing.assert_allclose(q[1:-1], position[1:-1], atol=1e-12)
     # Between knots it is the cubic spline; only the end conditions may differ from scipy's own.
-    spline = CubicSpline(time, position)
+    spline = interpolate.CubicSpline(time, position)
     np.testing.assert_allclose(qd[20:30], spline(time, 1)[20:30], rtol=1e-3, atol=1e-2)
 
 
@@ -50,7 +50,7 @@ def test_inside_it_is_the_mean_of_scipy_splines() -> None:
     time = np.arange(400) * INTERVAL
     position = quantised(np.sin(5 * time))[:, None]
     smoothed = AveragedSplines(7, sections=False).smooth(time, position)
-    splines = [CubicSpline(time[n::7], position[n::7, 0]) for n in range(7)]
+    splines = [interpolate.CubicSpline(time[n::7], position[n::7, 0]) for n in range(7)]
     # The influence of an end fades by a factor of 3.7 a knot.
     inside = slice(150, 250)
     for order, values in enumerate(smoothed):
@@ -264,3 +264,16 @@ def test_a_turn_beside_the_ends_of_a_short_record_is_found() -> None:
     (turn,) = find_reversals(time, np.array([0.0, 1.0, 0.2, 0.1, 0.0]), tolerance=0.5, window=1)
     assert turn.direction == -1
     assert 0.0 < turn.time < 0.02
+
+
+@pytest.mark.parametrize("samples", [4, 5, 60])
+def test_interpolating_splines_are_those_of_scipy(rng: np.random.Generator, samples: int) -> None:
+    time, values = uneven(rng, samples), rng.normal(size=(samples, 3))
+    at = np.linspace(time[0] - INTERVAL, time[-1] + INTERVAL, 200)
+    spline, oracle = CubicSpline(time, values), interpolate.CubicSpline(time, values)
+    for derivative in range(3):
+        expected = oracle(at, derivative)
+        scale = np.max(np.abs(expected))
+        np.testing.assert_allclose(spline(at, derivative), expected, atol=1e-10 * scale)
+    with pytest.raises(ValueError, match="3 samples; expected 4"):
+        CubicSpline(time[:3], values[:3])

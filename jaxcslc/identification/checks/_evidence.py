@@ -5,7 +5,6 @@ from operator import itemgetter
 
 import jax
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float
 
 from ...motion import (
@@ -85,7 +84,7 @@ class Evidence:
         valid = valid.copy()
         valid[:ends] = valid[recording.samples - ends :] = False
         reach = int(np.ceil(0.5 / (cutoff * interval)))
-        clear = scipy.ndimage.minimum_filter1d(valid, 2 * reach + 1, axis=0)
+        clear = _far_from_invalid(valid, reach)
         trim = preparation.trimmed(recording)
         inside = slice(trim, recording.samples - trim)
         step = max(1, round(0.2 / (cutoff * interval)), int(np.ceil(patterns.samples / _MOST_ROWS)))
@@ -181,6 +180,16 @@ class Evidence:
             self.relative_errors if patterns is self.patterns else self.errors(patterns, regressor)
         )
         return float(np.mean(np.log(np.clip(errors, 1e-6, 10.0))))
+
+
+def _far_from_invalid(
+    valid: Bool[np.ndarray, "samples joints"], reach: int
+) -> Bool[np.ndarray, "samples joints"]:
+    """True where all samples up to `reach` before and behind are valid."""
+    passed = np.concatenate([np.zeros((1, valid.shape[1]), int), np.cumsum(~valid, axis=0)])
+    sample = np.arange(len(valid))
+    before, behind = np.maximum(sample - reach, 0), np.minimum(sample + reach + 1, len(valid))
+    return passed[behind] == passed[before]
 
 
 def _window(

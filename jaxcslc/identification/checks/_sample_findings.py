@@ -2,7 +2,6 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float
 
 from ...motion import Recording, encoder_resolution, stale_rows
@@ -283,4 +282,12 @@ def _moving(recording: Recording) -> Bool[np.ndarray, " samples"]:
 
 
 def _local_median(values: Float[np.ndarray, "samples joints"]) -> np.ndarray:
-    return scipy.ndimage.median_filter(values, size=(_WINDOW, 1), mode="mirror")
+    """Of as many samples as a window, the signals mirrored at their ends."""
+    half = _WINDOW // 2
+    medians = np.empty(values.shape)
+    for median, column in zip(medians.T, values.T, strict=True):  # windows of one in memory
+        windows = np.lib.stride_tricks.sliding_window_view(
+            np.pad(column, half, mode="reflect"), _WINDOW
+        )
+        median[:] = np.partition(windows, half, axis=1)[:, half]
+    return medians

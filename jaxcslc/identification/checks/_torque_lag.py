@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ...motion import Butterworth, Patterns, Preparation, Recording, zero_phase
+from ...motion import Butterworth, CubicSpline, Patterns, Preparation, Recording, zero_phase
 from ...network import CSLC
 from ..solver import Equations, LeastSquares, Unknowns, regressor_of
 from ._evidence import Evidence
@@ -115,7 +115,7 @@ def _search(evidence: Evidence) -> tuple[float, float]:
     """The best lag of a grid [s], and how much better than no lag it is."""
     patterns = evidence.patterns
     regressor = np.asarray(regressor_of(evidence.network, patterns))
-    spline = scipy.interpolate.make_interp_spline(evidence.time, evidence.torque, k=3)
+    spline = CubicSpline(evidence.time, evidence.torque)
     time = np.asarray(patterns.time)
     farthest = min(_FARTHEST, 0.1 * float(evidence.time[-1] - evidence.time[0]))
     inside = (time > evidence.time[0] + farthest) & (time < evidence.time[-1] - farthest)

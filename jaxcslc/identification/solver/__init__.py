@@ -44,7 +44,6 @@ from ._minimum import (
 )
 from ._preconditioned import Preconditioner as Preconditioner, factors_of as factors_of
 from ._robust import robust_weights as robust_weights
-from ._rows import CosineSums as CosineSums, KeptRows as KeptRows
 from ._sharded import shard_patterns as shard_patterns
 from ._standard_errors import (
     ERRORS as ERRORS,
@@ -58,3 +57,4 @@ from ._weighted_equations import (
     WeightedEquations as WeightedEquations,
     changes_of as changes_of,
 )
+from .second_pass import CosineSums as CosineSums, KeptRows as KeptRows

@@ -92,6 +92,11 @@ class JointFactors(eqx.Module):
             self.counts + other.counts,
         )
 
+    def joined_folds(self) -> "JointFactors":
+        """The factors of all folds together, of NumPy's arrays with a leading axis of folds."""
+        rows = (triangle.reshape(-1, triangle.shape[-1]) for triangle in self.triangles)
+        return JointFactors.of_rows(tuple(map(np.asarray, rows)), np.sum(self.counts, axis=0))
+
     def stacked(
         self, unknowns: Unknowns, weights: Float[Array | np.ndarray, "*batch joints"]
     ) -> Float[Array | np.ndarray, "*batch _ columns"]:
@@ -231,8 +236,9 @@ def triangle_of(rows: Float[np.ndarray, "*batch rows columns"]) -> Float[np.ndar
     at_once = max(2 * columns, _CELLS // columns)
     while rows.shape[-2] > at_once:
         pieces = -(-rows.shape[-2] // at_once)
-        filled = _filled(rows, pieces * at_once)
-        triangles = _upper(filled.reshape(*batch, pieces, at_once, columns))
+        length = -(-rows.shape[-2] // pieces)  # of equal length: few zeros behind the end
+        filled = _filled(rows, pieces * length)
+        triangles = _upper(filled.reshape(*batch, pieces, length, columns))
         rows = triangles.reshape(*batch, pieces * columns, columns)
     return _upper(_filled(rows, max(rows.shape[-2], columns)))
 
@@ -244,5 +250,7 @@ def _upper(rows: np.ndarray) -> np.ndarray:
 
 def _filled(rows: np.ndarray, count: int) -> np.ndarray:
     """Zero rows behind the end."""
+    if rows.shape[-2] == count:
+        return rows
     widths = [(0, 0)] * (rows.ndim - 2) + [(0, count - rows.shape[-2]), (0, 0)]
     return np.pad(rows, widths)

@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Literal
 
 import equinox as eqx
@@ -24,6 +24,7 @@ from ._compiled import (
 from ._equations import Equations, equations_of, pattern_factors, samples_of
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
+from ._fold_products import FoldProducts
 from ._identification import RESULTS, Identification, result_of
 from ._losses import LOSSES, Loss
 from ._minimum import (
@@ -35,7 +36,6 @@ from ._minimum import (
     weighted_minimum,
 )
 from ._robust import robust_residuals
-from ._rows import AbstractRows, KeptRows, PatternRows
 from ._standard_errors import (
     ERRORS,
     Errors,
@@ -44,6 +44,7 @@ from ._standard_errors import (
     with_errors,
 )
 from ._streaming import are_many, factors_of_patterns, factors_of_stream
+from .second_pass import AbstractRows, KeptRows, PatternRows
 
 
 JointWeights = (
@@ -227,14 +228,34 @@ class LeastSquares:
         return equations_of(network, patterns, self.cutoff)
 
     def fit_folds(
-        self, network: AbstractLinearNetwork, patterns: Patterns, fold: Int[np.ndarray, " samples"]
+        self,
+        network: AbstractLinearNetwork,
+        patterns: Patterns,
+        fold: Int[np.ndarray, " samples"],
+        columns: HostColumns | None = None,
     ) -> Float[np.ndarray, "folds coefficients"]:
         """The coefficients fitted to all folds but one, for each one left out; on the host.
 
-        - `fold`: the fold of each sample, from 0.
+        - `fold`, `columns`: as of `held_out_errors`.
         """
-        check_patterns(network, patterns)
-        return self._fit_folds(network, patterns, columns_of(network, patterns), fold)
+        if columns is None:
+            check_patterns(network, patterns)
+            columns = columns_of(network, patterns)
+        unknowns, cutoff = Unknowns.of(network), self.cutoff
+        equations = None if cutoff is None else equations_of(network, patterns, cutoff, columns)
+        if self.loss == "squared" and self.rcond is None:
+            if equations is None:
+                products = FoldProducts.of_columns(unknowns, columns, patterns, fold)
+            else:
+                products = FoldProducts.of_equations(equations, fold)
+            if (k := products.coefficients(self.joint_weights)) is not None:
+                return k
+        if equations is None:
+            equations = equations_of(network, patterns, None, columns)
+        if self.loss == "squared":
+            factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
+            return fold_coefficients(unknowns, factors, self.joint_weights, self.rcond)
+        return np.stack([np.asarray(fit.k) for fit in self._iterated_folds(equations, fold)])
 
     def fits_without_folds(
         self,
@@ -248,15 +269,10 @@ class LeastSquares:
         - `fold`, `columns`: as of `held_out_errors`.
         """
         equations = equations_of(network, patterns, self.cutoff, columns)
-        folds = int(np.max(fold)) + 1
         if self.loss == "squared":
-            factors = equations.factors_of_folds(fold, folds)
+            factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
             return fold_fits(equations.unknowns, factors, self.joint_weights, self.rcond)
-        solver = dataclasses.replace(self, errors="independent")
-        fits = (
-            solver.fit_equations(equations.selected(fold != number), len(fold), throw=False)
-            for number in range(folds)
-        )
+        fits = self._iterated_folds(equations, fold)
         return tuple(
             FoldFit(*map(np.asarray, (fit.k, fit.covariance, fit.undetermined))) for fit in fits
         )
@@ -277,7 +293,7 @@ class LeastSquares:
         if columns is None:
             check_patterns(network, patterns)
             columns = columns_of(network, patterns)
-        k = self._fit_folds(network, patterns, columns, fold)
+        k = self.fit_folds(network, patterns, fold, columns)
         errors = np.array(patterns.torque, float)
         for number, coefficients in enumerate(k):
             rows = samples_of(fold, number)
@@ -285,25 +301,13 @@ class LeastSquares:
             errors[rows] -= torque_by(network.support, part, coefficients)
         return errors
 
-    def _fit_folds(
-        self,
-        network: AbstractLinearNetwork,
-        patterns: Patterns,
-        columns: HostColumns,
-        fold: Int[np.ndarray, " samples"],
-    ) -> Float[np.ndarray, "folds coefficients"]:
-        equations = equations_of(network, patterns, self.cutoff, columns)
-        folds = int(np.max(fold)) + 1
-        if self.loss == "squared":
-            factors = equations.factors_of_folds(fold, folds)
-            return fold_coefficients(equations.unknowns, factors, self.joint_weights, self.rcond)
-        # Iterative, so one after the other.
+    def _iterated_folds(
+        self, equations: Equations, fold: Int[np.ndarray, " samples"]
+    ) -> Iterator[Identification]:
+        """Fits of a robust loss without each fold, which are iterative: one after the other."""
         solver = dataclasses.replace(self, errors="independent")
-        fits = (
-            solver.fit_equations(equations.selected(fold != number), len(fold), throw=False)
-            for number in range(folds)
-        )
-        return np.stack([np.asarray(fit.k) for fit in fits])
+        for number in range(int(np.max(fold)) + 1):
+            yield solver.fit_equations(equations.selected(fold != number), len(fold), throw=False)
 
     @property
     def description(self) -> str:

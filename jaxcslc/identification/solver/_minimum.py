@@ -1,6 +1,6 @@
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -94,9 +94,25 @@ def minimum(
     return _among(xp, solution, fixed, -half @ xp.swapaxes(left, -1, -2) @ reduced.others)
 
 
+@runtime_checkable
+class Reduced(Protocol):
+    """What weighting joints by residual needs of equations that factors or products stand for."""
+
+    @property
+    def counts(self) -> Float[Numbers, "*batch joints"]:
+        """Equations of each joint."""
+        ...
+
+    def root_mean_squares(
+        self, unknowns: Unknowns, k: Float[Numbers, "*batch coefficients"]
+    ) -> Float[Numbers, "*batch joints"]:
+        """Torque error of each joint."""
+        ...
+
+
 def weighted_minimum(
     unknowns: Unknowns,
-    factors: JointFactors,
+    factors: Reduced,
     joint_weights: Any,
     solve: Callable[[Any], Any],
 ) -> tuple[Any, Any]:

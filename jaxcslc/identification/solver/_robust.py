@@ -6,8 +6,8 @@ from ._factors import JointFactors
 from ._fixed import Fixed
 from ._losses import Loss, influence, robust_scale, slope, weight
 from ._minimum import Solution, minimum
-from ._rows import AbstractRows
 from ._standard_errors import Residuals
+from .second_pass import AbstractRows
 
 
 # Coefficients that change by less than this part of themselves have converged. Huber's rounds take

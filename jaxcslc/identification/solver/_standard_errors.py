@@ -9,7 +9,7 @@ from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 from ._identification import RESULTS, Identification
 from ._minimum import Numbers, Solution
-from ._rows import AbstractRows, CosineSums
+from .second_pass import AbstractRows, CosineSums
 
 
 Errors = Literal["independent", "correlated"]

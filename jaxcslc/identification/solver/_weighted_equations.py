@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from ..._rank import pseudo_inverse
 from ._equations import Equations
+from ._factors import JointFactors, Unknowns
 from ._least_squares import LeastSquares
 from ._losses import Loss, robust_scale, weight
 from ._minimum import Solution, minimum, residual_weights
@@ -49,14 +50,20 @@ class WeightedEquations:
 
     def solution(self, equations: Equations) -> Solution:
         """The minimum of other equations of the same pairs, with the same weights."""
-        factors = equations.times(self.roots).factors()
-        return minimum(equations.unknowns, factors, self.weights, self.rcond)
+        return self.minimum(equations.unknowns, equations.times(self.roots).factors())
 
-    def stacked(self, equations: Equations) -> Float[np.ndarray, "rows columns"]:
-        """Triangles of other equations of the same pairs, weighted, in the columns of all
-        unknowns and the torque."""
-        factors = equations.times(self.roots).factors()
-        return np.asarray(factors.stacked(equations.unknowns, self.weights))
+    def factors_of_folds(
+        self, equations: Equations, fold: Int[np.ndarray, " samples"]
+    ) -> JointFactors:
+        """Those of other equations of the same pairs, each fold by itself.
+
+        - `fold`: the fold of each sample, from 0.
+        """
+        return equations.times(self.roots).factors_of_folds(fold, int(fold[-1]) + 1)
+
+    def minimum(self, unknowns: Unknowns, factors: JointFactors) -> Solution:
+        """The minimum of factorised equations, joints weighted as here."""
+        return minimum(unknowns, factors, self.weights, self.rcond)
 
     def shifts(
         self, torques: Sequence[Float[np.ndarray, "_ changes"]]

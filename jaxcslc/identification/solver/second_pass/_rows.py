@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace
-from ...network import AbstractLinearNetwork
-from ._equations import Equations
-from ._factors import JointFactors, Unknowns, factorise, join_rows
-from ._minimum import Numbers
+from ...._environment import array_namespace
+from ....network import AbstractLinearNetwork
+from .._equations import Equations
+from .._factors import JointFactors, Unknowns, factorise, join_rows
+from .._minimum import Numbers
+from ._cosine_moments import FEWEST_INSTANTS, blocks_for, cosine_grams
 
 
 # Patterns that are expanded into regressor rows at once, as in `factorise`.
@@ -267,6 +268,8 @@ class KeptRows(AbstractRows):
         sums = empty = CosineSums.empty(xp, self.of.size, len(used))
         whole = (self.columns, residual, self.counts * weights[None, :] ** 2, self.phase)
         instants = len(self.phase)
+        if xp is np and len(self.counts) >= FEWEST_INSTANTS * blocks_for(len(used)):
+            return self._long_cosine_sums(residual, whole[2], used)
         if xp is np:
             for start in range(0, instants, _HOST_BLOCK):
                 part = itemgetter(slice(start, start + _HOST_BLOCK))
@@ -277,3 +280,28 @@ class KeptRows(AbstractRows):
         # Block by block: there are as many products of rows and cosines as components.
         blocks = jax.tree.map(lambda x: x.reshape(-1, _BLOCK, *x.shape[1:]), whole)
         return jax.lax.scan(plus, empty, blocks)[0]
+
+    def _long_cosine_sums(
+        self,
+        residual: Float[np.ndarray, "instants joints"],
+        weight: Float[np.ndarray, "instants joints"],
+        used: Float[np.ndarray, " components"],
+    ) -> CosineSums:
+        """`cosine_sums` of many instants on the host, all components used.
+
+        - `weight`: of rows, squared.
+        """
+        # Zeros behind the end are no part of the recording.
+        end = int(np.flatnonzero(np.any(self.counts > 0.0, axis=1))[-1]) + 1
+        phase, components = self.phase[:end], len(used)
+        number = np.arange(1, components + 1)
+        cosines = np.sqrt(2.0) * np.cos(np.pi * number[:, None] * phase)
+        square = np.sum(cosines**2, axis=0)
+        sums, grams, power = CosineSums.empty(np, self.of.size, components)
+        for joint, (support, columns) in enumerate(zip(self.of.support, self.columns, strict=True)):
+            rows, at = columns[:end], np.array(support, dtype=int)
+            weighted = (weight[:end, joint] * square)[:, None] * rows
+            sums[:, at] += (cosines * residual[:end, joint]) @ rows
+            grams[:, at[:, None], at] += cosine_grams(rows, weight[:end, joint], phase, components)
+            power[at[:, None], at] += weighted.T @ rows
+        return CosineSums(sums, grams, power)

@@ -45,16 +45,7 @@ def zero_phase(
     >>> bool(np.allclose(zero_phase(np.ones((100, 2)), 0.01, cutoff=5.0), 1.0))
     True
     """
-    if not 0.0 < cutoff < 0.5 / interval:
-        raise ValueError(
-            f"cut-off is {cutoff} Hz; expected more than 0 and less than half the sampling rate "
-            f"of {1.0 / interval:.6g} Hz"
-        )
-    fewest = 3 * (order + 1)
-    if signal.shape[0] < fewest:
-        raise ValueError(
-            f"{signal.shape[0]} samples; expected {fewest} or more for a filter of order {order}"
-        )
+    check_low_pass(signal.shape[0], interval, cutoff, order)
     if not signal.size:
         return np.zeros(signal.shape)
     low_pass = _butterworth(order, cutoff * interval)
@@ -66,6 +57,21 @@ def zero_phase(
     forwards = low_pass.run(np.concatenate([before, x, after]))
     both = low_pass.run(forwards[::-1])[::-1]
     return both[padding : padding + len(x)].reshape(signal.shape)
+
+
+def check_low_pass(samples: int, interval: float, cutoff: float, order: int) -> None:
+    """**Raises** `ValueError` for a cut-off that is not between 0 and half the sampling rate, and
+    for fewer samples than the filter needs to start from."""
+    if not 0.0 < cutoff < 0.5 / interval:
+        raise ValueError(
+            f"cut-off is {cutoff} Hz; expected more than 0 and less than half the sampling rate "
+            f"of {1.0 / interval:.6g} Hz"
+        )
+    fewest = 3 * (order + 1)
+    if samples < fewest:
+        raise ValueError(
+            f"{samples} samples; expected {fewest} or more for a filter of order {order}"
+        )
 
 
 class _LowPass(NamedTuple):

@@ -2,7 +2,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._zero_phase import zero_phase
+from ._decimated_low_pass import decimated_low_pass
 
 
 class FilteredEquations(eqx.Module):
@@ -125,17 +125,20 @@ def parallel_filter(
     columns: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []
     for joint in range(joints):
         valid = mask[:, joint]
-        weight = zero_phase(valid.astype(np.float64), interval, cutoff=cutoff, order=order)
-        sides = np.concatenate([regressor[:, joint], torque[:, joint, None]], axis=1)
+        # Torque and mask are filtered like columns of the regressor.
+        sides = np.zeros((coefficients + 2, samples))
+        np.copyto(sides[:-2], regressor[:, joint].T, where=valid)
+        np.copyto(sides[-2], torque[:, joint], where=valid)
+        sides[-1] = valid
         # Empty columns, of coefficients that have no part in this joint, are not worth a filter.
-        present = np.flatnonzero(valid.astype(float) @ np.abs(sides))
-        filtered = np.zeros((kept.size, coefficients + 1))
-        filtered[:, present] = zero_phase(
-            np.where(valid[:, None], sides[:, present], 0.0), interval, cutoff=cutoff, order=order
-        )[kept]
-        enough = weight[kept] >= least_weight
-        regressors.append(filtered[enough, :-1])
-        columns.append((filtered[enough, -1], joint, kept[enough], weight[kept][enough]))
+        present = np.flatnonzero(np.any(sides, axis=1))
+        sides = sides if present.size == len(sides) else sides[present]
+        filtered = np.zeros((coefficients + 2, kept.size))
+        filtered[present] = decimated_low_pass(sides, kept, interval, cutoff=cutoff, order=order)
+        enough = filtered[-1] >= least_weight
+        remaining = filtered[:, enough]
+        regressors.append(remaining[:-2].T)
+        columns.append((remaining[-2], joint, kept[enough], remaining[-1]))
     return FilteredEquations(
         regressor=np.concatenate(regressors),
         torque=np.concatenate([rows for rows, *_ in columns]),
