@@ -16,13 +16,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
+import numpy as np
+import pinocchio
 
 import jaxcslc as jc
 import sim
+from scripts.benchmarks.c_code import pinocchio_model
+from scripts.benchmarks.metrics import Metric
 from scripts.benchmarks.robot import published, recording_of
 
 
@@ -98,6 +102,33 @@ def command(folder: Path, *arguments: str) -> tuple[float, float]:
     after, wall = os.times(), time.perf_counter() - start
     used = after.children_user + after.children_system
     return used - before.children_user - before.children_system, wall
+
+
+def metrics() -> Iterator[Metric]:
+    """`jaxcslc identify` on 3,300 samples of a PUMA 560, the whole process, beside the regression
+    that a script of Pinocchio and NumPy does."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        recording = sim.simulate(sim.puma560(), sim.training(samples=3300), seed=1).recording
+        jc.save_recording(recording, folder / "train.csv")
+        call = ("identify", "puma560", str(folder / "train.csv"), "-o", str(folder / "out"))
+        command(folder, "--help")  # stores byte code
+        for run, target in (("first", 8.0), ("later", 2.5)):
+            used, wall = command(folder, *call)
+            key = f"identify.puma560.{run}_run"
+            yield Metric(key, wall, "s", "lower", 0.5, target)
+            yield Metric(f"{key}.processor", used, "s", "lower", 0.5)
+    robot = jc.puma560()
+    model = pinocchio_model(robot, robot.links or ())
+    data = model.createData()
+    start = time.perf_counter()
+    interval = float(np.median(np.diff(recording.time)))
+    qd = np.gradient(recording.position, interval, axis=0)
+    motion = zip(recording.position, qd, np.gradient(qd, interval, axis=0), strict=True)
+    rows = [pinocchio.computeJointTorqueRegressor(model, data, *state).copy() for state in motion]
+    np.linalg.lstsq(np.concatenate(rows), recording.torque.ravel(), rcond=None)
+    seconds = time.perf_counter() - start
+    yield Metric("identify.pinocchio_and_numpy", seconds, "s", "lower", 0.5)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

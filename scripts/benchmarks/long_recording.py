@@ -12,7 +12,7 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio
 from jaxtyping import Float
 
+from scripts.benchmarks.metrics import Metric
 from scripts.studies.checks.arms import GEARED, urdf
 
 
@@ -35,20 +36,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.samples < 1000:
         parser.error(f"--samples: expected 1000 or more, got {options.samples}")
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        write_recording(folder, options.samples)
-        call = ["identify", "arm.urdf", "log.npz", "-o", "out", "--memory", str(options.memory)]
-        start = time.perf_counter()
-        done = subprocess.run([sys.executable, "-c", _COMMAND, *call], cwd=folder, check=False)
-        seconds = time.perf_counter() - start
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor, peak = used.ru_utime + used.ru_stime, used.ru_maxrss / 1e6  # kilobytes on Linux
+    status, figures = identified(options.samples, options.memory)
+    seconds, processor, peak = figures
     print(
         f"{options.samples} samples of 7 joints: {seconds:.0f} s, {processor:.0f} s of processor"
         f" time, at most {peak:.2f} GB"
     )
-    return done.returncode
+    return status
+
+
+def metrics() -> Iterator[Metric]:
+    """Time and memory of 600,000 samples."""
+    _, (seconds, processor, peak) = identified(600_000, 2.0, quiet=True)
+    yield Metric("identify.600000_samples", seconds, "s", "lower", 0.5, 60.0)
+    yield Metric("identify.600000_samples.processor", processor, "s", "lower", 0.5)
+    yield Metric("identify.600000_samples.peak_memory", peak, "GB", "lower", 0.1, 3.0)
+
+
+def identified(
+    samples: int, memory: float, *, quiet: bool = False
+) -> tuple[int, tuple[float, float, float]]:
+    """Exit status, seconds, processor seconds and peak memory [GB] of a process of its own."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        write_recording(folder, samples)
+        call = ["identify", "arm.urdf", "log.npz", "-o", "out", "--memory", str(memory)]
+        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-c", _COMMAND, *call], cwd=folder, check=False, capture_output=quiet
+        )
+        seconds = time.perf_counter() - start
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+    return done.returncode, (seconds, processor, used.ru_maxrss / 1e6)  # kilobytes on Linux
 
 
 def write_recording(folder: Path, samples: int) -> None:

@@ -1,7 +1,7 @@
 """Named metrics with unit and direction, timing, and the comparison with a baseline."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -10,13 +10,18 @@ import jax
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure. `tolerance` is the relative change that counts as one."""
+    """One figure.
+
+    - `tolerance`: the relative change that counts as one.
+    - `target`: what is to be reached, if anything.
+    """
 
     name: str
     value: float
     unit: str
     better: Literal["lower", "higher"]
     tolerance: float = 0.25
+    target: float | None = None
 
 
 def best_of(function: Callable[[], Any], repeats: int = 5) -> float:
@@ -29,7 +34,7 @@ def best_of(function: Callable[[], Any], repeats: int = 5) -> float:
     return min(times)
 
 
-def report(metrics: list[Metric], baseline: dict[str, Any]) -> int:
+def report(metrics: Sequence[Metric], baseline: Mapping[str, float]) -> int:
     """Prints metrics beside the baseline.
 
     **Returns** how many became worse by more than their tolerance.
@@ -38,7 +43,7 @@ def report(metrics: list[Metric], baseline: dict[str, Any]) -> int:
     print(f"{'metric':32} {'value':>10} {'baseline':>10} {'change':>8}  unit")
     for metric in metrics:
         line = f"{metric.name:32} {metric.value:10.4g}"
-        before = baseline.get(metric.name, {}).get("value")
+        before = baseline.get(metric.name)
         if before:
             change = metric.value / before - 1
             bad = change > metric.tolerance
@@ -48,5 +53,6 @@ def report(metrics: list[Metric], baseline: dict[str, Any]) -> int:
             line += f" {before:10.4g} {change:+8.1%}{'!' if bad else ' '}"
         else:
             line += f" {'-':>10} {'':8} "
-        print(f"{line} {metric.unit}, {metric.better} is better")
+        aim = "" if metric.target is None else f", target {metric.target:g}"
+        print(f"{line} {metric.unit}, {metric.better} is better{aim}")
     return worse

@@ -7,13 +7,14 @@ recordings are compared with C MuJoCo's before they are timed.
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import numpy as np
 from tqdm import tqdm
 
 import sim
+from scripts.benchmarks.metrics import Metric
 
 
 jax.config.update("jax_enable_x64", True)
@@ -37,6 +38,18 @@ def disagreement(backend: str) -> float:
         float(np.abs(one.truth.position - other.truth.position).max())
         for one, other in zip(together, alone, strict=True)
     )
+
+
+def metrics(machines: int = 64) -> Iterator[Metric]:
+    """Recordings of one machine with every disturbance under C MuJoCo, all cores."""
+    trajectory, puma = sim.training(), sim.disturbed(sim.puma560())
+    jobs = [sim.Job(puma, trajectory, seed) for seed in range(machines)]
+    steps = machines * (trajectory.samples - 1) * round(trajectory.sample_interval / puma.time_step)
+    start = time.perf_counter()
+    for _ in sim.record_each(jobs):
+        pass
+    rate = steps / (time.perf_counter() - start)
+    yield Metric("recording.mujoco.disturbed", rate / 1e3, "thousand steps/s", "higher")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -11,6 +11,7 @@ a copy and a large product reach in the same run.
 
 import argparse
 import json
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -31,7 +32,7 @@ from jaxcslc.identification.solver import (
     factors_of,
     minimum,
 )
-from scripts.benchmarks.metrics import best_of
+from scripts.benchmarks.metrics import Metric, best_of
 
 
 jax.config.update("jax_enable_x64", True)
@@ -39,6 +40,8 @@ jax.config.update("jax_enable_x64", True)
 # Of one robot's patterns; the Panda's rows are twice as many and ten times as costly.
 _ROBOTS = {"puma560": 1.0, "panda": 0.2}
 _ACCURACY_PATTERNS = 1 << 16
+# Million patterns/s to be reached.
+_TARGETS = {"puma560, 1 gpu": 1500.0, "panda, 1 gpu": 400.0}
 _SOLVER = jc.LeastSquares(joint_weights="equal", errors="independent")
 
 Row = dict[str, Any]
@@ -180,6 +183,30 @@ def rows(patterns: int, cores: int | None) -> Iterator[Row]:
             yield solve_rate(name, count, ceiling, 2)
             yield solve_rate(name, 2 * count, ceiling, 2)
     yield stream_rate("puma560", patterns // 2, None)
+
+
+def metrics() -> Iterator[Metric]:
+    """Of all GPUs with 10⁸ patterns, or of the cores alone with 8 million."""
+    on_gpu = jax.default_backend() != "cpu"
+    for row in rows(int(1e8), None if on_gpu else int(8e6)):
+        yield from metrics_of(row)
+
+
+def metrics_of(row: Row) -> Iterator[Metric]:
+    """The figures of a row, by its name."""
+    name = re.sub(r"[^a-z0-9.]+", "_", row["row"].lower()).strip("_")
+    directions = {"compile s": "lower", "largest difference, standard errors": "lower"}
+    units = {"compile s": "s", "million patterns/s": "million patterns/s"}
+    for key, value in row.items():
+        if key in ("row", "patterns", "seconds") or key.endswith("a pattern"):
+            continue
+        figure = re.sub(r"[^a-z0-9]+", "_", key.lower()).strip("_")
+        unit = units.get(key, key if "/" in key else "1")
+        target = None
+        if key == "million patterns/s" and row["row"] in _TARGETS:
+            target = _TARGETS[row["row"]]
+        better = "lower" if directions.get(key) == "lower" else "higher"
+        yield Metric(f"{name}.{figure}", float(value), unit, better, target=target)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

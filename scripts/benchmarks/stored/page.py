@@ -1,0 +1,58 @@
+"""The page of benchmarks: a table a group and machine, written from the committed figures."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from scripts.benchmarks.groups import GROUPS
+from scripts.benchmarks.metrics import Metric
+from scripts.benchmarks.stored.results import Measurement
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "benchmarks.md"
+_BEGINNING = """# Benchmarks
+
+Figures of `make bench`, with the machine and the day that they were measured on: this page is
+written by `make bench ARGS=--update`. A group that was not run again keeps its figures and their
+date: `make bench ARGS="--groups 'first answer' --update"`. Figures of another machine come along in
+a file (`--out FILE` there, `--merge FILE` here). What limits the figures, and how they came about,
+is on [Speed and scale](scale.md).
+
+Seconds are wall-clock time unless they are a processor's; other programs may have run beside.
+Compiling and running are apart, and rates wait for their results. A target that is met is **bold**.
+"""
+
+
+def page(measurements: Iterable[Measurement]) -> str:
+    """The page in Markdown, groups in the order in which they are listed."""
+    by_group: dict[str, list[Measurement]] = {}
+    for measurement in measurements:
+        by_group.setdefault(measurement.group, []).append(measurement)
+    parts = [_BEGINNING]
+    for name, group in GROUPS.items():
+        if name not in by_group:
+            continue
+        parts.append(f"## {name[0].upper()}{name[1:]}\n\n{group.text}\n")
+        parts += [_table(measurement) for measurement in by_group[name]]
+    return "\n".join(parts)
+
+
+def _table(measurement: Measurement) -> str:
+    targets = any(metric.target is not None for metric in measurement.metrics)
+    head = ["figure", "value", "unit", "better", *(["target"] if targets else [])]
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for metric in measurement.metrics:
+        value = f"**{metric.value:.3g}**" if _met(metric) else f"{metric.value:.3g}"
+        unit = "" if metric.unit == "1" else metric.unit
+        cells = [f"`{metric.name}`", value, unit, metric.better]
+        if targets:
+            cells.append("" if metric.target is None else f"{metric.target:g}")
+        lines.append(f"| {' | '.join(cells)} |")
+    return f"{measurement.machine}; {measurement.date}:\n\n" + "\n".join(lines) + "\n"
+
+
+def _met(metric: Metric) -> bool:
+    if metric.target is None:
+        return False
+    if metric.better == "lower":
+        return metric.value <= metric.target
+    return metric.value >= metric.target
