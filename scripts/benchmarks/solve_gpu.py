@@ -41,7 +41,12 @@ jax.config.update("jax_enable_x64", True)
 _ROBOTS = {"puma560": 1.0, "panda": 0.2}
 _ACCURACY_PATTERNS = 1 << 16
 # Million patterns/s to be reached.
-_TARGETS = {"puma560, 1 gpu": 1500.0, "panda, 1 gpu": 400.0}
+_TARGETS = {
+    "puma560, 1 gpu": 1500.0,
+    "panda, 1 gpu": 400.0,
+    "puma560 streamed, cpu, workers 2": 2.5,
+    "puma560 streamed, cpu, workers 16": 15.0,
+}
 _SOLVER = jc.LeastSquares(joint_weights="equal", errors="independent")
 
 Row = dict[str, Any]
