@@ -55,6 +55,7 @@ from ._excite_options import (
     ForOption,
     LimitsOption,
     MotionOption,
+    PayloadOption,
     PriorReportOption,
     RateOption,
     ReachOption,
@@ -75,6 +76,7 @@ def excite_command(
     rate: RateOption = 500.0,
     family: FamilyOption = "splines",
     wanted: ForOption = None,
+    payload: PayloadOption = None,
     criterion: CriterionOption = "overall",
     prior: PriorReportOption = None,
     after: AfterOption = None,
@@ -102,11 +104,13 @@ def excite_command(
         _check_options(output, family, criterion, starts)
         arm = robot_named(robot, base, tip, fix, mimic)
         before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
+        names = None if wanted is None else names_in(wanted)
+        if payload is not None:
+            before, names = before.carrying(payload), names or ["payload"]
         bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
         stated = _stated_noise(torque_noise, torque_offset, encoder) | {"estimator": estimator}
         stated["rate"] = rate if "rate" in typed_options(context) else before.rate(rate)
         noise = _noise(before, bounds, stated)
-        names = None if wanted is None else names_in(wanted)
         if reached := _reached(before, names, reach):
             return typer.echo(reached)
         design = design_motion(
@@ -152,6 +156,12 @@ class _Before:
     def rate(self, default: float) -> float:
         """Of samples [Hz]."""
         return default if self.sampling is None else 1.0 / self.sampling.interval
+
+    def carrying(self, mass: float) -> "_Before":
+        """The same arm with a payload of about that mass [kg]."""
+        network = self.network.with_payload()
+        knowledge = self.knowledge.with_payload(network, mass)
+        return dataclasses.replace(self, network=network, knowledge=knowledge)
 
 
 def _before(

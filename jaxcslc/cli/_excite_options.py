@@ -7,7 +7,7 @@ import typer
 MotionOption = Annotated[
     Path,
     typer.Option(
-        "-o", "--output", help="CSV file of the motion; .yaml, .h and .html go beside it."
+        "-o", "--output", help="CSV file of the motion; .yaml, .json, .h and .html go beside it."
     ),
 ]
 DurationOption = Annotated[float, typer.Option(help="Of the motion [s].")]
@@ -30,6 +30,15 @@ ForOption = Annotated[
         "--for",
         metavar="NAMES",
         help="Coefficients that matter, by group or name as in viscous,kd5; all if omitted.",
+    ),
+]
+PayloadOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="KG",
+        help="Design for a payload of about this mass at the last link, which payload identifies:"
+        " its coefficients are those that matter, unless --for names others. What --prior or"
+        " --after say of the arm counts as known.",
     ),
 ]
 CriterionOption = Annotated[

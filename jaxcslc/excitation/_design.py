@@ -44,6 +44,7 @@ FAMILIES: tuple[FamilyName, ...] = get_args(FamilyName)
 _KNOT, _HARMONIC, _MOVE = 0.35, 0.6, 1.1
 _COARSEST, _FINEST, _SAMPLES = 0.04, 0.01, 1000  # of the grid that motions are judged on
 _REPAIRS, _REPAIR_PENALTY, _BESIDE = 4, 200.0, 0.004  # of distances to other bodies [m]
+_NEAR = 1.002  # of a limit: shrinking by so little costs nothing
 _RESTS = 200  # poses that are tried for a start
 
 
@@ -82,7 +83,7 @@ def design_motion(
     start: Float[np.ndarray, " joints"] | None = None,
     seed: int = 0,
     starts: int = 3,
-    rounds: int = 7,
+    rounds: int = 5,
     steps: int = 60,
     progress: Callable[[str], None] | None = None,
 ) -> Design:
@@ -256,16 +257,22 @@ class Planner:
         return self.described(parameters, use, self.criterion_of(parameters), scale, notes)
 
     def _repair(self, search: Search, steps: int) -> None:
-        """Once more from where a search ended, a little further away from other bodies, as long as
-        linear distances were not enough."""
+        """Once more from where a search ended, with limits a little narrower where the dense check
+        says that a motion exceeds them between the search's samples, and a little further away from
+        other bodies, as long as linear distances were not enough."""
         bodies, beside = self.bodies, _BESIDE
-        for _ in range(0 if bodies is None else _REPAIRS):
+        for _ in range(_REPAIRS):
             parameters = self._of_variables(search.best)
-            if bodies is None or self.check.use(parameters).feasible:
+            use = self.check.use(parameters)
+            apart = use.distance is None or use.distance >= 0.0
+            if apart and max(float(x.max()) for x in use.joints.values()) <= _NEAR:
                 return
-            beside *= 1.5
-            search.contacts = functools.partial(bodies.contacts, beside=beside)
-            search.run(self.problem.variables(parameters), 2, steps, _REPAIR_PENALTY)
+            search.problem = search.problem.narrowed(use.joints)
+            if bodies is not None and not apart:
+                beside *= 1.5
+                search.contacts = functools.partial(bodies.contacts, beside=beside)
+            x = self.problem.variables(parameters)
+            search.run(x, 2, steps, _REPAIR_PENALTY, search.multipliers)
 
     def _of_variables(self, x: Any) -> Parameters:
         return np.asarray(self.problem.parameters(jnp.asarray(x)))

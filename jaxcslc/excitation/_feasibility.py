@@ -73,6 +73,19 @@ class Use:
         return "margins: " + ", ".join(parts)
 
 
+def without_jumps(
+    network: CSLC, k: Float[np.ndarray, " coefficients"]
+) -> Float[np.ndarray, " coefficients"]:
+    """(p,) coefficients, zeros for those of friction that jumps where a joint reverses."""
+    layout, smooth = network.layout, np.array(k, float)
+    for kind in layout.kinds:
+        part = layout.of(kind)
+        friction = np.isin(np.arange(layout.size)[part], layout.friction).any()
+        if friction and kind not in _SMOOTH:
+            smooth[part] = 0.0
+    return smooth
+
+
 class DenseCheck:
     """Whether a motion keeps all limits, at all times.
 
@@ -115,13 +128,7 @@ class DenseCheck:
         self._basis = [family.basis(self._time, order) for order in range(4)]
         self._distance = distance
         if k is not None:
-            self._smooth = np.array(k, float)
-            layout = network.layout
-            for kind in layout.kinds:
-                part = layout.of(kind)
-                friction = np.isin(np.arange(layout.size)[part], layout.friction).any()
-                if friction and kind not in _SMOOTH:
-                    self._smooth[part] = 0.0
+            self._smooth = without_jumps(network, k)
 
     def use(self, parameters: Parameters, *, bodies: bool = True) -> Use:
         """How much of each limit a motion uses; `bodies`: look for collisions too."""

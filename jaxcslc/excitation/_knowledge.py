@@ -74,6 +74,41 @@ class Knowledge:
         rows = rows / np.sqrt(ratio)
         return cls(k, rows.T @ rows, np.asarray(fit.standard_error))
 
+    def with_payload(self, network: CSLC, mass: float) -> "Knowledge":
+        """The same, and of a payload only about how heavy it is: for torques, not as a prior.
+
+        **Arguments**
+
+        - `network`: with a payload, `network.with_payload()`.
+        - `mass`: of the payload, a point at the origin of the frame that carries it [kg].
+
+        **Raises**
+
+        - `ValueError`: the network has no payload or other coefficients beside it; a negative mass.
+
+        >>> import jaxcslc as jc
+        >>> from jaxcslc.excitation import Knowledge
+        >>> network = jc.derive(jc.puma560())
+        >>> loaded = network.with_payload()
+        >>> knowledge = Knowledge.of_robot(network).with_payload(loaded, 2.0)
+        >>> dict(zip(loaded.names, knowledge.k.tolist()))["pm"]
+        2.0
+        """
+        layout = network.layout
+        added = layout.size - len(self.k)
+        if layout.payload != slice(len(self.k), layout.size) or not added:
+            raise ValueError(
+                f"payload: expected a network with {len(self.k)} coefficients and a payload's ten,"
+                f" got {layout.size} coefficients"
+            )
+        if not 0.0 <= mass < np.inf:
+            raise ValueError(f"payload: mass is {mass}; expected 0 kg or more")
+        k = np.pad(self.k, (0, added))
+        k[layout.names.index("pm")] = mass
+        information = None if self.information is None else np.pad(self.information, (0, added))
+        error = np.pad(self.standard_error, (0, added), constant_values=np.inf)
+        return Knowledge(k, information, error, self.is_model)
+
     def after(
         self, covariance: Square, k: Float[Array | np.ndarray, " coefficients"] | None = None
     ):

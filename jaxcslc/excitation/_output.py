@@ -19,7 +19,7 @@ def save_design(
 
     - `NAME.csv`: columns `time`, `position_1`, ..., `velocity_1`, ..., `acceleration_1`, ..., or by
       the joints' names where they have some; SI units.
-    - `NAME.yaml`: a message `trajectory_msgs/JointTrajectory` of ROS.
+    - `NAME.yaml`, `NAME.json`: a message `trajectory_msgs/JointTrajectory` of ROS.
     - `NAME.h`: a C array of positions.
     - `NAME.html`: a page with the motion against its limits and the errors that it will bring.
 
@@ -43,6 +43,7 @@ def save_design(
     texts = {
         ".csv": csv_text(design.network, time, q, qd, qdd),
         ".yaml": trajectory_yaml(design.network, time, q, qd, qdd),
+        ".json": trajectory_json(design.network, time, q, qd, qdd),
         ".h": c_text(design.network, time, q),
         ".html": design_page(design, command),
     }
@@ -73,22 +74,43 @@ def csv_text(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -
 
 def trajectory_yaml(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
     """A motion as a `trajectory_msgs/JointTrajectory`."""
-
-    def listed(values: Any) -> str:
-        return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
-
     lines = ["header: {frame_id: ''}", f"joint_names: {json.dumps(network.output_names)}"]
     lines.append("points:")
-    for row in zip(time, q, qd, qdd, strict=True):
-        seconds = int(row[0])
-        nanoseconds = min(round(1e9 * (row[0] - seconds)), 999_999_999)
+    for point in _points(time, q, qd, qdd):
+        stamp = point["time_from_start"]
         lines += [
-            f"- positions: {listed(row[1])}",
-            f"  velocities: {listed(row[2])}",
-            f"  accelerations: {listed(row[3])}",
-            f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
+            f"- positions: {point['positions']}",
+            f"  velocities: {point['velocities']}",
+            f"  accelerations: {point['accelerations']}",
+            f"  time_from_start: {{sec: {stamp['sec']}, nanosec: {stamp['nanosec']}}}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def trajectory_json(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
+    """The same in JSON, as bridges to ROS take it."""
+    message = {
+        "header": {"frame_id": ""},
+        "joint_names": network.output_names,
+        "points": _points(time, q, qd, qdd),
+    }
+    return json.dumps(message) + "\n"
+
+
+def _points(time: Time, q: Samples, qd: Samples, qdd: Samples) -> list[dict[str, Any]]:
+    """A `trajectory_msgs/JointTrajectoryPoint` a row."""
+    points: list[dict[str, Any]] = []
+    for instant, *states in zip(time, q, qd, qdd, strict=True):
+        seconds = int(instant)
+        nanoseconds = min(round(1e9 * (instant - seconds)), 999_999_999)
+        rows = ([float(f"{value:.9g}") for value in state] for state in states)
+        point: dict[str, Any] = dict(zip(_DERIVATIVES, rows, strict=True))
+        point["time_from_start"] = {"sec": seconds, "nanosec": nanoseconds}
+        points.append(point)
+    return points
+
+
+_DERIVATIVES = ("positions", "velocities", "accelerations")
 
 
 def c_text(network: CSLC, time: Time, q: Samples) -> str:

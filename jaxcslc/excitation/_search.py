@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,12 +11,14 @@ from jaxtyping import Float, Int
 
 from ._criteria import log_criterion
 from ._families import AbstractFamily, Parameters, Times
+from ._feasibility import without_jumps
 from ._information import MotionInformation, Spectra
-from ._limits import Limits
+from ._limits import QUANTITIES, Joints, Limits
 
 
 # Of limits: what is kept back during the search, for what happens between samples.
 _INSIDE = 0.996
+_BEYOND = 1.001  # what narrowed limits keep back beside it
 _FIRST_PENALTY, _PENALTY_GROWTH, _LARGEST_PENALTY = 3.0, 4.0, 3e3
 
 
@@ -57,6 +59,8 @@ class Problem(eqx.Module):
     - `basis`: (4, samples, m) of the family on the grid, with derivatives up to jerk.
     - `middle`, `half`: (4, n) of the ranges of positions and derivatives.
     - `torque`, `power`: (n,) limits.
+    - `smooth`: (p,) the prior model's coefficients without friction that jumps, and `reversal`:
+      (n,) speeds below which a joint may reverse between two samples.
     - `unit`: (m, n) of the parameters that the search varies, `start` their fixed part: where
       `unit` is zero, parameters keep the value of `start`.
     """
@@ -70,6 +74,8 @@ class Problem(eqx.Module):
     half: Any
     torque: Any
     power: Any
+    smooth: Any
+    reversal: Any
     unit: Any
     start: Any
     criterion: str = eqx.field(static=True)
@@ -105,6 +111,8 @@ class Problem(eqx.Module):
             jnp.asarray(_INSIDE * half),
             jnp.asarray(_INSIDE * limits.usable_torque),
             jnp.asarray(_INSIDE * limits.usable_power),
+            jnp.asarray(without_jumps(information.network, information.k)),
+            jnp.asarray(limits.acceleration * information.interval / 2),
             jnp.asarray(unit),
             jnp.asarray(fixed),
             criterion,
@@ -125,16 +133,38 @@ class Problem(eqx.Module):
         q, qd, qdd, _ = derivatives
         kinematic = jnp.abs(derivatives - self.middle[:, None]) / self.half[:, None] - 1.0
         regressor = self.information.network.regressor(q, qd, qdd)
-        torque = regressor @ jnp.asarray(self.information.k)
+        torque = self._torque_bound(regressor, qd)
         change = q[contacts.sample] - contacts.position
         distance = contacts.distance + jnp.sum(contacts.jacobian * change, axis=-1)
         values = Multipliers(
             kinematic,
-            jnp.abs(torque) / self.torque[None] - 1.0,
-            jnp.abs(torque * qd) / self.power[None] - 1.0,
+            torque / self.torque[None] - 1.0,
+            torque * jnp.abs(qd) / self.power[None] - 1.0,
             -distance / _LENGTH,
         )
         return (q, qd, qdd), values, regressor
+
+    def narrowed(self, used: Mapping[str, Joints]) -> "Problem":
+        """With limits of which a motion uses more than all divided by what it uses.
+
+        **Arguments**
+
+        - `used`: parts of limits by name, as `Use.joints` has them.
+        """
+        factor = {name: 1.0 / np.maximum(_BEYOND * x, 1.0) for name, x in used.items()}
+        half = np.stack([factor[name] for name in QUANTITIES])
+        changes = {"half": self.half * half}
+        for name in ("torque", "power"):
+            changes[name] = getattr(self, name) * factor.get(name, 1.0)
+        return dataclasses.replace(self, **changes)
+
+    def _torque_bound(self, regressor: Any, qd: Any) -> Any:
+        """(samples, n) at least the absolute torque, and with friction of both signs where a joint
+        reverses; continuous there, as line searches need it."""
+        smooth = regressor @ self.smooth
+        jump = regressor @ jnp.asarray(self.information.k) - smooth
+        moving = jnp.abs(qd) / jnp.sqrt(qd**2 + self.reversal[None] ** 2)
+        return jnp.abs(smooth + moving * jump) + (1.0 - moving) * jnp.abs(jump)
 
     def lagrangian(
         self, x: Any, spectra: Spectra, multipliers: Multipliers, penalty: Any, contacts: Contacts
@@ -192,12 +222,14 @@ class Search:
     - `contacts`: distances about a motion `q` (samples, n), or None where no bodies are watched.
     - `progress`: is called with a few words.
     - `best`: the variables that the search has reached, after an interruption too.
+    - `multipliers`: that the last run ended with.
     """
 
     problem: Problem
     contacts: Callable[[Float[np.ndarray, "samples joints"]], Contacts] | None = None
     progress: Callable[[str], None] | None = None
     best: Float[np.ndarray, " variables"] | None = None
+    multipliers: Multipliers | None = None
 
     def run(
         self,
@@ -205,15 +237,16 @@ class Search:
         rounds: int,
         steps: int,
         penalty: float = _FIRST_PENALTY,
+        multipliers: Multipliers | None = None,
     ) -> float:
-        """Minimises from `x`; so many rounds of multipliers with so many steps each, with a penalty
-        that grows from round to round.
+        """Minimises from `x`; so many rounds of multipliers, from zeros if none are passed, with so
+        many steps each, with a penalty that grows from round to round.
 
         **Returns** the logarithm of the criterion at the end, which limits may still not allow.
         """
         problem = self.problem
         _, samples, n = problem.basis.shape[0], problem.basis.shape[1], problem.unit.shape[1]
-        multipliers = Multipliers(
+        multipliers = multipliers or Multipliers(
             jnp.zeros((4, samples, n)),
             jnp.zeros((samples, n)),
             jnp.zeros((samples, n)),
@@ -254,7 +287,7 @@ class Search:
             multipliers, worst = _updated(
                 problem, jnp.asarray(self.best), multipliers, jnp.asarray(penalty), contacts
             )
-            violation = float(worst)
+            violation, self.multipliers = float(worst), multipliers
             if self.progress:
                 self.progress(
                     f"round {number + 1} of {rounds}: criterion {np.exp(objective):.4g}, limits"

@@ -1,5 +1,7 @@
 """`jaxcslc excite`: what it writes, what it says of earlier recordings, wrong arguments."""
 
+import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_writes_the_motion_in_four_forms(folder: Path) -> None:
+def test_writes_the_motion_in_five_forms(folder: Path) -> None:
     result = run("excite", folder / "arm.urdf", "-o", folder / "motion.csv", *OPTIONS)
     assert result.exit_code == 0, result.output
     assert "predicted standard errors over sizes" in result.output
@@ -66,11 +68,12 @@ def test_writes_the_motion_in_four_forms(folder: Path) -> None:
     assert "Margins" in page
 
 
-def test_the_trajectory_is_yaml(folder: Path) -> None:
+def test_the_trajectory_is_yaml_and_json(folder: Path) -> None:
     yaml: Any = pytest.importorskip("ruamel.yaml")
     document = yaml.YAML(typ="safe").load((folder / "motion.yaml").read_text())
     assert document["joint_names"] == ["hinge"]
     assert document["points"][100]["time_from_start"] == {"sec": 1, "nanosec": 0}
+    assert json.loads((folder / "motion.json").read_text()) == document
 
 
 def test_says_what_more_seconds_buy(folder: Path) -> None:
@@ -85,6 +88,15 @@ def test_says_what_more_seconds_buy(folder: Path) -> None:
     assert not (folder / "none.csv").exists()
 
 
+def test_a_motion_for_a_payload(folder: Path) -> None:
+    """One joint feels two sums of its coefficients: they gain, the arm's do not count."""
+    arguments = ("excite", folder / "arm.urdf", "--after", folder / "lazy.csv", *OPTIONS)
+    result = run(*arguments, "-o", folder / "payload.csv", "--payload", "1.5", "--rate", "100")
+    assert result.exit_code == 0, result.output
+    assert "phx: interval not determined to" in result.output
+    assert re.search(r"torque [\d.]+ % \(joint 1\)", result.output)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -94,6 +106,7 @@ def test_says_what_more_seconds_buy(folder: Path) -> None:
         (("--start", "1,2"), "start: expected 1 positions"),
         (("--limits", "none.toml"), "none.toml: no such file of limits"),
         (("--for", "kd9"), "'kd9' is no coefficient or group"),
+        (("--payload", "-1"), "payload: mass is -1.0; expected 0 kg or more"),
         (("--starts", "0"), "--starts is 0; expected 1 or more"),
         (("--duration", "0"), "duration is 0.0; expected more than 0 s"),
         (("-o", "motion.txt"), "expected a name that ends in .csv"),

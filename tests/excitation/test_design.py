@@ -251,5 +251,42 @@ def test_torque_between_samples_counts() -> None:
         assert np.all(coarse[name] >= values * (1 - 1e-6)), name
 
 
+def test_the_searched_torque_bounds_torque_and_is_continuous_at_reversals(
+    pendulum_planner: Planner, rng: np.random.Generator
+) -> None:
+    """Friction of both signs where a joint reverses, the model's torque where it moves."""
+    problem = pendulum_planner.problem
+    network, k = problem.information.network, pendulum_planner.knowledge.k
+    q, qdd = rng.normal(size=(200, 1)), rng.normal(size=(200, 1))
+
+    def bound_and_torque(qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        regressor = network.regressor(jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd))
+        bound = problem._torque_bound(regressor, jnp.asarray(qd))
+        return np.asarray(bound), np.abs(np.asarray(network.torque(k, q, qd, qdd)))
+
+    speed = np.abs(rng.normal(size=(200, 1)))
+    for qd in (speed, -speed, 1e-4 * speed):
+        bound, torque = bound_and_torque(qd)
+        assert np.all(bound >= torque - 1e-12)
+    forward, backward = (bound_and_torque(np.full((200, 1), qd)) for qd in (1e-9, -1e-9))
+    np.testing.assert_allclose(forward[0], backward[0], atol=1e-6)
+    np.testing.assert_allclose(forward[0], np.maximum(forward[1], backward[1]), atol=1e-6)
+    fast, torque = bound_and_torque(np.full((200, 1), 1e3))
+    np.testing.assert_allclose(fast, torque, rtol=1e-6)
+
+
+def test_a_motion_at_its_limit_of_torque_is_hardly_shrunk(pendulum_planner: Planner) -> None:
+    """What lies between the search's samples narrows its limits, rather than the whole motion."""
+    network, knowledge = pendulum_planner.problem.information.network, pendulum_planner.knowledge
+    stated = {"position": [-2, 2], "velocity": 3, "torque": 4, "torque_margin": 0.0}
+    limits = Limits.of(network.robot, stated)
+    family = pendulum_planner.family
+    planner = Planner.of(network, limits, Noise(0.1, 1e-4), family, knowledge=knowledge)
+    design = planner.design(0, 1, 4, 30, lambda _: None)
+    assert design.use.feasible
+    assert design.use.joints["torque"].max() > 0.95
+    assert design.scale > 0.995
+
+
 def test_families_by_name() -> None:
     assert [family_named(name, 6.0).duration for name in ("splines", "moves")] == [6.0, 6.0]

@@ -200,3 +200,18 @@ def test_wrong_noise_is_named(arguments: dict[str, Any], message: str) -> None:
 def test_numbers_of_another_robot_are_named() -> None:
     with pytest.raises(ValueError, match="torque noise: expected one number or 2, got 3"):
         Noise((1.0, 1.0, 1.0)).torque_deviation(2)
+
+
+def test_a_payload_adds_unknowns_to_what_is_known(pendulum: jc.CSLC) -> None:
+    """Torques of the prior model are those of an arm that carries the mass."""
+    loaded = pendulum.with_payload()
+    known = Knowledge(K, np.diag(1 / K**2), np.abs(K)).with_payload(loaded, 2.0)
+    size = pendulum.size
+    assert known.information is not None
+    np.testing.assert_array_equal(known.information[:size, :size], np.diag(1 / K**2))
+    assert not known.information[size:].any()
+    assert np.isinf(known.standard_error[size:]).all()
+    np.testing.assert_array_equal(known.k[:size], K)
+    assert dict(zip(loaded.names, known.k, strict=True))["pm"] == 2.0
+    with pytest.raises(ValueError, match="expected a network with 4 coefficients and a payload's"):
+        Knowledge(K, None, np.abs(K)).with_payload(pendulum, 2.0)

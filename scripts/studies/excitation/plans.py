@@ -38,21 +38,18 @@ PIECE = 3.0  # [s]
 MOST = 20  # recordings of a sequence
 
 
-def rigid_body_known(design: Design, net: Any = None) -> Knowledge:
+def rigid_body_known(design: Design) -> Knowledge:
     """The knowledge of the rigid body that a motion brings, and of nothing else."""
-    net = net or design.network
-    known, rigid = design.prediction, np.arange(*design.network.layout.inertial.indices(10_000))
-    rigid = rigid[rigid < design.network.size]
-    information = np.zeros((net.size, net.size))
+    known, size = design.prediction, design.network.size
+    rigid = np.arange(size)[design.network.layout.inertial]
+    information = np.zeros((size, size))
     part = known.covariance[np.ix_(rigid, rigid)]
     unit = np.sqrt(np.diag(part))
     inverse = np.linalg.inv(part / np.outer(unit, unit)) / np.outer(unit, unit)
     information[np.ix_(rigid, rigid)] = inverse
-    error = np.full(net.size, np.inf)
+    error = np.full(size, np.inf)
     error[rigid] = known.standard_error[rigid]
-    k = np.zeros(net.size)
-    k[: design.network.size] = known.k
-    return Knowledge(k, information, error)
+    return Knowledge(known.k, information, error)
 
 
 def seconds_of(planner: Planner, parameters: Any, wanted: Sequence[str]) -> float:
@@ -149,14 +146,10 @@ def study(options: argparse.Namespace) -> int:
     rows["friction"] = durations(["viscous", "dry"], network(), known, options.steps)
     say(json.dumps(rows))
     if not options.quick:
-        loaded = network().with_payload()
-        loaded_knowledge = rigid_body_known(first, loaded)
-        friction = network().layout.friction
-        assert loaded_knowledge.information is not None
-        loaded_knowledge.information[friction, friction] = (
-            1 / first.prediction.standard_error[friction] ** 2
-        )
-        loaded_knowledge.k[loaded.names.index("pm")] = 2.0
+        loaded, friction = network().with_payload(), network().layout.friction
+        assert known.information is not None
+        known.information[friction, friction] = 1 / first.prediction.standard_error[friction] ** 2
+        loaded_knowledge = known.with_payload(loaded, 2.0)
         rows["mass of a payload of 2 kg"] = durations(
             ["pm"], loaded, loaded_knowledge, options.steps
         )
