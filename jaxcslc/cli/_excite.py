@@ -104,13 +104,11 @@ def excite_command(
         _check_options(output, family, criterion, starts)
         arm = robot_named(robot, base, tip, fix, mimic)
         before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
-        names = None if wanted is None else names_in(wanted)
-        if payload is not None:
-            before, names = before.carrying(payload), names or ["payload"]
+        before, names = _wanted(before, wanted, payload)
         bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
         stated = _stated_noise(torque_noise, torque_offset, encoder) | {"estimator": estimator}
-        stated["rate"] = rate if "rate" in typed_options(context) else before.rate(rate)
-        noise = _noise(before, bounds, stated)
+        rate = rate if "rate" in typed_options(context) else before.rate(rate)
+        noise = _noise(before, bounds, stated | {"rate": rate})
         if reached := _reached(before, names, reach):
             return typer.echo(reached)
         design = design_motion(
@@ -130,8 +128,7 @@ def excite_command(
             progress=step,
         )
         paths = save_design(design, output, command=command_text(context))
-    typer.echo(_text(design, before, reach))
-    typer.echo("\nwrote " + ", ".join(str(path) for path in paths))
+    typer.echo(f"{_text(design, before, reach)}\n\nwrote " + ", ".join(map(str, paths)))
 
 
 def _check_options(output: Path, family: str, criterion: str, starts: int) -> None:
@@ -188,6 +185,16 @@ def _before(
     sampling = Sampling.of(next(iter(recordings.values())))
     knowledge = Knowledge.of_fit(network, report.fit)
     return _Before(network, knowledge, report.fit, sampling, _cutoff(report.settings))
+
+
+def _wanted(
+    before: _Before, wanted: str | None, payload: float | None
+) -> tuple[_Before, list[str] | None]:
+    """What is known, with a payload if one is carried; names of coefficients that matter."""
+    names = None if wanted is None else names_in(wanted)
+    if payload is None:
+        return before, names
+    return before.carrying(payload), names or ["payload"]
 
 
 def _cutoff(settings: Settings | None) -> float | None:
