@@ -18,6 +18,8 @@ Levels = Float[np.ndarray, "recordings joints"]
 class NoiseDraws:
     """What fitting all unknowns leaves of noise of the present levels, one draw of each.
 
+    Errors of readings that are intervals are uniform, and count by their scores.
+
     **Attributes**
 
     - `by_torque`, `by_position`: residuals of torque's noise alone, and of positions' alone.
@@ -42,7 +44,14 @@ class NoiseDraws:
         zeros = Residuals(**{name: 0.0 * values for name, values in vars(linear.residuals).items()})
         counts = linear.weights.torque > 0.0
         torque = rng.normal(size=counts.shape) * np.where(counts, torque_noise[part[1:-1]], 0.0)
-        position = rng.normal(size=linear.weights.position.shape) * position_noise[part]
+        weight = linear.weights.position
+        position = rng.normal(size=weight.shape) * position_noise[part]
+        intervals = linear.objective.intervals
+        if intervals is not None:
+            counts = intervals.edge > 0.0
+            errors = rng.uniform(-0.5, 0.5, weight.shape) * intervals.step
+            readings = intervals.working(np.where(counts, errors, 0.0), weight)
+            position = np.where(counts, readings.weight * readings.residual / weight, position)
 
         def left(drawn: Residuals) -> Residuals:
             return linear.after(linear.step(factored, drawn), drawn)

@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._motion_equations import MotionEquations
 from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
+from .equations import Stretches
 from .torque import TorqueCalibration
 
 
@@ -86,7 +86,7 @@ class Objective:
     - `intervals`: of readings that are intervals; None if all are normally distributed.
     """
 
-    equations: MotionEquations
+    equations: Stretches
     position: Float[np.ndarray, "samples joints"]
     torque: TorqueCalibration
     part: Int[np.ndarray, " samples"]

@@ -3,15 +3,15 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import LinAlgError
 
 from ._band import Factored
 from ._levels import Levels, NoiseDraws, noise_levels, position_errors
+from ._levenberg import DAMPING, PROMISE, SMALL_DAMPING, LevenbergStep, levenberg_step
 from ._linear import Linear
 from ._objective import TURN, Objective, Point, Residuals
 from ._problem import Problem
 from ._readings import Intervals
-from ._signs import LATEST_TURN, Signs
+from ._signs import Signs
 
 
 # Equations left uncertain on either side of a reversal, step by step; after these steps, reversals
@@ -22,28 +22,25 @@ _SIGN_STEPS = 7
 # Noise levels go all the way to where residuals would have them in so many steps, then half of it;
 # they are fixed when they change by less than this part in a step, or after so many steps.
 _FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS = 6, 0.05, 14
-_MOST_STEPS, _MOST_TRIALS, _MOST_HALVINGS = 60, 8, 4
+_MOST_STEPS = 60
 # It has converged when a step moves no coefficient by more than this part of a standard error, and
 # linear equations promise less than this of the sum of squares, in units of variances.
-_SETTLED, _PROMISE = 1e-3, 0.02
-# Counts become intervals when a step moves no coefficient by more than this part of one.
-_NEAR = 0.3
-# Levenberg and Marquardt's damping: at first, least, its factor after good and bad steps, and the
-# most with which a search has converged.
-_DAMPING, _LEAST_DAMPING, _FACTOR, _SMALL_DAMPING = 1e-3, 1e-9, 10.0, 1e-6
+_SETTLED = 1e-3
+# Counts become intervals when a step moves no coefficient by more than this part of one; then the
+# width of edges and the level of torque noise follow steps of less than this, so many times.
+# The level goes all the way, and in later ones half of it.
+_NEAR, _NEARER, _REFINEMENTS, _FREE_REFINEMENTS = 0.3, 1.0, 5, 3
 # Standard deviation of friction that is anything up to break-away, and of a reversal's whose moment
 # is estimated, as parts of the break-away torque. Simulated: 0.003 to 0.006 for the latter.
 _UNCERTAIN, _REVERSAL = 0.6, 0.01
 # Huber's constant, in standard deviations: what is beyond counts by its size, not by its square.
 _OUTLIER = 4.0
-# How far the logarithm of a slope moves in a step.
-_SLOPE_STEP = 0.7
 # A joint at rest moves by this part of its position noise from sample to sample.
 _REST = 0.02
 # Counts are intervals where positions are known better than this part of a step. The width of an
-# edge is this part of the error of positions, by which intervals reduce it, and at least that of an
-# encoder, in steps.
-_SHARP, _EDGE, _LEAST_EDGE = 0.1, 0.4, 0.01
+# edge is so many times the error of positions, for then scores are linear in errors, and at least
+# that of an encoder, in steps. Intervals reduce the error, and their width follows.
+_SHARP, _EDGE, _LEAST_EDGE = 0.1, 2.0, 0.01
 
 Mask = Bool[np.ndarray, "equations joints"]
 
@@ -80,28 +77,38 @@ def search(
     progress: Callable[[str], None],
     *,
     fixed_levels: bool = False,
+    edge: Levels | None = None,
+    tolerance: float = 0.0,
 ) -> Minimum:
     """Minimises step by step: signs, weights and noise levels are fixed within each step.
 
     At first counts are normally distributed and noise levels follow the residuals; then the levels
-    are fixed, and counts become intervals where that says more.
+    are fixed, and counts become intervals where that says more, with the torque noise that these
+    leave.
 
-    - `fixed_levels`: whether noise levels are those of the start, and no count is an interval.
+    **Arguments**
+
+    - `fixed_levels`: whether noise levels are those of the start.
+    - `edge`: (recordings, n) widths of intervals' edges in steps, 0 where counts are none. The
+      start is then near the minimum. None with fixed levels: no count is an interval.
+    - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
     """
-    state = _State.start(problem, point, torque_noise, position_noise, fixed_levels)
-    number = -1
+    state = _State.start(problem, point, torque_noise, position_noise, fixed_levels, edge)
+    first = 0 if edge is None else len(_MARGINS)
+    number = first - 1
     while True:
         number += 1
         state, same = _with_signs(problem, state, number)
         objective, counted = _objective(problem, state)
         linear = Linear.of(objective, state.point)
-        step = _step(problem, linear, state.point, state.damping)
+        step = levenberg_step(problem, linear, state.point, state.damping)
         state = dataclasses.replace(state, point=step.point, damping=step.damping)
-        progress(f"maximum likelihood: step {number + 1}")
-        quiet = same and number >= len(_MARGINS) and step.damping <= _SMALL_DAMPING
-        settled = step.change <= _SETTLED and step.promise <= _PROMISE
+        progress(f"maximum likelihood: step {number + 1 - first}")
+        quiet = same and number >= len(_MARGINS) and step.damping <= SMALL_DAMPING
+        settled = step.change <= _SETTLED and step.promise <= PROMISE
         converged = quiet and settled and state.final
-        if converged or number == _MOST_STEPS - 1:
+        small = state.final and number >= len(_MARGINS) and step.fall < tolerance
+        if converged or small or number == _MOST_STEPS - 1:
             linear = Linear.of(objective, state.point)
             return Minimum(
                 state.point,
@@ -111,11 +118,13 @@ def search(
                 state.torque_noise,
                 state.position_noise,
                 counted,
-                number + 1,
+                number + 1 - first,
                 converged,
             )
         if not state.levels_fixed:
             state = _with_levels(problem, state, linear, step, counted, number)
+        elif state.intervals is not None and not state.final and step.change <= _NEARER:
+            state = _refined(problem, state, linear, step, counted)
         elif not state.final and quiet and step.change <= _NEAR:
             state = _with_intervals(problem, state, linear, step.factored)
 
@@ -126,7 +135,9 @@ class _State:
 
     - `outlier_weight`: (equations, n) of equations far beyond the noise.
     - `ambiguous`: (equations, n) of reversals that came and went.
-    - `levels_fixed`: whether noise levels and these weights are; `final`: and what counts are.
+    - `levels_fixed`: whether noise levels and these weights are, while readings are normally
+      distributed; `final`: and what counts are.
+    - `refinements`: of the level of torque noise beside intervals.
     """
 
     point: Point
@@ -139,6 +150,7 @@ class _State:
     damping: float
     levels_fixed: bool
     final: bool
+    refinements: int = 0
 
     @classmethod
     def start(
@@ -148,8 +160,10 @@ class _State:
         torque_noise: Levels,
         position_noise: Levels,
         fixed: bool,
+        edge: Levels | None,
     ) -> "_State":
         samples, n = problem.readings.position.shape
+        intervals = None if edge is None else _intervals(problem, edge)
         return cls(
             point,
             None,
@@ -157,8 +171,8 @@ class _State:
             position_noise,
             np.ones((samples - 2, n)),
             np.zeros((samples - 2, n), bool),
-            None,
-            _DAMPING,
+            intervals,
+            DAMPING,
             fixed,
             fixed,
         )
@@ -240,71 +254,8 @@ def _friction_variance(
     return extra
 
 
-@dataclasses.dataclass(frozen=True)
-class _Step:
-    """A step of Levenberg and Marquardt's method.
-
-    - `point`: after it; `residuals` there; `factored`: the equations that it solves.
-    - `damping`: for the next one.
-    - `change`: of the border, in standard errors: no coefficient moves by more of its own.
-    - `promise`: as of `Linear`.
-    """
-
-    point: Point
-    residuals: Residuals
-    factored: Factored
-    damping: float
-    change: float
-    promise: float
-
-
-def _step(problem: Problem, linear: Linear, point: Point, damping: float) -> _Step:
-    """Damped until the sum of squares falls; without a change where it never does.
-
-    **Raises** `RuntimeError` if rounding has made the equations indefinite.
-    """
-    objective = linear.objective
-    residuals = objective.residuals(point)
-    value, promise, size, factored = objective.value(residuals), np.inf, np.inf, None
-    for _ in range(_MOST_TRIALS):
-        try:
-            factored = linear.factored(damping)
-        except LinAlgError:
-            damping = _FACTOR * max(damping, _SMALL_DAMPING)
-            continue
-        change = linear.step(factored, linear.residuals, damping)
-        if promise == np.inf:  # before damping grows
-            promise = linear.promise(change)
-            size = float(np.sqrt(max(change.border @ factored.information @ change.border, 0.0)))
-        for number in range(_MOST_HALVINGS):
-            part = change.scaled(0.5**number)
-            moved = _bounded(problem, objective.moved(point, part), point)
-            left = objective.residuals(moved)
-            if objective.value(left) <= value * (1.0 + 1e-12):
-                if number == 0:
-                    damping = max(damping / _FACTOR, _LEAST_DAMPING)
-                return _Step(moved, left, factored, damping, size, promise)
-        damping = _FACTOR * max(damping, 1e-5)
-    if factored is None:
-        raise RuntimeError("maximum likelihood: rounding has made the normal equations indefinite")
-    # A minimum up to rounding, if nothing was to be expected.
-    damping = _SMALL_DAMPING if promise <= _PROMISE else _DAMPING
-    return _Step(point, residuals, factored, damping, size, promise)
-
-
-def _bounded(problem: Problem, point: Point, before: Point) -> Point:
-    low, high = problem.slope_bounds
-    near = np.clip(point.slopes, before.slopes - _SLOPE_STEP, before.slopes + _SLOPE_STEP)
-    return dataclasses.replace(
-        point,
-        slopes=np.clip(near, low, high),
-        calibration=problem.calibration.bounded(point.calibration, before.calibration),
-        turn=np.clip(point.turn, -LATEST_TURN, LATEST_TURN),
-    )
-
-
 def _with_levels(
-    problem: Problem, state: _State, linear: Linear, step: _Step, counted: Mask, number: int
+    problem: Problem, state: _State, linear: Linear, step: LevenbergStep, counted: Mask, number: int
 ) -> _State:
     """Noise levels and weights of outliers that follow the residuals of a step."""
     part, signs = problem.readings.part, linear.objective.signs
@@ -348,12 +299,59 @@ def _with_levels(
 
 def _with_intervals(problem: Problem, state: _State, linear: Linear, factored: Factored) -> _State:
     """Counts as intervals, where positions are known much better than a step."""
+    errors, _ = _position_errors(problem, state, linear, factored)
+    edge = np.where(errors <= _SHARP, np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
+    intervals = _intervals(problem, edge)
+    return dataclasses.replace(state, intervals=intervals, final=intervals is None)
+
+
+def _intervals(problem: Problem, edge: Levels) -> Intervals | None:
+    """Readings with edges of these widths; None if all are 0."""
+    if not edge.any():
+        return None
+    part = problem.readings.part
+    return Intervals(problem.reading_shares, problem.encoder_step[part], edge[part])
+
+
+def _refined(
+    problem: Problem, state: _State, linear: Linear, step: LevenbergStep, counted: Mask
+) -> _State:
+    """Torque noise and edges that follow what intervals leave.
+
+    Single counts hide torque noise far below what they leave of torque. Intervals show it, and with
+    a level that is too large, standard errors would be.
+    """
+    part, intervals = problem.readings.part, state.intervals
+    assert intervals is not None
+    errors, draws = _position_errors(problem, state, linear, step.factored)
+    torque_noise, _ = noise_levels(
+        step.residuals,
+        draws,
+        counted,
+        problem.moving,
+        part,
+        state.torque_noise,
+        state.position_noise,
+        np.ones_like(errors, bool),
+    )
+    torque_noise = np.maximum(torque_noise, problem.least_torque_noise)
+    if state.refinements >= _FREE_REFINEMENTS:
+        torque_noise = np.sqrt(torque_noise * state.torque_noise)
+    edge = np.clip(_EDGE * errors, _LEAST_EDGE, _EDGE * _SHARP)[part]
+    return dataclasses.replace(
+        state,
+        intervals=dataclasses.replace(intervals, edge=np.where(intervals.edge > 0.0, edge, 0.0)),
+        torque_noise=torque_noise,
+        refinements=state.refinements + 1,
+        final=state.refinements + 1 == _REFINEMENTS,
+    )
+
+
+def _position_errors(
+    problem: Problem, state: _State, linear: Linear, factored: Factored
+) -> tuple[Levels, NoiseDraws]:
+    """Of estimated positions in steps of encoders, (recordings, n), and the draws that say so."""
     part, step = problem.readings.part, problem.encoder_step
     draws = NoiseDraws.of(linear, factored, part, state.torque_noise, state.position_noise)
     errors = position_errors(draws, problem.moving, part, len(step))
-    errors = errors / np.where(step > 0.0, step, 1e-300)
-    edge = np.where(errors <= _SHARP, np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
-    intervals = None
-    if edge.any():
-        intervals = Intervals(problem.reading_shares, step[part], edge[part])
-    return dataclasses.replace(state, intervals=intervals, final=True)
+    return errors / np.where(step > 0.0, step, 1e-300), draws

@@ -1,7 +1,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -11,11 +10,11 @@ from .._settings import Settings
 from ..prior import Known
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
-from ._motion_equations import MotionEquations
 from ._objective import Point
 from ._problem import Problem
 from ._readings import Readings
 from ._signs import rests
+from .equations import Stretches
 from .torque import TorqueCalibration, TorqueSampling, TorqueUnknown
 
 
@@ -119,7 +118,7 @@ def starting_point(
     torque_noise = np.sqrt(np.mean(np.square(residual), axis=0))
     scale = np.where(fixed, 0.0, _scale(network, patterns.values(), torque_noise))
     problem = Problem(
-        equations=MotionEquations(network, jnp.asarray(np.diff(readings.time))),
+        equations=Stretches(network, np.diff(readings.time)),
         readings=readings,
         calibration=calibration,
         stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.identification.likelihood._correlated import eliminated_rows
 from jaxcslc.identification.likelihood._linear import Linear
-from jaxcslc.identification.likelihood._motion_equations import MotionEquations
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
 from jaxcslc.identification.likelihood._signs import Signs
+from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
 from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord
 
 
@@ -43,7 +43,7 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
         turn=np.full(1, 4.0),
         border=rng.uniform(0.1, 1.0, border),
     )
-    equations = MotionEquations(arm, jnp.asarray(np.diff(time)))
+    equations = Stretches(arm, np.diff(time))
     record = TorqueRecord((time,), (rng.normal(size=(SAMPLES, 2)),), "held")
     result = Objective(
         equations,
@@ -63,9 +63,10 @@ def test_derivatives(objective: tuple[Objective, Point]) -> None:
     problem, point = objective
     turns, direction = problem.signs.turns(point.turn), problem.signs.direction
     linear = problem.equations.linearised(point.k, point.slopes, point.q, turns, direction)
+    equations = MotionEquations(problem.equations.network, jnp.asarray(problem.equations.intervals))
 
     def torque(k: jax.Array, slopes: jax.Array, q: jax.Array, turns: jax.Array) -> jax.Array:
-        return jnp.asarray(problem.equations.torque(k, slopes, q, turns, direction))
+        return jnp.asarray(equations.torque(k, slopes, q, turns, direction))
 
     by_k, by_slopes, by_q, by_turns = jax.jacfwd(torque, (0, 1, 2, 3))(
         jnp.asarray(point.k), jnp.asarray(point.slopes), jnp.asarray(point.q), jnp.asarray(turns)
@@ -139,3 +140,19 @@ def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, 
     actual = problem.residuals(problem.moved(point, step))
     for name, values in vars(actual).items():
         assert_allclose(getattr(predicted, name), values, atol=1e-9)
+
+
+def test_stretches_are_the_motion(arm: jc.CSLC) -> None:
+    rng = np.random.default_rng(3)
+    samples = 1100  # three stretches
+    q = np.cumsum(rng.normal(size=(samples, 2)), axis=0)
+    intervals = rng.uniform(0.009, 0.011, samples - 1)
+    turn = np.where(rng.uniform(size=(samples - 2, 2)) < 0.1, 0.3, -1.0)
+    direction = rng.choice([-1.0, 1.0], (samples - 2, 2))
+    arguments = rng.normal(size=arm.size), np.log([2.0, 3.0]), q, turn, direction
+    whole, parts = MotionEquations(arm, jnp.asarray(intervals)), Stretches(arm, intervals)
+    assert_allclose(parts.torque(*arguments), whole.torque(*arguments), rtol=1e-9)
+    expected = whole.linearised(*arguments)
+    for values, wanted in zip(parts.linearised(*arguments), expected, strict=True):
+        assert values.shape == wanted.shape
+        assert_allclose(values, wanted, rtol=1e-9, atol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from jaxcslc.identification.likelihood._friction_mean import mean_inputs
+from jaxcslc.identification.likelihood.equations._friction_mean import mean_inputs
 from jaxcslc.network.terms import StaticFriction
 from jaxcslc.network.terms._friction_laws import Viscous
 

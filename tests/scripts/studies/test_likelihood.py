@@ -21,7 +21,9 @@ def row(machine: object, samples: int, seed: int) -> dict[str, Any]:
         "seconds": 1.0,
         "steps": 20,
         "converged": True,
-        "deviations": {kind: [float(seed)] * count for kind, count in kinds.items()},
+        "bound": {kind: [2.0 * seed] * count for kind, count in kinds.items() if kind != "slopes"},
+        "reported": {kind: [float(seed)] * count for kind, count in kinds.items()},
+        "inside": {kind: [seed < 2] * count for kind, count in kinds.items()},
         "static": [1.1] * 6,
         "static error": [0.05] * 6,
         "slope": [0.9] * 6,
@@ -49,8 +51,10 @@ def test_tables_and_resumption(
         if line
     }
     assert lines["regression"][1:] == ["0.0300", "0.0200", "0.0400"]
-    # Seeds 0, 1 and 2: the root of the mean of 0, 1 and 4; two of three within 1.96.
-    assert lines["viscous"][1:3] == [f"{np.sqrt(5 / 3):.2f}", "66.7"]
+    # Seeds 0, 1 and 2: the root of the mean of 0, 1 and 4; two of three inside.
+    spread = np.sqrt(5 / 3)
+    assert lines["viscous"][1:4] == [f"{2 * spread:.2f}", f"{spread:.2f}", "66.7"]
+    assert lines["slopes"][1:4] == ["nan", f"{spread:.2f}", "66.7"]
     assert lines["6"][1:] == ["1.100", "10.0", "%", "5.0", "%", "0.900", "10.0", "%", "20.0", "%"]
     rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
     assert sum("seed" in row for row in rows) == 3

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...network.terms import JAX_FUNCTIONS, AbstractJointLaw
+from ....network.terms import JAX_FUNCTIONS, AbstractJointLaw
 
 
 Rows = Float[Array, "equations joints"]

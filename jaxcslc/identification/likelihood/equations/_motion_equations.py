@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...network import CSLC
-from ...network.terms import JointTerm
+from ....network import CSLC
+from ....network.terms import JointTerm
 from ._friction_mean import mean_inputs
 
 
@@ -29,10 +29,10 @@ class Linearisation(NamedTuple):
     - `by_turn`: (equations, n), by the moment at which the joint turns.
     """
 
-    torque: Float[Array, "equations joints"]
-    by_position: Float[Array, "equations joints positions"]
-    by_coefficient: Float[Array, "equations joints unknowns"]
-    by_turn: Float[Array, "equations joints"]
+    torque: Float[Array | np.ndarray, "equations joints"]
+    by_position: Float[Array | np.ndarray, "equations joints positions"]
+    by_coefficient: Float[Array | np.ndarray, "equations joints unknowns"]
+    by_turn: Float[Array | np.ndarray, "equations joints"]
 
 
 class MotionEquations(eqx.Module):

@@ -1,0 +1,2 @@
+from ._motion_equations import Linearisation as Linearisation, MotionEquations as MotionEquations
+from ._stretches import Stretches as Stretches

@@ -1,0 +1,97 @@
+import dataclasses
+from collections.abc import Iterator
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ....network import CSLC
+from ._motion_equations import Linearisation, MotionEquations
+
+
+# Equations that are computed at a time. A function is compiled for a number of equations, which
+# takes seconds; for this one it is compiled once for recordings of any length.
+_EQUATIONS = 512
+
+Samples = Float[np.ndarray, "samples joints"]
+Rows = Float[np.ndarray, "equations joints"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stretches:
+    """`MotionEquations` of a recording of any length, in stretches of one length.
+
+    The last one is filled up; what that gives is left out.
+
+    **Attributes**
+
+    - `network`: n joints, p coefficients.
+    - `intervals`: (samples - 1,) between samples [s].
+    """
+
+    network: CSLC
+    intervals: Float[np.ndarray, " intervals"]
+
+    def torque(
+        self,
+        k: Float[np.ndarray, " coefficients"],
+        slopes: Float[np.ndarray, " joints"],
+        q: Samples,
+        turn: Rows,
+        direction: Rows,
+    ) -> Rows:
+        """As of `MotionEquations`, (equations, n)."""
+        return np.concatenate(
+            [
+                np.asarray(equations.torque(k, slopes, *motion))[:count]
+                for equations, motion, count in self._stretches(q, turn, direction)
+            ]
+        )
+
+    def linearised(
+        self,
+        k: Float[np.ndarray, " coefficients"],
+        slopes: Float[np.ndarray, " joints"],
+        q: Samples,
+        turn: Rows,
+        direction: Rows,
+    ) -> Linearisation:
+        """As of `MotionEquations`."""
+        parts = [
+            [np.asarray(values)[:count] for values in equations.linearised(k, slopes, *motion)]
+            for equations, motion, count in self._stretches(q, turn, direction)
+        ]
+        return Linearisation(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+    @cached_property
+    def _equations(self) -> list[MotionEquations]:
+        return [
+            MotionEquations(
+                self.network,
+                jnp.asarray(_filled(self.intervals[start : start + _EQUATIONS + 1], 1, 1.0)),
+            )
+            for start in range(0, len(self.intervals) - 1, _EQUATIONS)
+        ]
+
+    def _stretches(
+        self, q: Samples, turn: Rows, direction: Rows
+    ) -> Iterator[tuple[MotionEquations, tuple[Samples, Rows, Rows], int]]:
+        """Each with its motion, turns and directions, and how many of its equations count."""
+        for number, equations in enumerate(self._equations):
+            start = number * _EQUATIONS
+            rows = slice(start, start + _EQUATIONS)
+            motion = (
+                _filled(q[start : start + _EQUATIONS + 2], 2, 0.0),
+                _filled(turn[rows], 0, -1.0),
+                _filled(direction[rows], 0, 1.0),
+            )
+            yield equations, motion, len(turn[rows])
+
+
+def _filled(values: np.ndarray, more: int, value: float) -> np.ndarray:
+    """As many rows as a stretch has equations, and some more."""
+    missing = _EQUATIONS + more - len(values)
+    if missing == 0:
+        return values
+    return np.concatenate([values, np.full((missing, *values.shape[1:]), value)])
