@@ -56,9 +56,17 @@ def array_namespace(*arrays: Any) -> ModuleType:
     return np if all(isinstance(x, np.ndarray | np.generic | float | int) for x in arrays) else jnp
 
 
-def as_jax(x: Any) -> jax.Array:
-    """An array of JAX's; of NumPy's without compiling anything, as `jnp.asarray` does."""
-    return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x))
+def as_jax(x: Any) -> Any:
+    """Arrays of JAX's; of NumPy's without compiling anything, as `jnp.asarray` does.
+
+    - `x`: an array, a number, or a tree of them.
+    """
+    leaves, structure = jax.tree.flatten(x)
+    on_host = [i for i, leaf in enumerate(leaves) if not isinstance(leaf, jax.Array)]
+    put = jax.device_put([np.asarray(leaves[i]) for i in on_host])
+    for i, leaf in zip(on_host, put, strict=True):
+        leaves[i] = leaf
+    return jax.tree.unflatten(structure, leaves)
 
 
 def require_float64(*arrays: jax.Array | np.ndarray) -> None:

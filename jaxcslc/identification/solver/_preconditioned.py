@@ -1,5 +1,5 @@
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -8,14 +8,18 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
+from ..._environment import array_namespace
 from ...network import AbstractLinearNetwork
 from ._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
 from .fused import fused_gram_matrices, fused_kernel_of
 
 
 # Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30
-# columns, a condition number of about 1.5.
-SAMPLE = 2048
+# columns, a condition number of about 1.2.
+SAMPLE = 4096
+# A sample's products are factorised where the least pivot is larger, and its rows otherwise: the
+# error of the pivots is 1e-16 of the first one over the least.
+_LEAST_PIVOT = 1e-5
 # Added below a sample's rows, in lengths of their columns: directions that the sample lacks stay
 # finite, and are resolved to 1e-8 of 1e-8.
 _SHIFT = 1e-8
@@ -54,16 +58,48 @@ class Preconditioner(NamedTuple):
         inverses, factors = zip(*pairs, strict=True)
         return cls(inverses, factors)
 
+    @classmethod
+    def of_products(cls, grams: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner | None":
+        """Of the products of some rows of each joint; None where rows determine it better.
+
+        Decompositions of tens of columns, where those of rows have thousands of rows: a tenth of
+        the time, which a GPU waits for.
+        """
+        pairs = [_inverse_and_factor_of_product(gram) for gram in grams]
+        some = [pair for pair in pairs if pair is not None]
+        if len(some) < len(pairs):
+            return None
+        inverses, factors = zip(*some, strict=True)
+        return cls(inverses, factors)
+
 
 def _inverse_and_factor(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     lengths = np.linalg.norm(rows, axis=0)
     lengths = np.where(lengths > 0.0, lengths, 1.0)
     size = rows.shape[1]
-    shifted = np.concatenate([rows / lengths, _SHIFT * np.eye(size)])
+    # In stages first: libraries spread a decomposition of thousands of rows over all cores, which
+    # then wait for each other.
+    rows = triangle_of(rows / lengths)
+    shifted = np.concatenate([rows, _SHIFT * np.eye(size)])
     triangle, order = scipy.linalg.qr(shifted, mode="r", pivoting=True, check_finite=False)
     triangle = triangle[:size]
     inverse, factor = np.empty((2, size, size))
     inverse[order] = scipy.linalg.solve_triangular(triangle, np.eye(size), check_finite=False)
+    factor[:, order] = triangle
+    return inverse / lengths[:, None], factor * lengths
+
+
+def _inverse_and_factor_of_product(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    lengths = np.sqrt(np.diag(gram))
+    if not np.all((lengths > 0.0) & np.isfinite(lengths)):
+        return None
+    size = len(gram)
+    triangle, pivots, rank, _ = scipy.linalg.lapack.dpstrf(gram / lengths[:, None] / lengths)
+    if rank < size or triangle[-1, -1] < _LEAST_PIVOT:
+        return None
+    order, triangle = pivots - 1, np.triu(triangle)
+    inverse, factor = np.empty((2, size, size))
+    inverse[order] = scipy.linalg.lapack.dtrtri(triangle)[0]
     factor[:, order] = triangle
     return inverse / lengths[:, None], factor * lengths
 
@@ -89,38 +125,42 @@ def factors_of(
 
     **Returns** the factors, NumPy's, and the preconditioner that served.
     """
-    counts = np.asarray(_counts(motion[-1]))
     if preconditioner is None:
         preconditioner = sample_of(network, motion)
 
-    def grams_behind(preconditioner: Preconditioner) -> list[list[np.ndarray]]:
-        return [list(jax.device_get(_grams(network, preconditioner.inverses, *motion)))]
+    def products_behind(preconditioner: Preconditioner) -> list[np.ndarray]:
+        return [np.asarray(_products(network, packed(preconditioner.inverses), *motion))]
 
     def reflected() -> JointFactors:
         return jax.tree.map(np.asarray, _reflected(network, *(jnp.asarray(x) for x in motion)))
 
-    factors, preconditioner = refined(preconditioner, grams_behind, reflected)
-    return JointFactors(factors.triangles, counts), preconditioner
+    return refined(network, preconditioner, products_behind, reflected)
 
 
 def refined(
+    network: AbstractLinearNetwork,
     preconditioner: Preconditioner,
-    grams_behind: Callable[[Preconditioner], Sequence[Sequence[Float[np.ndarray, "_ _"]]]],
+    products_behind: Callable[[Preconditioner], Sequence[Float[np.ndarray, " packed"]]],
     reflected: Callable[[], JointFactors],
 ) -> tuple[JointFactors, Preconditioner]:
     """Factors whose error is small, of one or several sets of patterns, joined.
 
-    - `grams_behind`: for each set its products behind a preconditioner, of each joint.
+    - `products_behind`: for each set its `products` behind a preconditioner.
     - `reflected`: the factors by reflections.
 
-    **Returns** the factors, without counts, and the preconditioner that served.
+    **Returns** the factors, NumPy's, and the preconditioner that served.
     """
     for _ in range(_PASSES):
-        sets = [triangles_of(preconditioner, grams) for grams in grams_behind(preconditioner)]
-        none = np.zeros(len(preconditioner.factors))
-        factors = joined_factors([JointFactors(triangles, none) for triangles, _ in sets])
-        # Rows that are not finite have no better factors.
-        if not any(np.any(errors >= _LARGEST_ERROR) for _, errors in sets):
+        parts: list[JointFactors] = []
+        largest = 0.0
+        for numbers in products_behind(preconditioner):
+            *grams, counts = unpacked(network, numbers)
+            triangles, errors = triangles_of(preconditioner, grams)
+            parts.append(JointFactors(triangles, counts))
+            # Rows that are not finite, whose errors are NaN, have no better factors.
+            largest = max(largest, float(np.max(np.nan_to_num(errors))))
+        factors = joined_factors(parts)
+        if largest < _LARGEST_ERROR:
             return factors, preconditioner
         preconditioner = Preconditioner.of_rows([np.asarray(x) for x in factors.triangles])
     return reflected(), preconditioner
@@ -128,9 +168,57 @@ def refined(
 
 def sample_of(network: AbstractLinearNetwork, motion: Motion) -> Preconditioner:
     """The preconditioner of patterns that are spread over all."""
-    step = max(len(motion[0]) // SAMPLE, 1)
-    sample = tuple(jnp.asarray(x[::step][:SAMPLE]) for x in motion)
-    return Preconditioner.of_rows([np.asarray(rows).T for rows in _rows(network, *sample)])
+    # Of the host's arrays the sample alone goes to the device.
+    motion = tuple(_spread(x, len(x)) if isinstance(x, np.ndarray) else x for x in motion)
+    rows, numbers = _sample(network, *motion)
+    preconditioner = Preconditioner.of_products(unpacked(network, np.asarray(numbers)))
+    if preconditioner is not None:
+        return preconditioner
+    return Preconditioner.of_rows([np.asarray(joint_rows).T for joint_rows in rows])
+
+
+def sample_rows(
+    network: AbstractLinearNetwork, samples: int, *motion: Float[Array, "patterns _"]
+) -> tuple[tuple[Float[Array, "_ sample"], ...], Float[Array, " packed"]]:
+    """Rows of patterns that are spread over all, and their products, packed.
+
+    - `samples`: of all devices together.
+    """
+    sample = (jnp.swapaxes(_spread(x, samples), 0, 1) for x in motion)
+    rows = weighted_rows(network, *sample)
+    return rows, packed([joint_rows @ joint_rows.T for joint_rows in rows])
+
+
+def _spread(x: Any, samples: int) -> Any:
+    return x[:: max(samples // SAMPLE, 1)][:SAMPLE]
+
+
+def packed(arrays: Sequence[Any]) -> Any:
+    """Numbers of several arrays as one: it is copied between host and device as fast as each."""
+    return array_namespace(*arrays).concatenate([x.ravel() for x in arrays])
+
+
+def unpacked(network: AbstractLinearNetwork, numbers: Any) -> list[Any]:
+    """What was packed: for each joint a matrix (s + 1, s + 1), and what follows them, if any."""
+    arrays: list[Any] = []
+    first = 0
+    for support in network.support:
+        size = len(support) + 1
+        arrays.append(numbers[first : first + size**2].reshape(size, size))
+        first += size**2
+    return arrays if first == len(numbers) else [*arrays, numbers[first:]]
+
+
+def products(
+    network: AbstractLinearNetwork,
+    inverses: Float[Array | np.ndarray, " packed"],
+    *motion: Float[Array, "samples _"],
+    on_gpu: bool,
+) -> Float[Array, " numbers"]:
+    """The matrices of `gram_matrices` and the joints' numbers of equations, packed."""
+    grams = gram_matrices(network, tuple(unpacked(network, inverses)), *motion, on_gpu=on_gpu)
+    counts = jnp.sum(motion[-1] != 0, axis=0).astype(motion[-1].dtype)
+    return packed([*grams, counts])
 
 
 def triangles_of(
@@ -155,9 +243,18 @@ def _triangle_and_error(factor: np.ndarray, gram: np.ndarray) -> tuple[np.ndarra
     lengths = np.sqrt(np.diag(gram))
     divisor = np.where(lengths > 0.0, lengths, 1.0)
     # Of columns of unit length: a factor's errors do not depend on their scale.
-    values, vectors = np.linalg.eigh(gram / divisor[:, None] / divisor)
+    normalized, directions = gram / divisor[:, None] / divisor, lengths[:, None] * factor
+    triangle, singular = scipy.linalg.lapack.dpotrf(normalized, lower=1)
+    if not singular:
+        # Rounding of the products changes the factor by no more than its inverse's norm.
+        half = triangle.T @ directions
+        change = np.linalg.norm(scipy.linalg.lapack.dtrtri(triangle, lower=1)[0])
+        error = change * np.max(np.linalg.norm(directions, axis=0) / np.linalg.norm(half, axis=0))
+        if error < _LARGEST_ERROR:
+            return triangle_of(half), float(error)
+    values, vectors = np.linalg.eigh(normalized)
     roots = np.sqrt(np.maximum(values, 0.0))
-    directions = vectors.T @ (lengths[:, None] * factor)
+    directions = vectors.T @ directions
     half = roots[:, None] * directions
     # Rounding of the products changes a root by this, and the columns by its part of directions.
     unit = np.finfo(float).eps
@@ -224,24 +321,19 @@ def gram_matrices(
     return jax.lax.scan(step, empty, jnp.arange(0, max(samples, 1), size))[0]
 
 
-def _grams(
-    network: AbstractLinearNetwork, inverses: tuple[np.ndarray, ...], *motion: Array | np.ndarray
-) -> tuple[Array, ...]:
+def _products(
+    network: AbstractLinearNetwork, inverses: np.ndarray, *motion: Array | np.ndarray
+) -> Array:
     arrays = [jnp.asarray(x) for x in motion]
     # Where the patterns are: with a GPU at hand, a caller may still keep to the processor.
     on_gpu = all(device.platform != "cpu" for device in arrays[0].devices())
-    return _compiled_grams(network, inverses, *arrays, on_gpu=on_gpu)
+    return _compiled_products(network, inverses, *arrays, on_gpu=on_gpu)
 
 
-_compiled_grams = eqx.filter_jit(gram_matrices)
+_compiled_products = eqx.filter_jit(products)
 _reflected = eqx.filter_jit(factorise)
 
 
 @eqx.filter_jit
-def _rows(network: AbstractLinearNetwork, *sample: Array) -> tuple[Array, ...]:
-    return weighted_rows(network, *(jnp.swapaxes(x, 0, 1) for x in sample))
-
-
-@jax.jit
-def _counts(weight: Array) -> Array:
-    return jnp.sum(weight != 0, axis=0).astype(weight.dtype)
+def _sample(network: AbstractLinearNetwork, *motion: Array) -> Any:
+    return sample_rows(network, len(motion[0]), *motion)

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ._factors import JointFactors, factorise, joined_factors, weighted_rows
-from ._preconditioned import SAMPLE, Preconditioner, gram_matrices, refined
+from ._factors import JointFactors, factorise, joined_factors
+from ._preconditioned import Preconditioner, packed, products, refined, sample_rows, unpacked
 
 
 _AXIS = "patterns"
@@ -69,54 +69,56 @@ def factors_of_shards(
 
     - `motion`: q, qd, qdd (samples, m), torque and weight (samples, n).
     """
-    rows, counts = jax.device_get(_sample(network, mesh, *motion))
-    samples = [np.swapaxes(x, 1, 2) for x in rows]
-    preconditioner = Preconditioner.of_rows([x.reshape(-1, x.shape[-1]) for x in samples])
+    rows, numbers = _sample(network, mesh, *motion)
+    preconditioner = Preconditioner.of_products(unpacked(network, np.asarray(numbers)))
+    if preconditioner is None:
+        everywhere = NamedSharding(mesh, PartitionSpec())
+        gathered = jax.jit(lambda rows: rows, out_shardings=everywhere)(rows)
+        preconditioner = Preconditioner.of_rows([np.asarray(x).T for x in gathered])
     on_gpu = mesh.devices.flat[0].platform != "cpu"
 
-    def grams_behind(preconditioner: Preconditioner) -> list[list[np.ndarray]]:
-        # Fetched together: copies to the host wait for each other otherwise.
-        grams = jax.device_get(_grams(network, preconditioner.inverses, mesh, on_gpu, *motion))
-        return [[gram[i] for gram in grams] for i in range(mesh.size)]
+    def products_behind(preconditioner: Preconditioner) -> Sequence[np.ndarray]:
+        inverses = packed(preconditioner.inverses)
+        return np.asarray(_products(network, inverses, mesh, on_gpu, *motion))
 
     def reflected() -> JointFactors:
-        triangles = [np.asarray(x) for x in _reflected(network, mesh, *motion)]
+        *triangles, counts = (np.asarray(x) for x in _reflected(network, mesh, *motion))
         return joined_factors(
-            [
-                JointFactors(tuple(x[i] for x in triangles), np.zeros(len(triangles)))
-                for i in range(mesh.size)
-            ]
+            [JointFactors(tuple(x[i] for x in triangles), counts[i]) for i in range(mesh.size)]
         )
 
-    factors, _ = refined(preconditioner, grams_behind, reflected)
-    return JointFactors(factors.triangles, counts.sum(axis=0))
+    return refined(network, preconditioner, products_behind, reflected)[0]
 
 
 @eqx.filter_jit
 def _sample(
     network: AbstractLinearNetwork, mesh: Mesh, *motion: Array
-) -> tuple[tuple[Float[Array, "devices _ _"], ...], Float[Array, "devices joints"]]:
-    """Rows of some patterns of each device, and its numbers of equations."""
+) -> tuple[tuple[Float[Array, "_ sample"], ...], Float[Array, " packed"]]:
+    """Rows of some patterns of each device, which stay there, and the products of all, packed."""
 
     # On each device by itself: slices across devices would bring all patterns to all of them.
     def of_device(*shard: Array) -> Any:
-        step = max(len(shard[0]) * mesh.size // SAMPLE, 1)
-        sample = (jnp.swapaxes(x[::step][:SAMPLE], 0, 1) for x in shard)
-        return weighted_rows(network, *sample), jnp.sum(shard[-1] != 0, axis=0) * 1.0
+        rows, numbers = sample_rows(network, len(shard[0]) * mesh.size, *shard)
+        return rows, jax.lax.psum(numbers, _AXIS)
 
-    return _on_all(of_device, mesh, motion)
+    return jax.shard_map(
+        of_device,
+        mesh=mesh,
+        in_specs=PartitionSpec(_AXIS),
+        out_specs=(PartitionSpec(None, _AXIS), PartitionSpec()),
+        check_vma=False,
+    )(*motion)
 
 
 @eqx.filter_jit
-def _grams(
+def _products(
     network: AbstractLinearNetwork,
-    inverses: tuple[Float[Array | np.ndarray, "_ _"], ...],
+    inverses: Float[Array | np.ndarray, " packed"],
     mesh: Mesh,
     on_gpu: bool,
     *motion: Array,
-) -> tuple[Float[Array, "devices _ _"], ...]:
-    of_device = functools.partial(gram_matrices, network, inverses, on_gpu=on_gpu)
-    return _on_all(of_device, mesh, motion)
+) -> Float[Array, "devices numbers"]:
+    return _on_all(functools.partial(products, network, inverses, on_gpu=on_gpu), mesh, motion)
 
 
 @eqx.filter_jit
@@ -124,7 +126,8 @@ def _reflected(
     network: AbstractLinearNetwork, mesh: Mesh, *motion: Array
 ) -> tuple[Float[Array, "devices _ _"], ...]:
     def of_device(*shard: Array) -> tuple[Array, ...]:
-        return tuple(map(jnp.asarray, factorise(network, *shard).triangles))
+        factors = factorise(network, *shard)
+        return (*map(jnp.asarray, factors.triangles), jnp.asarray(factors.counts))
 
     return _on_all(of_device, mesh, motion)
 

@@ -69,23 +69,24 @@ def identification_of(
         independent = independent + inherited @ fixed.independent_covariance @ inherited.T
         degrees_of_freedom = xp.minimum(degrees_of_freedom, fixed.degrees_of_freedom)
     deviation = xp.sqrt(xp.diag(covariance))
-    return Identification(
-        k=as_jax(solution.k),
-        standard_error=as_jax(xp.where(solution.determined, deviation, np.inf)),
-        covariance=as_jax(covariance),
-        independent_covariance=as_jax(independent),
-        torque_error=as_jax(factors.root_mean_squares(unknowns, solution.k)),
-        equations=as_jax(factors.counts),
-        effective_equations=as_jax(effective),
-        degrees_of_freedom=as_jax(degrees_of_freedom),
-        rank=as_jax(solution.rank),
-        condition=as_jax(solution.condition),
-        undetermined=as_jax(solution.undetermined),
-        determined=as_jax(solution.determined),
-        result=result,
-        names=unknowns.names,
-        errors=errors,
+    # Put on the device together: one by one they take longer than the decomposition.
+    arrays: dict[str, Any] = as_jax(
+        {
+            "k": solution.k,
+            "standard_error": xp.where(solution.determined, deviation, np.inf),
+            "covariance": covariance,
+            "independent_covariance": independent,
+            "torque_error": factors.root_mean_squares(unknowns, solution.k),
+            "equations": factors.counts,
+            "effective_equations": effective,
+            "degrees_of_freedom": degrees_of_freedom,
+            "rank": solution.rank,
+            "condition": solution.condition,
+            "undetermined": solution.undetermined,
+            "determined": solution.determined,
+        }
     )
+    return Identification(**arrays, result=result, names=unknowns.names, errors=errors)
 
 
 def _result(rank_deficient: Any, too_few: Any, finite: Any) -> RESULTS:
