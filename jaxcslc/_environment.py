@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 
 class MissingExtraError(ImportError):
@@ -67,6 +68,22 @@ def as_jax(x: Any) -> Any:
     for i, leaf in zip(on_host, put, strict=True):
         leaves[i] = leaf
     return jax.tree.unflatten(structure, leaves)
+
+
+def platform_of(*arrays: Any) -> str:
+    """What JAX computes with arrays on: `"cpu"`, `"gpu"` or another accelerator.
+
+    The default device if they are NumPy's, or traced.
+
+    >>> import jax
+    >>> platform_of(jax.device_put(1.0, jax.devices("cpu")[0]))
+    'cpu'
+    """
+    for x in arrays:
+        if isinstance(x, jax.Array) and not isinstance(x, Tracer):
+            return next(iter(x.devices())).platform
+    default: Any = jax.config.jax_default_device  # a device, or a platform
+    return getattr(default, "platform", default) or jax.default_backend()
 
 
 def require_float64(*arrays: jax.Array | np.ndarray) -> None:

@@ -23,6 +23,15 @@ if TYPE_CHECKING:
     from jaxcslc.manipulator import LinkParameters
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("gpu") is None:
+        return
+    from jaxcslc.network.straight_line import kernels_run
+
+    if not kernels_run():
+        pytest.skip("gpu: there is no NVIDIA GPU with matrix units for float64")
+
+
 def run(*arguments: str | Path) -> "Result":
     """Runs the command `jaxcslc` with these arguments."""
     from typer.testing import CliRunner

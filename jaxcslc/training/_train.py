@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 from tqdm import tqdm
 
-from .._environment import require_float64
+from .._environment import platform_of, require_float64
 from ..adaptive import AdaptiveNetwork
 from ._checkpoint import Checkpoint
 from ._epoch import Record, State, epoch
@@ -196,7 +196,7 @@ def _block(network: AdaptiveNetwork, training_set: Examples | NormalEquations) -
     """How many trainings side by side: on a CPU what stays near its caches."""
     if isinstance(training_set, NormalEquations):
         return 256
-    if jax.default_backend() != "cpu":
+    if platform_of(training_set.targets) != "cpu":
         # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch
         # keeps some ten at a time.
         nodes = sum(layer.links.nodes for _, layer in network.adaptive_layers)

@@ -6,19 +6,27 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification.solver._preconditioned import Preconditioner
+from jaxcslc.identification.solver._preconditioned import (
+    Preconditioner,
+    gram_matrices,
+    sample_of,
+)
 from jaxcslc.identification.solver.fused import (
+    fused_gram_matrices,
     fused_kernel_of,
     gram_kernel,
     packed_inverses,
     unpacked_products,
 )
-from jaxcslc.network.straight_line import CudaText, Motion, Operation
+from jaxcslc.network.straight_line import CudaText, Motion as Symbols, Operation, kernels_run
+
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 SIZES = (11, 5, 16)
@@ -51,7 +59,7 @@ def test_tiles_are_those_of_the_products(rng: np.random.Generator) -> None:
 
 def statements_in_c(network: jc.CSLC, folder: Path) -> Any:
     """The columns' statements as a C function of one sample."""
-    motion = Motion(network.joint_count)
+    motion = Symbols(network.joint_count)
     entries = list(network.column_entries(motion))
 
     def reading(operation: Operation) -> str | None:
@@ -108,5 +116,42 @@ def test_the_kernel_fits_a_multiprocessor(puma: jc.CSLC) -> None:
     assert set(rows) == {1}
 
 
-def test_without_an_nvidia_gpu_there_is_no_kernel(puma: jc.CSLC) -> None:
-    assert fused_kernel_of(puma) is None
+def test_there_is_a_kernel_where_it_runs(puma: jc.CSLC) -> None:
+    assert (fused_kernel_of(puma) is not None) == kernels_run()
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("samples", [1, 33, 5000])
+@pytest.mark.parametrize("name", ["puma560", "panda"])
+def test_the_kernel_multiplies_the_columns(
+    name: str, samples: int, rng: np.random.Generator
+) -> None:
+    """Oracle: columns computed and multiplied by XLA, behind the same preconditioner."""
+    robot = getattr(jc, name)().with_friction("viscous", "dry", "offset")
+    network = jc.derive(robot, lengths="auto")
+    n = network.joint_count
+    q, qd, qdd, torque = rng.uniform(-3, 3, (4, samples, n))
+    weight = np.where(rng.uniform(size=(samples, n)) < 0.1, 0.0, rng.uniform(0.5, 2.0, n))
+    motion = [jnp.asarray(x) for x in (q, qd, qdd, torque, weight)]
+    many = rng.uniform(-3, 3, (4, 4096, n))
+    inverses = sample_of(network, (*many, np.ones((4096, n)))).inverses
+    kernel = fused_kernel_of(network)
+    assert kernel is not None
+    by_kernel = jax.jit(lambda *motion: fused_gram_matrices(kernel, inverses, *motion))(*motion)
+    expected = jax.jit(lambda *motion: gram_matrices(network, inverses, *motion, on_gpu=False))
+    for mine, theirs in zip(by_kernel, expected(*motion), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-12 * float(jnp.max(theirs)))
+
+
+@pytest.mark.gpu
+def test_a_fit_on_a_gpu_is_that_of_the_processor(
+    puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
+) -> None:
+    noise = np.random.default_rng(0).normal(size=exciting_motion[0].shape)
+    patterns = patterns_of(puma, puma_k, exciting_motion, noise)
+    expected = ORDINARY.fit(puma, jax.tree.map(np.asarray, patterns))
+    fit = ORDINARY.fit(puma, jax.tree.map(lambda x: jnp.concatenate([x, x]), patterns))
+    # Twice the same patterns: the same coefficients.
+    error = np.abs(np.asarray(fit.k) - np.asarray(expected.k)) / np.asarray(expected.standard_error)
+    assert np.max(error) < 1e-9
+    assert int(fit.rank) == int(expected.rank)

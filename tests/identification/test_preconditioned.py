@@ -1,6 +1,5 @@
 """Factors by matrix products: as good as those of Householder's reflections."""
 
-import flint
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +17,7 @@ from jaxcslc.identification.solver import (
     minimum,
 )
 
-from .conftest import ORDINARY, Motion, patterns_of
+from .conftest import ORDINARY, Motion, exact_coefficients, patterns_of
 
 
 SAMPLES = 3000
@@ -98,12 +97,7 @@ def test_coefficients_are_as_near_to_the_exact_ones(
     """Oracle: the normal equations of the same rows in numbers of 400 bits."""
     q, qd, qdd = (x[:150] for x in exciting_motion)
     motion = motion_of(puma, puma_k, (q, qd, qdd), MOTIONS[name][0], 0.1)
-    columns = puma.columns(*(jnp.asarray(x.T) for x in motion[:3]))
-    rows = np.zeros((6, 150, 44))
-    for joint, (support, entries) in enumerate(zip(puma.support, columns, strict=True)):
-        rows[joint][:, list(support)] = np.asarray(entries).T
-    rows[..., -1] = motion[3].T
-    exact = exact_solution(rows.reshape(-1, 44))
+    exact = exact_coefficients(puma, motion)
     unknowns, weights = Unknowns.of(puma), np.ones(6)
     by_products = minimum(unknowns, factors_of(puma, motion)[0], weights, None)
     by_reflections = minimum(unknowns, reflected(puma, motion), weights, None)
@@ -113,19 +107,6 @@ def test_coefficients_are_as_near_to_the_exact_ones(
         for fit in (by_products, by_reflections)
     ]
     assert errors[0] < 5.0 * errors[1] + 1e-12
-
-
-def exact_solution(rows: np.ndarray) -> np.ndarray:
-    precision, flint.ctx.prec = flint.ctx.prec, 400
-    try:
-        matrix = flint.arb_mat([[flint.arb(float(x)) for x in row] for row in rows])
-        gram = matrix.transpose() * matrix
-        p = rows.shape[1] - 1
-        normal = flint.arb_mat([[gram[i, j] for j in range(p)] for i in range(p)])
-        solution = normal.solve(flint.arb_mat([[gram[i, p]] for i in range(p)]))
-        return np.array([float(solution[i, 0].mid()) for i in range(p)])
-    finally:
-        flint.ctx.prec = precision
 
 
 def test_noise_free_torques(puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion) -> None:

@@ -85,5 +85,5 @@ def test_the_form_is_selected_by_joints_and_samples(joints: int) -> None:
     assert isinstance(term, RigidBodyRecursion)
     few, many = jnp.zeros((3, joints)), (1 << 20, joints)
     assert term.unrolled is None
-    assert not term.is_unrolled(few.shape)
-    assert term.is_unrolled(many) == (joints == 5)
+    assert not term.is_unrolled(few, few.shape)
+    assert term.is_unrolled(few, many) == (joints == 5)

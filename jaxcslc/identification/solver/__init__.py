@@ -10,6 +10,11 @@ from ._compiled import (
     torque_of as torque_of,
     traced as traced,
 )
+from ._correction import (
+    corrected as corrected,
+    needs_correction as needs_correction,
+    residual_sums as residual_sums,
+)
 from ._equations import (
     Equations as Equations,
     equations_of as equations_of,

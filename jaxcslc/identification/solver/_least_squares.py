@@ -1,6 +1,7 @@
 import dataclasses
-from collections.abc import Iterable, Iterator
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ from ._compiled import (
     traced,
     untraced,
 )
+from ._correction import corrected, needs_correction
 from ._equations import Equations, equations_of, pattern_factors, samples_of
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
@@ -43,7 +45,7 @@ from ._standard_errors import (
     ordinary_residuals,
     with_errors,
 )
-from ._streaming import are_many, factors_of_patterns, factors_of_stream
+from ._streaming import are_many, factors_of_patterns, factors_of_stream, residual_sums_of
 from .second_pass import AbstractRows, KeptRows, PatternRows
 
 
@@ -204,8 +206,7 @@ class LeastSquares:
     ) -> Identification:
         """The ordinary fit of factorised patterns, its errors for independent noise."""
         unknowns = Unknowns.of(network)
-        solution, _ = self._minimum(unknowns, factors, fixed)
-        return checked(_independent(unknowns, *untraced((factors, solution, fixed))), throw)
+        return checked(self._fit_rows(unknowns, factors, None, fixed), throw)
 
     def fit_equations(
         self, equations: Equations, samples: int, fixed: Fixed | None = None, throw: bool = True
@@ -339,7 +340,9 @@ class LeastSquares:
             equations = equations_of(network, patterns, self.cutoff)
             return self.fit_equations(equations, samples, fixed, throw=False)
         if not self._passes_twice and not traced(motion) and are_many(patterns):
-            return self.fit_factors(network, factors_of_patterns(network, patterns), fixed, False)
+            factors = factors_of_patterns(network, patterns)
+            sums = partial(residual_sums_of, network, patterns)
+            return self._fit_rows(Unknowns.of(network), factors, None, fixed, sums)
         q, qd, qdd, torque = (filled_up(x) for x in motion[:-1])
         weight = filled_up(patterns.mask.astype(float))
         factors = pattern_factors(network, patterns)
@@ -350,7 +353,9 @@ class LeastSquares:
             )
         elif self._passes_twice:
             rows = KeptRows.from_equations(equations_of(network, patterns, None), samples)
-        return self._fit_rows(Unknowns.of(network), factors, rows, fixed)
+        many = not traced(motion) and are_many(patterns)
+        sums = partial(residual_sums_of, network, patterns) if many else None
+        return self._fit_rows(Unknowns.of(network), factors, rows, fixed, sums)
 
     def _fit_rows(
         self,
@@ -358,10 +363,16 @@ class LeastSquares:
         factors: JointFactors,
         rows: AbstractRows | None,
         fixed: Fixed | None,
+        sums: Callable[[Any], Any] | None = None,
     ) -> Identification:
-        """The fit of equations, with a second pass if there are `rows`."""
+        """The fit of equations, with a second pass if there are `rows`.
+
+        - `sums`: of `residual_sums`, of coefficients, where the patterns can be passed again.
+        """
         factors, fixed = untraced((factors, fixed))
         solution, weights = self._minimum(unknowns, factors, fixed)
+        if sums is not None and needs_correction(unknowns, factors, solution, weights):
+            solution = corrected(unknowns, solution, weights, sums(solution.k))
         if rows is None:
             return _independent(unknowns, factors, solution, fixed)
         if on_host((rows, factors, solution, fixed)) and self.loss == "squared":

@@ -263,7 +263,7 @@ def _reduced(
         # Fitted ones too: what they change by is then looked for, and nothing where they are free.
         target = target - _times(coefficients, fixed.k)[..., None]
         columns = xp.concatenate([coefficients[..., order], target], axis=-1)
-    triangle = triangle_of(columns) if xp is np else xp.linalg.qr(columns, mode="r")
+    triangle = triangle_of(np.asarray(columns)) if xp is np else xp.linalg.qr(columns, mode="r")
     matrix = triangle[..., :p, :p]
     scale = xp.linalg.norm(matrix, axis=-2)
     scale = xp.where(scale > 0, scale, 1.0)

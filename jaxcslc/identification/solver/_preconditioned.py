@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace
+from ..._environment import array_namespace, platform_of
 from ...network import AbstractLinearNetwork
 from ._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
 from .fused import fused_gram_matrices, fused_kernel_of
@@ -145,7 +145,7 @@ def refined(
 ) -> tuple[JointFactors, Preconditioner]:
     """Factors whose error is small, of one or several sets of patterns, joined.
 
-    - `products_behind`: for each set its `products` behind a preconditioner.
+    - `products_behind`: for each set its `packed_products` behind a preconditioner.
     - `reflected`: the factors by reflections.
 
     **Returns** the factors, NumPy's, and the preconditioner that served.
@@ -209,7 +209,7 @@ def unpacked(network: AbstractLinearNetwork, numbers: Any) -> list[Any]:
     return arrays if first == len(numbers) else [*arrays, numbers[first:]]
 
 
-def products(
+def packed_products(
     network: AbstractLinearNetwork,
     inverses: Float[Array | np.ndarray, " packed"],
     *motion: Float[Array, "samples _"],
@@ -287,19 +287,12 @@ def gram_matrices(
     samples = len(q)
     products = max(min(products, samples // rows), 1)
     size = products * rows
-    motion: tuple[Array, ...] = q, qd, qdd, torque, weight
-    if samples < size:
-        motion = tuple(jnp.pad(x, ((0, size - samples), (0, 0))) for x in motion)
 
-    def block_at(start: Array) -> tuple[Array, ...]:
+    def block_of(start: Array) -> tuple[Array, ...]:
         """From (samples, columns) to (products, columns, rows)."""
-        # The last block begins within the one before: its first patterns have been there already.
-        first = jnp.minimum(start, max(samples - size, 0))
-        q, qd, qdd, torque, weight = (jax.lax.dynamic_slice_in_dim(x, first, size) for x in motion)
-        weight = jnp.where((first + jnp.arange(size) >= start)[:, None], weight, 0.0)
         return tuple(
             jnp.swapaxes(x.reshape(products, rows, x.shape[1]), 1, 2)
-            for x in (q, qd, qdd, torque, weight)
+            for x in block_at((q, qd, qdd, torque, weight), start, size)
         )
 
     def product(*block: Array) -> tuple[Array, ...]:
@@ -309,7 +302,7 @@ def gram_matrices(
         )
 
     def step(total: tuple[Array, ...], start: Array) -> tuple[tuple[Array, ...], None]:
-        block = block_at(start)
+        block = block_of(start)
         if products == 1:
             added = product(*(x[0] for x in block))
         else:
@@ -321,19 +314,30 @@ def gram_matrices(
     return jax.lax.scan(step, empty, jnp.arange(0, max(samples, 1), size))[0]
 
 
+def block_at(motion: Sequence[Array], start: Array, size: int) -> tuple[Array, ...]:
+    """So many patterns from one on; behind the end such of weight zero."""
+    samples = len(motion[0])
+    if samples < size:
+        motion = [jnp.pad(x, ((0, size - samples), (0, 0))) for x in motion]
+    # The last block begins within the one before: its first patterns have been there already.
+    first = jnp.minimum(start, max(samples - size, 0))
+    *block, weight = (jax.lax.dynamic_slice_in_dim(x, first, size) for x in motion)
+    return *block, jnp.where((first + jnp.arange(size) >= start)[:, None], weight, 0.0)
+
+
 def _products(
     network: AbstractLinearNetwork, inverses: np.ndarray, *motion: Array | np.ndarray
 ) -> Array:
     arrays = [jnp.asarray(x) for x in motion]
     # Where the patterns are: with a GPU at hand, a caller may still keep to the processor.
-    on_gpu = all(device.platform != "cpu" for device in arrays[0].devices())
+    on_gpu = platform_of(arrays[0]) != "cpu"
     return _compiled_products(network, inverses, *arrays, on_gpu=on_gpu)
 
 
-_compiled_products = eqx.filter_jit(products)
+_compiled_products = eqx.filter_jit(packed_products)
 _reflected = eqx.filter_jit(factorise)
 
 
 @eqx.filter_jit
-def _sample(network: AbstractLinearNetwork, *motion: Array) -> Any:
+def _sample(network: AbstractLinearNetwork, *motion: Any) -> Any:
     return sample_rows(network, len(motion[0]), *motion)

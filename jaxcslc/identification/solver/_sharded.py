@@ -11,8 +11,16 @@ from jaxtyping import Array, Float
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
+from ._correction import residual_sums
 from ._factors import JointFactors, factorise, joined_factors
-from ._preconditioned import Preconditioner, packed, products, refined, sample_rows, unpacked
+from ._preconditioned import (
+    Preconditioner,
+    packed,
+    packed_products,
+    refined,
+    sample_rows,
+    unpacked,
+)
 
 
 _AXIS = "patterns"
@@ -79,7 +87,7 @@ def factors_of_shards(
 
     def products_behind(preconditioner: Preconditioner) -> Sequence[np.ndarray]:
         inverses = packed(preconditioner.inverses)
-        return np.asarray(_products(network, inverses, mesh, on_gpu, *motion))
+        return list(np.asarray(_products(network, inverses, mesh, on_gpu, *motion)))
 
     def reflected() -> JointFactors:
         *triangles, counts = (np.asarray(x) for x in _reflected(network, mesh, *motion))
@@ -88,6 +96,24 @@ def factors_of_shards(
         )
 
     return refined(network, preconditioner, products_behind, reflected)[0]
+
+
+def residual_sums_of_shards(
+    network: AbstractLinearNetwork,
+    k: Float[np.ndarray, " coefficients"],
+    motion: tuple[Array, ...],
+    mesh: Mesh,
+) -> Float[np.ndarray, "devices 2 entries"]:
+    """`residual_sums` of each device's patterns."""
+    on_gpu = mesh.devices.flat[0].platform != "cpu"
+    return np.asarray(_residual_sums(network, k, mesh, on_gpu, *motion))
+
+
+@eqx.filter_jit
+def _residual_sums(
+    network: AbstractLinearNetwork, k: Any, mesh: Mesh, on_gpu: bool, *motion: Array
+) -> Float[Array, "devices 2 entries"]:
+    return _on_all(functools.partial(residual_sums, network, k, on_gpu=on_gpu), mesh, motion)
 
 
 @eqx.filter_jit
@@ -118,7 +144,9 @@ def _products(
     on_gpu: bool,
     *motion: Array,
 ) -> Float[Array, "devices numbers"]:
-    return _on_all(functools.partial(products, network, inverses, on_gpu=on_gpu), mesh, motion)
+    return _on_all(
+        functools.partial(packed_products, network, inverses, on_gpu=on_gpu), mesh, motion
+    )
 
 
 @eqx.filter_jit

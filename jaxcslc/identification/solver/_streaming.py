@@ -5,16 +5,19 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._environment import platform_of
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
+from ._correction import residual_sums
 from ._factors import JointFactors, joined_factors
 from ._preconditioned import Preconditioner, factors_of, sample_of
-from ._sharded import factors_of_shards, mesh_of
+from ._sharded import factors_of_shards, mesh_of, residual_sums_of_shards
 
 
 # Patterns that one compiled call takes: large enough that its overhead vanishes.
@@ -69,7 +72,9 @@ def are_many(patterns: Patterns) -> bool:
     """Whether `factors_of_patterns` pays: it computes products where `factorise` reflects."""
     if mesh_of(patterns.q) is not None:
         return True
-    return len(patterns.q) >= (2 * _CPU_LENGTH if _on_cpu(patterns.q) else _FEWEST_ON_GPU)
+    return len(patterns.q) >= (
+        2 * _CPU_LENGTH if platform_of(patterns.q) == "cpu" else _FEWEST_ON_GPU
+    )
 
 
 def factors_of_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
@@ -77,7 +82,7 @@ def factors_of_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> J
     pieces, on a device, or spread over several."""
     many_on_host = isinstance(patterns.q, np.ndarray) and len(patterns.q) > _GPU_LENGTH
     mesh = mesh_of(patterns.q)
-    if many_on_host or (mesh is None and _on_cpu(patterns.q)):
+    if many_on_host or (mesh is None and platform_of(patterns.q) == "cpu"):
         return factors_of_stream(network, [patterns], None)
     weight = jnp.asarray(patterns.mask).astype(float)
     motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
@@ -86,10 +91,36 @@ def factors_of_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> J
     return factors_of(network, jax.device_put(motion))[0]
 
 
-def _on_cpu(x: Array | np.ndarray) -> bool:
-    if isinstance(x, np.ndarray):
-        return jax.default_backend() == "cpu"
-    return all(device.platform == "cpu" for device in x.devices())
+def residual_sums_of(
+    network: AbstractLinearNetwork, patterns: Patterns, k: Float[np.ndarray, " coefficients"]
+) -> list[Float[np.ndarray, "2 entries"]]:
+    """`residual_sums` of all patterns, where `factors_of_patterns` has factorised them."""
+    mesh = mesh_of(patterns.q)
+    if mesh is not None or isinstance(patterns.q, jax.Array):
+        weight = jnp.asarray(patterns.mask).astype(float)
+        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, weight)
+        if mesh is not None:
+            return list(residual_sums_of_shards(network, k, tuple(map(jnp.asarray, motion)), mesh))
+        return [_residual_sums(network, k, jax.device_put(motion))]
+    devices = jax.local_devices()
+    on_cpu = devices[0].platform == "cpu"
+    with ThreadPoolExecutor(core_count() if on_cpu else _GPU_WORKERS * len(devices)) as pool:
+
+        def of_piece(piece: _Piece, device: Any) -> np.ndarray:
+            return _residual_sums(network, k, jax.device_put(piece, device))
+
+        pieces = _regular(network, [patterns], _CPU_LENGTH if on_cpu else _GPU_LENGTH)
+        return list(pool.map(of_piece, pieces, itertools.cycle(devices)))
+
+
+def _residual_sums(
+    network: AbstractLinearNetwork, k: np.ndarray, motion: tuple[Array, ...]
+) -> np.ndarray:
+    on_gpu = platform_of(motion[0]) != "cpu"
+    return np.asarray(_compiled_sums(network, k, *motion, on_gpu=on_gpu))
+
+
+_compiled_sums: Any = eqx.filter_jit(residual_sums)
 
 
 def _factors_on(

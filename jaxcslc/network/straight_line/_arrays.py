@@ -2,11 +2,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
-import jax
 import numpy as np
 
 from ..._environment import array_namespace
-from .._compilation import in_stage
+from .._compilation import by_platform, in_stage
 from ._expressions import Expressions, Operation, Value
 
 
@@ -45,11 +44,27 @@ def array_outputs(
             operations.append(index)
     xp = array_namespace(*values.values())
     kept = {output.index for output in outputs}
-    if xp is np or jax.default_backend() != "cpu":
-        _compute(xp, graph, operations, values, kept)
-    else:
+    results = sorted(kept & set(operations))
+
+    def at_once(before: dict[int, Any]) -> list[Any]:
+        of_graph = dict(before)
+        _compute(xp, graph, operations, of_graph, kept)
+        return [of_graph[index] for index in results]
+
+    def in_stages(before: dict[int, Any]) -> list[Any]:
+        of_graph = numbers | before
         for stage, later in _stages(graph, operations):
-            _compute_stage(xp, graph, stage, values, kept | later)
+            _compute_stage(xp, graph, stage, of_graph, kept | later)
+        return [of_graph[index] for index in results]
+
+    numbers = {index: x for index, x in values.items() if isinstance(x, float)}
+    if xp is np:
+        made = at_once(values)
+    else:
+        arrays = {index: x for index, x in values.items() if index not in numbers}
+        whole = lambda before: at_once(numbers | before)
+        made = by_platform(arrays, on_cpu=in_stages, elsewhere=whole)
+    values.update(zip(results, made, strict=True))
     return [values[output.index] for output in outputs]
 
 

@@ -133,7 +133,7 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         if isinstance(q, np.ndarray):
             program = _program(self.linked_bodies, self.support)
             return tuple(np.split(program(q, np.asarray(qd), np.asarray(qdd)), ends))
-        if self.is_unrolled(q.shape[::-1]):
+        if self.is_unrolled(q, q.shape[::-1]):
             code = _columns(self.linked_bodies, self.support)
             return tuple(jnp.split(unrolled(code, None, q.T, qd.T, qdd.T), ends))
         return self._compiled_columns(q, qd, qdd)
@@ -158,7 +158,7 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
         if self.size == 0:
             return jnp.zeros((*q.shape, 0), q.dtype)
-        if not self.is_unrolled(q.shape):
+        if not self.is_unrolled(q, q.shape):
             return self._rolled_regressor(q, qd, qdd)
         entries = tuple(np.ndindex(len(self.joints), self.size))
         code = columns_code(self.linked_bodies, entries)
@@ -176,35 +176,35 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         return in_blocks(of_block, motion, samples_first=True).reshape(*q.shape, p)
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
-        if self.is_unrolled(q.shape):
+        if self.is_unrolled(q, q.shape):
             return self._straight(torque_code(self.linked_bodies), k, q, qd, qdd)
         return self._torque(k, q, qd, qdd, self.gravity)
 
     def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
         weightless = (0.0, 0.0, 0.0)
-        if self.is_unrolled(q.shape):
+        if self.is_unrolled(q, q.shape):
             bodies = dataclasses.replace(self.linked_bodies, gravity=weightless)
             return self._straight(torque_code(bodies, accelerations=False), k, q, qd)
         return self._torque(k, q, qd, jnp.zeros_like(q), weightless)
 
     def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        if self.is_unrolled(q.shape):
+        if self.is_unrolled(q, q.shape):
             code = torque_code(self.linked_bodies, rates=False, accelerations=False)
             return self._straight(code, k, q)
         still = jnp.zeros_like(q)
         return self._torque(k, q, still, still, self.gravity)
 
     def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        if self.is_unrolled(q.shape):
+        if self.is_unrolled(q, q.shape):
             matrices = self._straight(mass_matrix_code(self.linked_bodies), k, q)
             return matrices.reshape(*q.shape, q.shape[-1])
         return _mass_matrix(self._geometry(q.dtype), self._bodies(k), q)
 
-    def is_unrolled(self, shape: tuple[int, ...]) -> bool:
-        """Which form computes positions of a shape (..., joints)."""
+    def is_unrolled(self, q: Any, shape: tuple[int, ...]) -> bool:
+        """Which form computes with positions of a shape (..., joints)."""
         if self.unrolled is not None:
             return self.unrolled
-        return is_quicker_unrolled(shape)
+        return is_quicker_unrolled(q, shape)
 
     def _straight(
         self, code: StraightLine, k: Coefficients | None, *motion: Joints

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._environment import platform_of
 from .._compilation import in_blocks
 from ..straight_line import StraightLine, array_outputs, named
 
@@ -40,12 +41,13 @@ def unrolled(
     return in_blocks(of_block, tuple(x.T for x in motion))
 
 
-def is_quicker_unrolled(shape: tuple[int, ...]) -> bool:
+def is_quicker_unrolled(q: Any, shape: tuple[int, ...]) -> bool:
     """Whether straight-line code is the quicker form, its compilation counted.
 
-    - `shape`: of the joints' positions, (..., joints).
+    - `q`: the joints' positions, for the device that they are on.
+    - `shape`: (..., joints), theirs with joints last.
     """
     *batch, joints = shape
     if joints > MOST_JOINTS:
         return False
-    return jax.default_backend() != "cpu" or math.prod(batch) >= MANY_SAMPLES
+    return platform_of(q) != "cpu" or math.prod(batch) >= MANY_SAMPLES
