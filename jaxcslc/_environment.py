@@ -82,7 +82,8 @@ def platform_of(*arrays: Any) -> str:
     for x in arrays:
         if isinstance(x, jax.Array) and not isinstance(x, Tracer):
             return next(iter(x.devices())).platform
-    default: Any = jax.config.jax_default_device  # a device, or a platform
+    config: Any = jax.config
+    default = config.jax_default_device  # a device, or a platform
     return getattr(default, "platform", default) or jax.default_backend()
 
 

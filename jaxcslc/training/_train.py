@@ -104,7 +104,8 @@ def train(
         made_of = (network, wiring, plan, training_set, stop_set, start, key, keep_weights)
         saved = Checkpoint(Path(checkpoint), made_of)
         state, records, passed = saved.load(state)
-    block = _block(network, training_set) if block is None else block
+    if block is None:
+        block = _block(network, training_set, trainings or 1)
     with tqdm(
         total=epochs, initial=passed, unit="epoch", disable=None if progress else True
     ) as bar:
@@ -192,8 +193,18 @@ def _many_steps(
     return jax.lax.map(one, mapped, batch_size=block)
 
 
-def _block(network: AdaptiveNetwork, training_set: Examples | NormalEquations) -> int:
-    """How many trainings side by side: on a CPU what stays near its caches."""
+def _block(
+    network: AdaptiveNetwork, training_set: Examples | NormalEquations, trainings: int
+) -> int:
+    """How many of all trainings side by side; a part of them, since the program is compiled once
+    more for what remains of a division."""
+    most = min(_largest_block(network, training_set), trainings)
+    even = max(size for size in range(1, most + 1) if trainings % size == 0)
+    return even if 2 * even > most else most
+
+
+def _largest_block(network: AdaptiveNetwork, training_set: Examples | NormalEquations) -> int:
+    """On a CPU what stays near its caches."""
     if isinstance(training_set, NormalEquations):
         return 256
     if platform_of(training_set.targets) != "cpu":

@@ -106,5 +106,5 @@ def test_a_fit_in_pieces_is_corrected(
     monkeypatch.setattr("jaxcslc.identification.solver._streaming._CPU_LENGTH", 128)
     monkeypatch.setattr("jaxcslc.identification.solver._compiled._HOST_SAMPLES", 128)
     fit = ORDINARY.fit(puma, patterns)
-    exact = exact_coefficients(puma, (q, qd, qdd, patterns.torque))
+    exact = exact_coefficients(puma, (q, qd, qdd, np.asarray(patterns.torque)))
     assert np.max(np.abs(fit.k - exact) / np.asarray(fit.standard_error)) < _OF_ACCURATE_TORQUES

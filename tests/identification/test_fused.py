@@ -12,11 +12,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification.solver._preconditioned import (
-    Preconditioner,
-    gram_matrices,
-    sample_of,
-)
+from jaxcslc.identification.solver import Preconditioner
 from jaxcslc.identification.solver.fused import (
     fused_gram_matrices,
     fused_kernel_of,
@@ -126,21 +122,28 @@ def test_there_is_a_kernel_where_it_runs(puma: jc.CSLC) -> None:
 def test_the_kernel_multiplies_the_columns(
     name: str, samples: int, rng: np.random.Generator
 ) -> None:
-    """Oracle: columns computed and multiplied by XLA, behind the same preconditioner."""
+    """Oracle: columns computed and multiplied by NumPy, behind the same preconditioner."""
     robot = getattr(jc, name)().with_friction("viscous", "dry", "offset")
     network = jc.derive(robot, lengths="auto")
     n = network.joint_count
     q, qd, qdd, torque = rng.uniform(-3, 3, (4, samples, n))
     weight = np.where(rng.uniform(size=(samples, n)) < 0.1, 0.0, rng.uniform(0.5, 2.0, n))
-    motion = [jnp.asarray(x) for x in (q, qd, qdd, torque, weight)]
-    many = rng.uniform(-3, 3, (4, 4096, n))
-    inverses = sample_of(network, (*many, np.ones((4096, n)))).inverses
+    rows = [
+        np.concatenate([columns, right[None]]) * factor
+        for columns, right, factor in zip(
+            network.columns(q.T, qd.T, qdd.T), torque.T, weight.T, strict=True
+        )
+    ]
+    some = [x + rng.normal(size=(len(x), 100)) for x in (r[:, :1] for r in rows)]
+    inverses = Preconditioner.of_rows([x.T for x in some]).inverses
     kernel = fused_kernel_of(network)
     assert kernel is not None
-    by_kernel = jax.jit(lambda *motion: fused_gram_matrices(kernel, inverses, *motion))(*motion)
-    expected = jax.jit(lambda *motion: gram_matrices(network, inverses, *motion, on_gpu=False))
-    for mine, theirs in zip(by_kernel, expected(*motion), strict=True):
-        np.testing.assert_allclose(mine, theirs, atol=1e-12 * float(jnp.max(theirs)))
+    motion = [jnp.asarray(x) for x in (q, qd, qdd, torque, weight)]
+    products = jax.jit(lambda *motion: fused_gram_matrices(kernel, inverses, *motion))(*motion)
+    for product, joint_rows, inverse in zip(products, rows, inverses, strict=True):
+        transformed = inverse.T @ joint_rows
+        expected = transformed @ transformed.T
+        np.testing.assert_allclose(product, expected, atol=1e-12 * np.max(np.abs(expected)))
 
 
 @pytest.mark.gpu
@@ -150,7 +153,8 @@ def test_a_fit_on_a_gpu_is_that_of_the_processor(
     noise = np.random.default_rng(0).normal(size=exciting_motion[0].shape)
     patterns = patterns_of(puma, puma_k, exciting_motion, noise)
     expected = ORDINARY.fit(puma, jax.tree.map(np.asarray, patterns))
-    fit = ORDINARY.fit(puma, jax.tree.map(lambda x: jnp.concatenate([x, x]), patterns))
+    twice = jax.tree.map(lambda x: jnp.concatenate([jnp.asarray(x)] * 2), patterns)
+    fit = ORDINARY.fit(puma, twice)
     # Twice the same patterns: the same coefficients.
     error = np.abs(np.asarray(fit.k) - np.asarray(expected.k)) / np.asarray(expected.standard_error)
     assert np.max(error) < 1e-9

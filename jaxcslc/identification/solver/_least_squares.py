@@ -339,7 +339,8 @@ class LeastSquares:
         if self.cutoff is not None or computed_on_host(network, *motion):
             equations = equations_of(network, patterns, self.cutoff)
             return self.fit_equations(equations, samples, fixed, throw=False)
-        if not self._passes_twice and not traced(motion) and are_many(patterns):
+        many = not traced(motion) and are_many(patterns)
+        if not self._passes_twice and many:
             factors = factors_of_patterns(network, patterns)
             sums = partial(residual_sums_of, network, patterns)
             return self._fit_rows(Unknowns.of(network), factors, None, fixed, sums)
@@ -353,7 +354,6 @@ class LeastSquares:
             )
         elif self._passes_twice:
             rows = KeptRows.from_equations(equations_of(network, patterns, None), samples)
-        many = not traced(motion) and are_many(patterns)
         sums = partial(residual_sums_of, network, patterns) if many else None
         return self._fit_rows(Unknowns.of(network), factors, rows, fixed, sums)
 

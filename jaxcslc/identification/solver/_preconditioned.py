@@ -17,15 +17,16 @@ from .fused import fused_gram_matrices, fused_kernel_of
 # Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30
 # columns, a condition number of about 1.2.
 SAMPLE = 4096
-# A sample's products are factorised where the least pivot is larger, and its rows otherwise: the
-# error of the pivots is 1e-16 of the first one over the least.
-_LEAST_PIVOT = 1e-5
+# Squares of pivots of a sample's columns of unit length below which products do not resolve them.
+_LEAST_SQUARE = 1e-13
 # Added below a sample's rows, in lengths of their columns: directions that the sample lacks stay
 # finite, and are resolved to 1e-8 of 1e-8.
 _SHIFT = 1e-8
 # What rounding of the products may change, in units of rounding and lengths of columns. Householder
 # reflections change about ten.
 _LARGEST_ERROR = 100.0
+# Columns behind a preconditioner count as zero up to this, in the same units.
+_NEGLIGIBLE = 50.0
 # Each factor that is not good enough is the preconditioner of the next.
 _PASSES = 3
 # Patterns that are expanded into regressor rows at once, and of which a product is formed: on a
@@ -59,17 +60,14 @@ class Preconditioner(NamedTuple):
         return cls(inverses, factors)
 
     @classmethod
-    def of_products(cls, grams: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner | None":
-        """Of the products of some rows of each joint; None where rows determine it better.
+    def of_products(cls, grams: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner":
+        """Of the products of some rows of each joint.
 
-        Decompositions of tens of columns, where those of rows have thousands of rows: a tenth of
-        the time, which a GPU waits for.
+        Rows are resolved to 1e-7 of their columns' lengths, which serves as well as 1e-16 with
+        condition numbers up to that, and what lies beyond takes a second pass. Decomposing tens of
+        columns takes a tenth of the time of thousands of rows, for which a GPU waits.
         """
-        pairs = [_inverse_and_factor_of_product(gram) for gram in grams]
-        some = [pair for pair in pairs if pair is not None]
-        if len(some) < len(pairs):
-            return None
-        inverses, factors = zip(*some, strict=True)
+        inverses, factors = zip(*map(_inverse_and_factor_of_product, grams), strict=True)
         return cls(inverses, factors)
 
 
@@ -77,10 +75,7 @@ def _inverse_and_factor(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     lengths = np.linalg.norm(rows, axis=0)
     lengths = np.where(lengths > 0.0, lengths, 1.0)
     size = rows.shape[1]
-    # In stages first: libraries spread a decomposition of thousands of rows over all cores, which
-    # then wait for each other.
-    rows = triangle_of(rows / lengths)
-    shifted = np.concatenate([rows, _SHIFT * np.eye(size)])
+    shifted = np.concatenate([rows / lengths, _SHIFT * np.eye(size)])
     triangle, order = scipy.linalg.qr(shifted, mode="r", pivoting=True, check_finite=False)
     triangle = triangle[:size]
     inverse, factor = np.empty((2, size, size))
@@ -89,15 +84,17 @@ def _inverse_and_factor(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return inverse / lengths[:, None], factor * lengths
 
 
-def _inverse_and_factor_of_product(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    lengths = np.sqrt(np.diag(gram))
-    if not np.all((lengths > 0.0) & np.isfinite(lengths)):
-        return None
+def _inverse_and_factor_of_product(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = len(gram)
-    triangle, pivots, rank, _ = scipy.linalg.lapack.dpstrf(gram / lengths[:, None] / lengths)
-    if rank < size or triangle[-1, -1] < _LEAST_PIVOT:
-        return None
+    if not np.all(np.isfinite(gram)):
+        return np.eye(size), np.eye(size)
+    lengths = np.sqrt(np.diag(gram))
+    lengths = np.where(lengths > 0.0, lengths, 1.0)
+    normalized = gram / lengths[:, None] / lengths
+    triangle, pivots, rank, _ = scipy.linalg.lapack.dpstrf(normalized, tol=_LEAST_SQUARE)
     order, triangle = pivots - 1, np.triu(triangle)
+    # Not shifted as a whole: what depends on other columns is to vanish up to rounding.
+    triangle[rank:] = np.sqrt(_LEAST_SQUARE) * np.eye(size)[rank:]
     inverse, factor = np.empty((2, size, size))
     inverse[order] = scipy.linalg.lapack.dtrtri(triangle)[0]
     factor[:, order] = triangle
@@ -170,23 +167,18 @@ def sample_of(network: AbstractLinearNetwork, motion: Motion) -> Preconditioner:
     """The preconditioner of patterns that are spread over all."""
     # Of the host's arrays the sample alone goes to the device.
     motion = tuple(_spread(x, len(x)) if isinstance(x, np.ndarray) else x for x in motion)
-    rows, numbers = _sample(network, *motion)
-    preconditioner = Preconditioner.of_products(unpacked(network, np.asarray(numbers)))
-    if preconditioner is not None:
-        return preconditioner
-    return Preconditioner.of_rows([np.asarray(joint_rows).T for joint_rows in rows])
+    return Preconditioner.of_products(unpacked(network, np.asarray(_sample(network, *motion))))
 
 
-def sample_rows(
+def sample_products(
     network: AbstractLinearNetwork, samples: int, *motion: Float[Array, "patterns _"]
-) -> tuple[tuple[Float[Array, "_ sample"], ...], Float[Array, " packed"]]:
-    """Rows of patterns that are spread over all, and their products, packed.
+) -> Float[Array, " packed"]:
+    """The products of rows of patterns that are spread over all, packed.
 
     - `samples`: of all devices together.
     """
     sample = (jnp.swapaxes(_spread(x, samples), 0, 1) for x in motion)
-    rows = weighted_rows(network, *sample)
-    return rows, packed([joint_rows @ joint_rows.T for joint_rows in rows])
+    return packed([rows @ rows.T for rows in weighted_rows(network, *sample)])
 
 
 def _spread(x: Any, samples: int) -> Any:
@@ -244,12 +236,20 @@ def _triangle_and_error(factor: np.ndarray, gram: np.ndarray) -> tuple[np.ndarra
     divisor = np.where(lengths > 0.0, lengths, 1.0)
     # Of columns of unit length: a factor's errors do not depend on their scale.
     normalized, directions = gram / divisor[:, None] / divisor, lengths[:, None] * factor
+    # What depends on other columns is left as rounding, in any direction: none of its own.
+    columns = np.sqrt(np.maximum(np.sum(directions * (normalized @ directions), axis=0), 0.0))
+    negligible = np.all(np.abs(directions) <= _NEGLIGIBLE * np.finfo(float).eps * columns, axis=1)
+    if np.any(negligible):
+        directions[negligible] = normalized[negligible] = normalized[:, negligible] = 0.0
+        normalized[negligible, negligible] = 1.0
     triangle, singular = scipy.linalg.lapack.dpotrf(normalized, lower=1)
     if not singular:
         # Rounding of the products changes the factor by no more than its inverse's norm.
         half = triangle.T @ directions
         change = np.linalg.norm(scipy.linalg.lapack.dtrtri(triangle, lower=1)[0])
-        error = change * np.max(np.linalg.norm(directions, axis=0) / np.linalg.norm(half, axis=0))
+        columns = np.linalg.norm(half, axis=0)
+        columns = np.where(columns > 0.0, columns, 1.0)
+        error = change * np.max(np.linalg.norm(directions, axis=0) / columns)
         if error < _LARGEST_ERROR:
             return triangle_of(half), float(error)
     values, vectors = np.linalg.eigh(normalized)
@@ -339,5 +339,5 @@ _reflected = eqx.filter_jit(factorise)
 
 
 @eqx.filter_jit
-def _sample(network: AbstractLinearNetwork, *motion: Any) -> Any:
-    return sample_rows(network, len(motion[0]), *motion)
+def _sample(network: AbstractLinearNetwork, *motion: Any) -> Float[Array, " packed"]:
+    return sample_products(network, len(motion[0]), *motion)

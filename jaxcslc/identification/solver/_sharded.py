@@ -18,7 +18,7 @@ from ._preconditioned import (
     packed,
     packed_products,
     refined,
-    sample_rows,
+    sample_products,
     unpacked,
 )
 
@@ -77,12 +77,8 @@ def factors_of_shards(
 
     - `motion`: q, qd, qdd (samples, m), torque and weight (samples, n).
     """
-    rows, numbers = _sample(network, mesh, *motion)
-    preconditioner = Preconditioner.of_products(unpacked(network, np.asarray(numbers)))
-    if preconditioner is None:
-        everywhere = NamedSharding(mesh, PartitionSpec())
-        gathered = jax.jit(lambda rows: rows, out_shardings=everywhere)(rows)
-        preconditioner = Preconditioner.of_rows([np.asarray(x).T for x in gathered])
+    sample = np.asarray(_sample(network, mesh, *motion))
+    preconditioner = Preconditioner.of_products(unpacked(network, sample))
     on_gpu = mesh.devices.flat[0].platform != "cpu"
 
     def products_behind(preconditioner: Preconditioner) -> Sequence[np.ndarray]:
@@ -117,23 +113,14 @@ def _residual_sums(
 
 
 @eqx.filter_jit
-def _sample(
-    network: AbstractLinearNetwork, mesh: Mesh, *motion: Array
-) -> tuple[tuple[Float[Array, "_ sample"], ...], Float[Array, " packed"]]:
-    """Rows of some patterns of each device, which stay there, and the products of all, packed."""
+def _sample(network: AbstractLinearNetwork, mesh: Mesh, *motion: Array) -> Float[Array, " packed"]:
+    """The products of rows of some patterns of each device, packed."""
 
     # On each device by itself: slices across devices would bring all patterns to all of them.
-    def of_device(*shard: Array) -> Any:
-        rows, numbers = sample_rows(network, len(shard[0]) * mesh.size, *shard)
-        return rows, jax.lax.psum(numbers, _AXIS)
+    def of_device(*shard: Array) -> Array:
+        return sample_products(network, len(shard[0]) * mesh.size, *shard)
 
-    return jax.shard_map(
-        of_device,
-        mesh=mesh,
-        in_specs=PartitionSpec(_AXIS),
-        out_specs=(PartitionSpec(None, _AXIS), PartitionSpec()),
-        check_vma=False,
-    )(*motion)
+    return jnp.sum(_on_all(of_device, mesh, motion), axis=0)
 
 
 @eqx.filter_jit

@@ -126,7 +126,8 @@ def kernels_run() -> bool:
     try:
         with jax.ensure_compile_time_eval():
             x = jnp.arange(32.0, dtype=jnp.float64)
-            (y,) = jax.jit(lambda x: Kernel("probe", _PROBE, 32)(1, [x], x))(x)
+            like = jax.ShapeDtypeStruct(x.shape, x.dtype)
+            (y,) = jax.jit(lambda x: Kernel("probe", _PROBE, 32)(1, [like], x))(x)
             return bool(jnp.all(y == 2.0 * x))
     except (OSError, RuntimeError, ValueError):  # no compiler, or an XLA without such calls
         return False
