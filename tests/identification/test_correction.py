@@ -103,7 +103,7 @@ def test_a_fit_in_pieces_is_corrected(
     q, qd, qdd = (x[:600] for x in exciting_motion)
     noise = 1e-4 * np.random.default_rng(4).normal(size=q.shape)
     patterns = patterns_of(puma, puma_k, (q, qd, qdd), noise)
-    monkeypatch.setattr("jaxcslc.identification.solver._streaming._CPU_LENGTH", 128)
+    monkeypatch.setattr("jaxcslc.identification.solver.many._streaming._CPU_LENGTH", 128)
     monkeypatch.setattr("jaxcslc.identification.solver._compiled._HOST_SAMPLES", 128)
     fit = ORDINARY.fit(puma, patterns)
     exact = exact_coefficients(puma, (q, qd, qdd, np.asarray(patterns.torque)))

@@ -10,11 +10,6 @@ from ._compiled import (
     torque_of as torque_of,
     traced as traced,
 )
-from ._correction import (
-    corrected as corrected,
-    needs_correction as needs_correction,
-    residual_sums as residual_sums,
-)
 from ._equations import (
     Equations as Equations,
     equations_of as equations_of,
@@ -47,9 +42,7 @@ from ._minimum import (
     residual_weights as residual_weights,
     weighted_minimum as weighted_minimum,
 )
-from ._preconditioned import Preconditioner as Preconditioner, factors_of as factors_of
 from ._robust import robust_weights as robust_weights
-from ._sharded import shard_patterns as shard_patterns
 from ._standard_errors import (
     ERRORS as ERRORS,
     Errors as Errors,
@@ -57,9 +50,18 @@ from ._standard_errors import (
     correlated_covariance as correlated_covariance,
     effective_counts as effective_counts,
 )
-from ._streaming import core_count as core_count, factors_of_stream as factors_of_stream
 from ._weighted_equations import (
     WeightedEquations as WeightedEquations,
     changes_of as changes_of,
+)
+from .many import (
+    Preconditioner as Preconditioner,
+    core_count as core_count,
+    corrected as corrected,
+    factors_of as factors_of,
+    factors_of_stream as factors_of_stream,
+    needs_correction as needs_correction,
+    residual_sums as residual_sums,
+    shard_patterns as shard_patterns,
 )
 from .second_pass import CosineSums as CosineSums, KeptRows as KeptRows

@@ -24,7 +24,7 @@ from ._compiled import (
     traced,
 )
 from ._factors import JointFactors, Unknowns, factorise
-from ._streaming import are_many, factors_of_patterns
+from .many import are_many, factors_of_patterns
 
 
 # After so many periods of its cut-off the zero-phase filter has forgotten to ten digits.

@@ -22,7 +22,6 @@ from ._compiled import (
     traced,
     untraced,
 )
-from ._correction import corrected, needs_correction
 from ._equations import Equations, equations_of, pattern_factors, samples_of
 from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
@@ -45,7 +44,14 @@ from ._standard_errors import (
     ordinary_residuals,
     with_errors,
 )
-from ._streaming import are_many, factors_of_patterns, factors_of_stream, residual_sums_of
+from .many import (
+    are_many,
+    corrected,
+    factors_of_patterns,
+    factors_of_stream,
+    needs_correction,
+    residual_sums_of,
+)
 from .second_pass import AbstractRows, KeptRows, PatternRows
 
 

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._environment import platform_of
-from ...motion import Patterns
-from ...network import AbstractLinearNetwork
+from ...._environment import platform_of
+from ....motion import Patterns
+from ....network import AbstractLinearNetwork
+from .._factors import JointFactors, joined_factors
 from ._correction import residual_sums
-from ._factors import JointFactors, joined_factors
 from ._preconditioned import Preconditioner, factors_of, sample_of
 from ._sharded import factors_of_shards, mesh_of, residual_sums_of_shards
 

@@ -8,10 +8,10 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace, platform_of
-from ...network import AbstractLinearNetwork
-from ._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
-from .fused import fused_gram_matrices, fused_kernel_of
+from ...._environment import array_namespace, platform_of
+from ....network import AbstractLinearNetwork
+from .._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
+from ..fused import fused_gram_matrices, fused_kernel_of
 
 
 # Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...network import AbstractLinearNetwork
-from ._factors import JointFactors, Unknowns, weighted_rows
-from ._minimum import Numbers, Solution
+from ....network import AbstractLinearNetwork
+from .._factors import JointFactors, Unknowns, weighted_rows
+from .._minimum import Numbers, Solution
 from ._preconditioned import block_at
 
 

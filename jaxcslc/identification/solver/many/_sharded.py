@@ -9,10 +9,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from ...motion import Patterns
-from ...network import AbstractLinearNetwork
+from ....motion import Patterns
+from ....network import AbstractLinearNetwork
+from .._factors import JointFactors, factorise, joined_factors
 from ._correction import residual_sums
-from ._factors import JointFactors, factorise, joined_factors
 from ._preconditioned import (
     Preconditioner,
     packed,
