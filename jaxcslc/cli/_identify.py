@@ -15,6 +15,7 @@ from ..identification import (
 )
 from ..identification.possible import Choice
 from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
+from ..identification.selection import FRICTION_CANDIDATES
 from ..manipulator import Manipulator
 from ..motion import Recording
 from ..network import CSLC
@@ -189,7 +190,12 @@ def _network(
         return network_of(robot, lengths, friction, coupled), ()
     longest = max(recordings.values(), key=lambda recording: recording.samples)
     network = network_of(robot, lengths, None, coupled)
-    choice = choose_friction(network, longest, settings, progress=step)
+    # What `identify` fits by other ways than one least-squares fit knows no friction of the load.
+    plain = context.params["estimator"] == "least-squares" and not context.params["horizon"]
+    candidates = [
+        kind for kind in FRICTION_CANDIDATES if kind != "load" or (plain and len(recordings) == 1)
+    ]
+    choice = choose_friction(network, longest, settings, candidates=candidates, progress=step)
     return choice.network, choice.sentences
 
 

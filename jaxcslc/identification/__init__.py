@@ -21,7 +21,6 @@ from ._settings import (
     settings_document as settings_document,
     settings_from as settings_from,
 )
-from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
 from ._systematic import (
     SystematicError as SystematicError,
     standard_uncertainty as standard_uncertainty,
@@ -47,6 +46,12 @@ from .cluster import (
     fit_on_cluster as fit_on_cluster,
 )
 from .estimators import EstimatorChoice as EstimatorChoice
+from .friction import (
+    LoadFit as LoadFit,
+    SlopeFit as SlopeFit,
+    fit_load as fit_load,
+    fit_slopes as fit_slopes,
+)
 from .instruments import (
     AbstractSimulatedMotion as AbstractSimulatedMotion,
     ControlledMotion as ControlledMotion,

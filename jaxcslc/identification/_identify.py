@@ -121,6 +121,7 @@ def identify(
     )
     if estimator == "instrumental-variables":
         possible, systematic = "never", False
+    _check_load(network, estimator, len(by_name), horizon)
     data_check = None
     if checks:
         lag = 0.0 if settings is None else settings.preparation.torque_lag
@@ -213,6 +214,20 @@ def _check_arguments(
             raise ValueError("prior, links: possible bodies alone can follow it; got 'never'")
         prior.coefficient_values(network)
         prior.link_values(network.robot)
+
+
+def _check_load(network: CSLC, estimator: str, recordings: int, horizon: bool) -> None:
+    """**Raises** `ValueError` for what knows no friction that follows the load."""
+    if network.load_friction is None:
+        return
+    others = (
+        (estimator != "least-squares", f"the estimator {estimator!r}"),
+        (recordings > 1, "several recordings in one fit"),
+        (horizon, "prediction over a horizon"),
+    )
+    for wanted, what in others:
+        if wanted:
+            raise ValueError(f"identify: friction of kind 'load' is not for {what}; remove one")
 
 
 def _checked(

@@ -4,16 +4,15 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..motion import Patterns, Preparation, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._settings import Settings
-from ._slopes import SlopeFit, fit_slopes
 from ._systematic import systematic_error
 from .checks import DataCheck
+from .friction import SlopeFit, fit_load, fit_slopes, linearised
 from .possible import Choice, Part, judged_bodies
 from .prior import Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
@@ -97,8 +96,20 @@ def identify_one(
     prepared = _prepared(network, training, validation, settings, options, folds, memory)
     step("preparing patterns")
     patterns, part_patterns = prepared.patterns()
-    slopes = None
-    if previous is None and "static" in network.robot.friction_terms:
+    slopes, load = None, None
+    if previous is None and network.load_friction is not None:
+        step("fitting friction that follows the load")
+        load = fit_load(network, part_patterns, solver=prepared.of_training.solver)
+        if load.slopes is not None and load.slopes.dropped and automatic_masks:
+            prepared = prepared.without_static_friction(load.slopes.dropped)
+            patterns, part_patterns = prepared.patterns()
+            dropped = load.slopes
+            load = fit_load(load.network, part_patterns, solver=prepared.of_training.solver)
+            slopes = dropped if load.slopes is None else load.slopes.after(dropped)
+        else:
+            slopes = load.slopes
+        network = load.network
+    elif previous is None and "static" in network.robot.friction_terms:
         step("fitting slopes of static friction")
         slopes = fit_slopes(network, part_patterns, solver=prepared.of_training.solver)
         if slopes.dropped and automatic_masks:
@@ -110,7 +121,14 @@ def identify_one(
     settings = prepared.of_training
     step("fitting coefficients")
     vectors = {}
-    if slopes is not None and prepared.section is None:
+    if load is not None:
+        whole = prepared.section is None
+        fit = (
+            load.fit
+            if whole
+            else settings.fit(*linearised(network, load.fit.k, patterns["training"]))
+        )
+    elif slopes is not None and prepared.section is None:
         fit = slopes.fit
     elif previous is None or groups is None:
         fit = settings.fit(network, patterns["training"])
@@ -140,6 +158,8 @@ def identify_one(
         consequences += sentences
     if bodies is not None:
         fit, vectors = bodies.fit, bodies.other_coefficients
+    if network.load_friction is not None and previous is None:
+        network = network.with_load(np.asarray(fit.k))
     step("computing errors")
     errors = {
         name: compare(network, values, {"fit": fit.k, **vectors})
@@ -155,6 +175,7 @@ def identify_one(
     warnings = [
         *prepared.warnings,
         *(() if slopes is None else slopes.warnings),
+        *(() if load is None else load.warnings),
         *(consequences if data_check is None else data_check.unexplained(consequences)),
     ]
     return Report(
@@ -230,14 +251,7 @@ def _fitted_again(slopes: SlopeFit, patterns: Patterns, solver: LeastSquares) ->
     network = slopes.network
     if "static" not in network.robot.friction_terms:
         return dataclasses.replace(slopes, fit=solver.fit(network, patterns))
-    again = fit_slopes(network, patterns, solver=solver, start=slopes.slopes)
-    lost = np.isin(np.arange(1, network.joint_count + 1), slopes.dropped)
-    return dataclasses.replace(
-        again,
-        slope_error=jnp.where(lost, jnp.inf, again.slope_error),
-        dropped=tuple(sorted({*slopes.dropped, *again.dropped})),
-        warnings=(*slopes.warnings, *again.warnings),
-    )
+    return fit_slopes(network, patterns, solver=solver, start=slopes.slopes).after(slopes)
 
 
 def settings_for_another(

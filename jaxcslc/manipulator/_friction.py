@@ -14,6 +14,7 @@ FRICTION_TERMS = (
     "quadratic",
     "offset",
     "spring",
+    "load",
 )
 # Of joints whose slope is not known: static friction decays to 5 % at 0.3 rad/s [s/rad].
 STATIC_SLOPE = 10.0

@@ -16,6 +16,7 @@ from .terms import (
     AbstractManipulatorTerm,
     JointProjection,
     JointTerm,
+    LoadFriction,
     ProjectedTerm,
     RigidBodyRecursion,
     RigidBodyTables,
@@ -110,7 +111,7 @@ class CSLC(AbstractTermSum):
         - `links`: one `LinkParameters` a joint; lengths and gravity are those of `robot`.
         - `payload`: in the frame of the link that carries it; none if omitted.
         - `friction`: by the kind of the term, zero if omitted. `viscous`, `dry`, `offset`,
-          `static`, `root`, `quadratic`, `spring`: (n,), zero for joints without the term;
+          `static`, `root`, `quadratic`, `spring`, `load`: (n,), zero for joints without the term;
           `asymmetric_viscous`, `asymmetric_dry`: (n, 2), forwards and backwards; `coupled`:
           (pairs, 3), shared inertia, viscous and dry friction of coupled joints.
 
@@ -183,16 +184,15 @@ class CSLC(AbstractTermSum):
             kinds = self.friction_per_joint[joint - 1]
             remaining = (other for other in kinds if other != kind)
             robot = robot.with_friction(*remaining, joint=independent[joint - 1] + 1)
-        terms = tuple(
-            JointTerm.of(term.law, robot)
-            if isinstance(term, JointTerm) and term.kind == kind
-            else term
-            for term in self.terms
-        )
-        return CSLC(
-            algebra=dataclasses.replace(self.algebra, robot=robot),
-            terms=tuple(term for term in terms if term.kind != kind or term.size),
-        )
+        terms: list[AbstractManipulatorTerm] = []
+        for term in self.terms:
+            if term.kind != kind:
+                terms.append(term)
+            elif isinstance(term, LoadFriction):
+                terms += LoadFriction.all_of(robot, term.rigid, term.load)
+            elif isinstance(term, JointTerm) and (fewer := JointTerm.of(term.law, robot)).size:
+                terms.append(fewer)
+        return CSLC(algebra=dataclasses.replace(self.algebra, robot=robot), terms=tuple(terms))
 
     def with_joint_friction(self, kinds: Sequence[Sequence[str]]) -> "CSLC":
         """The same network with other friction laws, and springs, of its joints.
@@ -221,8 +221,50 @@ class CSLC(AbstractTermSum):
             robot = robot.with_friction(*kinds_of_joint, joint=joint + 1)
         return CSLC(
             algebra=dataclasses.replace(self.algebra, robot=robot),
-            terms=(self.terms[0], *input_terms(robot)),
+            terms=(self.terms[0], *input_terms(robot, self._rigid_term)),
         )
+
+    @property
+    def load_friction(self) -> LoadFriction | None:
+        """The term of dry friction that grows with the load, if some joint has it."""
+        return next((term for term in self.terms if isinstance(term, LoadFriction)), None)
+
+    def with_load(self, k: Float[Array | np.ndarray, " coefficients"] | None) -> "CSLC":
+        """The same network, friction of kind `"load"` following the rigid torque of `k`, (p,).
+
+        With this, torque is linear in all coefficients. None: of no torque, as before a fit.
+
+        **Raises** `ValueError` for a network without such friction.
+
+        >>> import jax.numpy as jnp, jaxcslc as jc
+        >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+        >>> network = jc.derive(robot.with_friction("load"), lengths="numeric")
+        >>> k, still = jnp.array([0.5, 0.3, -0.1, 0.2]), jnp.zeros(1)
+        >>> load = network.with_load(k).torque(k, still, still, jnp.ones(1))
+        >>> moving = network.with_load(k).torque(k, still, 1e-9 * jnp.ones(1), jnp.ones(1))
+        >>> round(float((moving / load)[0]), 6)
+        1.2
+        """
+        term = self.load_friction
+        if term is None:
+            raise ValueError(f"load: {self.robot.name!r} has no friction of kind 'load'")
+        terms = (
+            *(other for other in self.terms if other is not term),
+            term.with_load(None if k is None else k[self.layout.inertial]),
+        )
+        return CSLC(algebra=self.algebra, terms=terms)
+
+    def without_load(self) -> "CSLC":
+        """The same network without friction that follows the load, if it has such."""
+        if self.load_friction is None:
+            return self
+        return self.without_law("load", range(1, self.joint_count + 1))
+
+    @property
+    def _rigid_term(self) -> RigidBodyTables | RigidBodyRecursion | ProjectedTerm:
+        rigid = self.terms[0]
+        assert isinstance(rigid, RigidBodyTables | RigidBodyRecursion | ProjectedTerm)
+        return rigid
 
     @property
     def _static_friction(self) -> StaticFriction | None:
@@ -245,7 +287,7 @@ class CSLC(AbstractTermSum):
         **Raises**
 
         - `RobotError`: there is no such link.
-        - `ValueError`: the network has a payload already.
+        - `ValueError`: the network has a payload already, or friction of kind `"load"`.
 
         >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
         >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -259,6 +301,8 @@ class CSLC(AbstractTermSum):
         """
         if self.payload is not None:
             raise ValueError(f"{self.robot.name!r} has a payload already")
+        if self.load_friction is not None:
+            raise ValueError("payload: friction of kind 'load' does not know it; remove one")
         payload = ProjectedTerm.of(
             payload_term(carrier(self.robot, link)), JointProjection.of(self.robot)
         )

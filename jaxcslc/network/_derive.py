@@ -74,7 +74,7 @@ def derive(
     symbols = lengths if isinstance(lengths, str) else tuple(lengths)
     algebra = derive_algebra(robot, cast(Lengths, symbols))
     rigid = ProjectedTerm.of(_rigid_body(algebra, evaluator), JointProjection.of(robot))
-    return CSLC(algebra=algebra, terms=(rigid, *input_terms(robot)))
+    return CSLC(algebra=algebra, terms=(rigid, *input_terms(robot, rigid)))
 
 
 def _has_many_lengths(robot: Manipulator) -> bool:

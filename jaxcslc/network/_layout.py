@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Int, Shaped
 
 from ..derivation import Coefficient
-from .terms import AbstractTerm
+from .terms import LOAD, AbstractTerm
 
 
 @dataclass(frozen=True, eq=False)  # one object for the same terms
@@ -115,7 +115,7 @@ def _layout(terms: tuple[tuple[str, tuple[str, ...], tuple[Coefficient, ...]], .
     friction = [
         np.arange(part.start, part.stop)
         for (_, parts, _), part in zip(terms, slices, strict=True)
-        if "friction" in parts
+        if {"friction", LOAD} & {*parts}
     ]
     indices = np.concatenate([np.zeros(0, int), *friction])
     indices.flags.writeable = False

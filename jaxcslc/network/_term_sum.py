@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ..manipulator import JointLimits, Manipulator
 from ._linear_network import AbstractLinearNetwork, Vector
-from .terms import AbstractManipulatorTerm, JointProjection
+from .terms import AbstractManipulatorTerm, JointProjection, LoadFriction
 
 
 Numbers = Float[Array | np.ndarray, "... joints"]
@@ -109,7 +109,10 @@ class AbstractTermSum(AbstractLinearNetwork):
         return self._sum(terms, k, lambda term, k: term.gravity_term(k, q), q.shape)
 
     def friction_term(self, k: Vector, qd: Numbers) -> Float[Array, "..."]:
-        """F(qd): all friction (Eqn. 2.5-3, 2.5-4) and torque offset, (..., n) [N m]."""
+        """F(qd): friction (Eqn. 2.5-3, 2.5-4) and torque offset, (..., n) [N m].
+
+        Without what follows the load, which is no function of velocities alone.
+        """
         k, qd = self._checked(k, qd)
         still = jnp.zeros_like(qd)
         terms = self._of("friction")
@@ -128,11 +131,19 @@ class AbstractTermSum(AbstractLinearNetwork):
         """Accelerations that torques `tau` (..., n) produce, (..., n) [rad/s²].
 
         Solves M qdd = tau - V - G - F - S. Not finite where M is singular, which it is for no
-        possible mass distribution.
+        possible mass distribution. Friction that follows the load depends on accelerations, by
+        the sign of the load: the signs are searched for, which is exact at once where the load is
+        that of `k`.
         """
         k, q, qd, tau = self._checked(k, q, qd, tau)
-        bias = self.torque(k, q, qd, jnp.zeros_like(q))
+        still = jnp.zeros_like(q)
+        plain = tuple(term for term in self.terms if not isinstance(term, LoadFriction))
+        bias = self._sum(plain, k, lambda term, k: term.torque(k, q, qd, still), q.shape)
         mass = self.mass_matrix(k, q)
+        for term in self.terms:
+            if isinstance(term, LoadFriction):
+                factors = term.factors(k[self.layout.of(term)])
+                mass, bias = term.on_the_left(factors, q, qd, tau, mass, bias)
         return jnp.linalg.solve(mass, (tau - bias)[..., None])[..., 0]
 
     def without_friction(self, k: Vector) -> Float[Array, " coefficients"]:

@@ -113,6 +113,13 @@ def test_a_tree(
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)
 
 
+def test_friction_that_follows_the_load(compiled: Compiled, rng: np.random.Generator) -> None:
+    network = jc.derive(_tree().with_friction("dry", "load"), lengths="numeric")
+    k = rng.normal(size=network.size)
+    network = network.with_load(k)
+    _agrees(network, k, compiled(jc.c_code(network, k)), rng)
+
+
 def test_what_is_unused_does_not_warn(compiled: Compiled) -> None:
     """A joint with an upright axis and no friction: torque sees neither position nor rate."""
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], friction=())

@@ -30,6 +30,8 @@ def network_with(kind: str) -> jc.CSLC:
         robot = robot.with_coupling((1, 2, -0.5))
     evaluator: Any = "recursive" if kind == "recursion" else "tables"
     network = jc.derive(robot, lengths="numeric", evaluator=evaluator)
+    if kind == "load":
+        network = network.with_load(np.linspace(0.5, 1.0, network.size))
     return network.with_payload(1) if kind == "payload" else network
 
 
@@ -74,6 +76,7 @@ def test_a_term_agrees_with_itself(
         "gravity": term.gravity_term(k, q),
         "friction": term.torque(k, still, qd, still),
         "spring": term.torque(k, q, still, still),
+        "load": term.torque(k, *state),
     }
     present = [shares[part] for part in term.parts]
     assert_allclose(np.sum(present, axis=0), torque, atol=ROUNDING)

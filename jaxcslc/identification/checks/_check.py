@@ -143,8 +143,10 @@ def check(
 def _with_fewest_coefficients(network: CSLC) -> CSLC:
     """The network with numeric lengths, where all of them have values, and no static friction.
 
-    Static friction is hardly determined by smoothed motion, and may then be anything in another.
+    Static friction is hardly determined by smoothed motion, and may then be anything in another;
+    friction that follows the load takes a search, and is left out, too.
     """
+    network = network.without_load()
     joints = range(1, network.joint_count + 1)
     static = "static" in network.layout.groups
     smooth = network.without_law("static", joints) if static else network

@@ -10,7 +10,7 @@ from ...motion import Patterns, Recording, joined_patterns
 from ...network import CSLC
 from .._held_out import HeldOut, RelativeError, Source, held_out_error, judged_errors
 from .._identify_one import without_lag
-from .._slopes import SlopeFit
+from ..friction import SlopeFit
 from ..likelihood import Estimator, EstimatorComparison, LikelihoodFit, MaximumLikelihood
 from ..possible import (
     Choice,

@@ -230,6 +230,10 @@ def _check(network: CSLC, recordings: Sequence[Recording]) -> None:
     n = network.joint_count
     if network.payload is not None:
         raise ValueError(f"{network.name!r} has a payload; expected a network without one")
+    if network.load_friction is not None:
+        raise ValueError(
+            f"{network.name!r} has friction of kind 'load'; expected a network without"
+        )
     if not recordings:
         raise ValueError("got no recording; expected one or more")
     for number, recording in enumerate(recordings, start=1):

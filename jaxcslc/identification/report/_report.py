@@ -11,9 +11,9 @@ from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import HeldOut
 from .._settings import Settings
-from .._slopes import SlopeFit
 from .._systematic import SystematicError
 from ..checks import DataCheck
+from ..friction import SlopeFit
 from ..likelihood import EstimatorComparison
 from ..possible import PhysicalParameters, PossibleFit
 from ..prediction import HorizonError

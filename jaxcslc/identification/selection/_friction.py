@@ -7,14 +7,15 @@ from jaxtyping import Bool, Float
 from ...manipulator import RobotError
 from ...motion import Recording
 from ...network import CSLC
+from ...network.terms import LOAD
 from .._held_out import RelativeError
 from .._settings import Settings
-from .._slopes import fit_slopes
+from ..friction import fit_load, fit_slopes, linearised
 from ._selection import choose_settings
 
 
 # In the order in which they are tried: a constant decides more, on real arms, than all others.
-FRICTION_CANDIDATES = ("offset", "static", "root", "quadratic", "spring")
+FRICTION_CANDIDATES = ("offset", "static", "root", "quadratic", "spring", LOAD)
 # Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
 _ROUNDS, _FOLDS = 3, 8
 
@@ -28,14 +29,19 @@ class FrictionTrial:
     - `joint`: counted from 1; `kind`: of the term.
     - `relative`: the joint's held-out error with the term over that without it.
     - `used`: whether the joint has the term in the end.
+    - `possible`: whether the term's number was one that friction can have: otherwise the joint was
+      judged without the term.
     """
 
     joint: int
     kind: str
     relative: RelativeError
     used: bool
+    possible: bool = True
 
     def __str__(self) -> str:
+        if not self.possible:
+            return f"{self.kind} not possible"
         return f"{self.kind} {self.relative}{', used' if self.used else ''}"
 
 
@@ -115,7 +121,7 @@ def choose_friction(
     trials: list[FrictionTrial] = []
     chance = 0.05 / max(len(candidates), 1)
     for _ in range(_ROUNDS):
-        before, _ = _held_out(network, recording, settings)
+        before, _, _ = _held_out(network, recording, settings)
         tried: list[FrictionTrial] = []
         for kind in candidates:
             richer, joints = _with(network, kind)
@@ -123,12 +129,13 @@ def choose_friction(
                 continue
             progress(f"trying friction: {kind}")
             try:
-                errors, mask = _held_out(richer, recording, settings)
+                errors, mask, laws = _held_out(richer, recording, settings)
             except (ValueError, RuntimeError):  # nothing in the motion determines it
                 continue
             for joint in joints:
                 relative = _relative(errors, before, mask, joint)
-                tried.append(FrictionTrial(joint, kind, relative, used=False))
+                possible = kind in laws[joint - 1]
+                tried.append(FrictionTrial(joint, kind, relative, used=False, possible=possible))
         best = _best(tried, chance)
         trials += [dataclasses.replace(trial, used=trial in best.values()) for trial in tried]
         if not best:
@@ -160,18 +167,28 @@ def _with(network: CSLC, kind: str) -> tuple[CSLC, list[int]]:
 
 def _held_out(
     network: CSLC, recording: Recording, settings: Settings
-) -> tuple[Float[np.ndarray, "samples joints"], Bool[np.ndarray, "samples joints"]]:
-    """Errors of each stretch under a fit to the others, and what is judged.
+) -> tuple[
+    Float[np.ndarray, "samples joints"],
+    Bool[np.ndarray, "samples joints"],
+    tuple[tuple[str, ...], ...],
+]:
+    """Errors of each stretch under a fit to the others, what is judged, and the joints' friction
+    where the fit was possible.
 
-    Slopes of static friction are those of all stretches: one number a joint of thousands of rows.
+    Slopes of static friction, and the rigid torque that friction of the load follows to first
+    order, are those of all stretches: a few numbers of thousands of rows.
     """
     suited = settings.for_network(network)
     patterns = suited.patterns(recording)
-    if "static" in network.robot.friction_terms:
+    mask = np.asarray(patterns.mask)
+    if network.load_friction is not None:
+        load = fit_load(network, patterns, solver=suited.solver)
+        network, patterns = linearised(load.network, load.fit.k, patterns)
+    elif "static" in network.robot.friction_terms:
         network = fit_slopes(network, patterns, solver=suited.solver).network
     fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
     errors = suited.solver.held_out_errors(network, patterns, fold)
-    return errors, np.asarray(patterns.mask)
+    return errors, mask, network.friction_per_joint
 
 
 def _relative(
@@ -195,6 +212,6 @@ def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionT
     """By joint, the trial with the smallest error, of those that are better beyond chance."""
     best: dict[int, FrictionTrial] = {}
     for trial in sorted(trials, key=lambda trial: trial.relative.change, reverse=True):
-        if trial.relative.beyond_chance(chance):
+        if trial.possible and trial.relative.beyond_chance(chance):
             best[trial.joint] = trial
     return best

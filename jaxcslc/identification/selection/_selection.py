@@ -160,6 +160,8 @@ def choose_settings(
     >>> choice.settings.preparation.torque_alignment
     'sample'
     """
+    # What friction of the load follows is not known yet, and smoothing does not depend on it.
+    network = network.without_load()
     if recording.joints != network.joint_count:
         raise ValueError(
             f"the recording has {recording.joints} joints, {network.robot.name!r} has"

@@ -13,6 +13,11 @@ from ._joint_term import (
     JointTerm as JointTerm,
     LawProperties as LawProperties,
 )
+from ._load_friction import (
+    LOAD as LOAD,
+    LoadedRigidBody as LoadedRigidBody,
+    LoadFriction as LoadFriction,
+)
 from ._payload import PAYLOAD as PAYLOAD, carrier as carrier, payload_term as payload_term
 from ._registry import input_terms as input_terms
 from ._rigid_body_recursion import RigidBodyRecursion as RigidBodyRecursion

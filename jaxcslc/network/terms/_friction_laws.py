@@ -103,6 +103,27 @@ class Root(AbstractJointLaw):
         return (functions.sign(qd) * functions.sqrt(functions.absolute(qd)),)
 
 
+class QuadraticFriction(AbstractJointLaw):
+    """Friction with the square of the speed, qd |qd|: fans, seals in oil, fluid in hoses.
+
+    Beside viscous friction it bends the line, so that its coefficient may have either sign.
+    """
+
+    @property
+    def properties(self) -> LawProperties:
+        return LawProperties(
+            kind="quadratic",
+            symbols=("kq",),
+            description="friction of joint {} with the square of its speed",
+            units=("N m (s/rad)^2", "N (s/m)^2"),
+            positive=False,
+        )
+
+    def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
+        del q
+        return (qd * functions.absolute(qd),)
+
+
 class Offset(AbstractJointLaw):
     """A constant torque."""
 

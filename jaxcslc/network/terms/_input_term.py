@@ -53,6 +53,12 @@ class AbstractFunctions(abc.ABC):
     @abc.abstractmethod
     def cos(self, x: Any) -> Any: ...
 
+    @abc.abstractmethod
+    def rigid_torque(
+        self, rigid: Any, k: Any, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
+    ) -> list[Any]:
+        """Of every joint, that of links and motors: `rigid`, with coefficients `k`."""
+
 
 class _ArrayFunctions(AbstractFunctions):
     """On arrays of any shape, by NumPy or by JAX's NumPy."""
@@ -91,6 +97,12 @@ class _ArrayFunctions(AbstractFunctions):
 
     def cos(self, x: Any) -> Any:
         return self._xp.cos(x)
+
+    def rigid_torque(
+        self, rigid: Any, k: Any, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
+    ) -> list[Any]:
+        motion = (jnp.stack([jnp.asarray(x) for x in values], axis=-1) for values in (q, qd, qdd))
+        return by_joint(rigid.torque(jnp.asarray(k), *motion))
 
 
 JAX_FUNCTIONS = _ArrayFunctions(jnp)

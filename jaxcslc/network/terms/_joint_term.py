@@ -44,7 +44,7 @@ class AbstractJointLaw(eqx.Module):
     """A formula for a joint's torque by its own position and velocity: friction, offset, spring.
 
     Array fields, (n,) each, are what the formula is not linear in, such as slopes: leaves of the
-    network that transformations see. A new law is a file like `_quadratic_friction.py`, listed in
+    network that transformations see. A new law is a file like `_static_friction.py`, listed in
     `_registry.py`, and its kind is listed in `jaxcslc/manipulator/_friction.py`.
     """
 

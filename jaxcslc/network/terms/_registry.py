@@ -7,13 +7,17 @@ from ._friction_laws import (
     AsymmetricViscous,
     Dry,
     Offset,
+    QuadraticFriction,
     Root,
     Spring,
     Viscous,
 )
 from ._input_term import AbstractInputTerm
+from ._joint_projection import ProjectedTerm
 from ._joint_term import AbstractJointLaw, JointTerm
-from ._quadratic_friction import QuadraticFriction
+from ._load_friction import LOAD, LoadFriction
+from ._rigid_body_recursion import RigidBodyRecursion
+from ._rigid_body_tables import RigidBodyTables
 from ._static_friction import StaticFriction
 
 
@@ -31,7 +35,11 @@ _LAWS: dict[str, Callable[[Manipulator], AbstractJointLaw]] = {
 }
 
 
-def input_terms(robot: Manipulator) -> tuple[AbstractInputTerm, ...]:
-    """The terms of the robot's friction model, in its order, then those of coupled joints."""
-    joint_terms = [JointTerm.of(_LAWS[kind](robot), robot) for kind in robot.friction_terms]
-    return (*joint_terms, *CoupledTerm.all_of(robot))
+def input_terms(
+    robot: Manipulator, rigid: RigidBodyTables | RigidBodyRecursion | ProjectedTerm
+) -> tuple[AbstractInputTerm, ...]:
+    """The terms of the robot's friction model, in its order, then those of coupled joints, and
+    last the friction that follows the torque of `rigid`, links and motors."""
+    kinds = (kind for kind in robot.friction_terms if kind != LOAD)
+    joint_terms = [JointTerm.of(_LAWS[kind](robot), robot) for kind in kinds]
+    return (*joint_terms, *CoupledTerm.all_of(robot), *LoadFriction.all_of(robot, rigid))

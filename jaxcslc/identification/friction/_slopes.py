@@ -5,10 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..motion import Patterns
-from ..network import CSLC
-from ._slope_equations import SlopeEquations
-from .solver import (
+from ...motion import Patterns
+from ...network import CSLC
+from ..solver import (
     Identification,
     KeptRows,
     LeastSquares,
@@ -18,6 +17,7 @@ from .solver import (
     robust_weights,
     weighted_minimum,
 )
+from ._slope_equations import SlopeEquations
 
 
 # Slopes that a fit starts from, tried joint by joint: static friction that has gone to exp(-3) at
@@ -72,6 +72,16 @@ class SlopeFit(eqx.Module):
     converged: Bool[Array, ""]
     dropped: tuple[int, ...] = eqx.field(static=True, default=())
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def after(self, earlier: "SlopeFit") -> "SlopeFit":
+        """With the joints that an earlier fit has dropped, and why."""
+        lost = np.isin(np.arange(1, len(np.asarray(self.slopes)) + 1), earlier.dropped)
+        return dataclasses.replace(
+            self,
+            slope_error=jnp.where(lost, jnp.inf, self.slope_error),
+            dropped=tuple(sorted({*earlier.dropped, *self.dropped})),
+            warnings=(*earlier.warnings, *self.warnings),
+        )
 
     def __repr__(self) -> str:
         pairs = zip(np.asarray(self.slopes), np.asarray(self.slope_error), strict=True)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..motion import Patterns
-from ..network import CSLC
-from .solver import Equations, JointFactors, LeastSquares, Unknowns, triangle_of
+from ...motion import Patterns
+from ...network import CSLC
+from ..solver import Equations, JointFactors, LeastSquares, Unknowns, triangle_of
 
 
 # One pair in a hundred is slower than what counts as the slowest observed speed: fewer cannot

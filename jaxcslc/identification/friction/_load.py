@@ -1,0 +1,189 @@
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...motion import Patterns
+from ...network import CSLC
+from ...network.terms import LOAD, LoadedRigidBody
+from ..solver import Identification, LeastSquares
+from ._slopes import SlopeFit, fit_slopes
+
+
+# The search ends with a step that moves no coefficient by this part of its standard error. Smaller
+# ones may go on for ever: a sample whose load is near zero changes the sign that it counts with.
+_TOLERANCE = 0.02
+# Or by this part of the largest coefficient: a fit without noise.
+_ROUNDING = 1e-10
+_STEPS = 20
+# The first steps leave slopes as they are and drop nothing: they begin at a fit without the load,
+# whose rigid torque, and whose static friction, make up for it.
+_FIRST_STEPS = 2
+
+
+class LoadFit(eqx.Module):
+    """Coefficients with friction that grows with the load.
+
+    **Attributes**
+
+    - `network`: whose friction follows the rigid torque of `fit.k`, and without such friction of
+      the joints of `dropped`: `network.torque(fit.k, ...)` predicts.
+    - `fit`: the coefficients of `network`. Their errors allow for the load's being fitted too.
+    - `slopes`: of static friction, fitted along, where the network has it.
+    - `steps`: of the search; `converged`: whether it ended by its own rule.
+    - `dropped`: joints, counted from 1, whose coefficient is not between 0 and 1.
+    - `warnings`: one sentence for each of them, and one if the search did not converge.
+    """
+
+    network: CSLC
+    fit: Identification
+    slopes: SlopeFit | None
+    steps: int = eqx.field(static=True)
+    converged: bool = eqx.field(static=True)
+    dropped: tuple[int, ...] = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True)
+
+
+def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None = None) -> LoadFit:
+    """The coefficients that fit best, friction in proportion to the load among them.
+
+    Torque is then no linear function of the coefficients: friction kl sign(qd) |R| of a joint
+    depends on kl and on those of the rigid torque R = Y k. Gauss and Newton's method: at k, the
+    columns of the joint's rigid torque count 1 + kl sign(qd R) times, and kl sign(qd) |R| is added
+    to its torque. Each step is a fit of linear equations with all options of the solver, and the
+    last one's covariance is that of the coefficients.
+
+    Below 0 the coefficient would be a friction that drives, from 1 on it would block the joint
+    under any load (and accelerations would not be unique): a joint whose coefficient leaves this
+    range loses its term, and the fit is repeated.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients; some joint has the friction term `"load"`.
+    - `patterns`: as of `LeastSquares.fit`.
+    - `solver`: options of the fit; the defaults of `LeastSquares` if None.
+
+    **Raises**
+
+    - `ValueError`: no joint has such friction, or as `LeastSquares.fit`.
+    - `RuntimeError`: as `LeastSquares.fit`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import fit_load
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(robot.with_friction("dry", "load"), lengths="numeric")
+    >>> t = np.linspace(0, 20, 1000)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> k = np.array([0.5, 0.3, -0.1, 0.2, 0.15])
+    >>> torque = np.asarray(network.with_load(k).torque(k, *motion))
+    >>> result = fit_load(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> result.converged, np.round(np.asarray(result.fit.k), 6).tolist()
+    (True, [0.5, 0.3, -0.1, 0.2, 0.15])
+    """
+    if network.load_friction is None:
+        raise ValueError(f"{network.name!r} has no friction of kind 'load' to be fitted")
+    solver = LeastSquares() if solver is None else solver
+    bare = network.without_load()
+    fit = solver.fit(bare, patterns)
+    known = dict(zip(bare.names, np.asarray(fit.k).tolist(), strict=True))
+    k = np.array([known.get(name, 0.0) for name in network.names])
+    slopes: SlopeFit | None = None
+    dropped: dict[int, str] = {}
+    converged, steps = False, 0
+    while not converged and steps < _STEPS and network.load_friction is not None:
+        steps += 1
+        before = dict(zip(network.names, k.tolist(), strict=True))
+        equations = linearised(network, k, patterns)
+        if steps <= _FIRST_STEPS:
+            fit = solver.fit(*equations)
+        else:
+            slopes, fit = _fitted(*equations, solver, slopes)
+        if slopes is not None:
+            network = _with_slopes_of(network, slopes)
+        k = np.asarray(fit.k)
+        last = np.array([before[name] for name in network.names])
+        error = np.where(np.asarray(fit.determined), np.asarray(fit.standard_error), np.inf)
+        enough = _TOLERANCE * error + _ROUNDING * np.max(np.abs(k))
+        converged = steps > _FIRST_STEPS and bool(np.all(np.abs(k - last) <= enough))
+        if steps > _FIRST_STEPS and (lost := _out_of_range(network, k)):
+            dropped |= lost
+            names = network.names
+            network = network.without_law(LOAD, tuple(lost))
+            k = np.array([k[names.index(name)] for name in network.names])
+            converged = False
+    if network.load_friction is None:
+        slopes, fit = _fitted(network, patterns, solver, slopes)
+        network = network if slopes is None else slopes.network
+        converged = True
+    else:
+        network = network.with_load(np.asarray(fit.k))
+    if slopes is not None:
+        slopes = dataclasses.replace(slopes, network=network, fit=fit)
+    warnings = [dropped[joint] for joint in sorted(dropped)]
+    if not converged:
+        warnings.append(f"friction of kind 'load': not converged after {steps} steps")
+    return LoadFit(network, fit, slopes, steps, converged, tuple(sorted(dropped)), tuple(warnings))
+
+
+def linearised(
+    network: CSLC, k: Float[Array | np.ndarray, " coefficients"], patterns: Patterns
+) -> tuple[CSLC, Patterns]:
+    """Network and patterns whose linear equations are those of `network` to first order at `k`.
+
+    Both as they are for a network without friction that follows the load.
+    """
+    term = network.load_friction
+    if term is None:
+        return network, patterns
+    k = np.asarray(k, float)
+    magnitudes = k[network.layout.of(term)]
+    load = k[network.layout.inertial]
+    term = term.with_load(load)
+    motion = [np.asarray(x, float) for x in (patterns.q, patterns.qd, patterns.qdd)]
+    columns = term.columns(*(x.T for x in motion))
+    friction = np.zeros_like(motion[0])
+    for joint, factor in zip(term.joints, magnitudes, strict=True):
+        friction[:, joint] = factor * np.asarray(columns[joint])[0]
+    factors = np.zeros(network.joint_count)
+    factors[list(term.joints)] = magnitudes
+    rigid = LoadedRigidBody.of(term.rigid, load, factors)
+    equations = CSLC(algebra=network.algebra, terms=(rigid, *network.with_load(k).terms[1:]))
+    return equations, dataclasses.replace(patterns, torque=np.asarray(patterns.torque) + friction)
+
+
+def _fitted(
+    network: CSLC, patterns: Patterns, solver: LeastSquares, before: SlopeFit | None
+) -> tuple[SlopeFit | None, Identification]:
+    """The fit of linear equations, with slopes of static friction where there is any."""
+    if "static" not in network.robot.friction_terms:
+        fit = solver.fit(network, patterns)
+        return (None if before is None else dataclasses.replace(before, fit=fit)), fit
+    start = None if before is None else np.asarray(before.slopes)
+    slopes = fit_slopes(network, patterns, solver=solver, start=start)
+    if before is not None and before.dropped:
+        slopes = slopes.after(before)
+    return slopes, slopes.fit
+
+
+def _with_slopes_of(network: CSLC, slopes: SlopeFit) -> CSLC:
+    """The network with these slopes, and without static friction where they dropped it."""
+    laws = network.friction_per_joint
+    if lost := tuple(joint for joint in slopes.dropped if "static" in laws[joint - 1]):
+        network = network.without_law("static", lost)
+    if network.static_slopes is None:
+        return network
+    return network.with_static_slopes(np.asarray(slopes.slopes))
+
+
+def _out_of_range(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> dict[int, str]:
+    """Joints, from 1, with a coefficient of the load that no friction has, and the sentence."""
+    term = network.load_friction
+    assert term is not None
+    return {
+        joint
+        + 1: f"{network.output_names[joint]}: friction of kind 'load' dropped, its coefficient"
+        f" {value:.3g} is not between 0 and 1"
+        for joint, value in zip(term.joints, k[network.layout.of(term)], strict=True)
+        if not 0.0 < value < 1.0
+    }
