@@ -82,16 +82,15 @@ def eliminated_rows(
     samples, n = order.position.shape
     of_position = eliminated[order.position]  # (samples, n, border)
     torque = linear.by_border.copy()
-    for i in range(3):
-        stencil = linear.by_position[:, :, i * n : (i + 1) * n]
-        torque -= np.matmul(stencil, of_position[i : samples - 2 + i])
-    signs = objective.signs
-    for index, offset in enumerate((-1, 0, 1)):
-        turned = linear.by_turn[index][:, None] * eliminated[order.turn]
-        np.subtract.at(torque, (signs.samples - 1 + offset, signs.joints), turned)
+    for i, equations, of_equation in linear.stencil_parts:
+        stencil = linear.by_position[equations, :, i * n : (i + 1) * n]
+        torque[equations] -= np.matmul(stencil, of_position[of_equation])
+    for reversals, equation, joint, derivative in linear.turn_parts:
+        turned = derivative[:, None] * eliminated[order.turn[reversals]]
+        np.subtract.at(torque, (equation, joint), turned)
     reading = -of_position
-    sample, joint = np.indices(weights.position.shape)
-    reading[sample, joint, linear.offset] += objective.scale[linear.offset]
+    sample, joints = np.indices(weights.position.shape)
+    reading[sample, joints, linear.offset] += objective.scale[linear.offset]
 
     root = np.sqrt(weights.torque)
     rows = np.zeros((samples, 2 * n, len(objective.scale)))

@@ -23,11 +23,13 @@ class NoiseDraws:
     **Attributes**
 
     - `by_torque`, `by_position`: residuals of torque's noise alone, and of positions' alone.
-    - `position`: (samples, n) the noise of positions that was drawn.
+    - `torque`: (equations, n) the noise of torques that was drawn, in standard deviations;
+      `position`: (samples, n) that of positions.
     """
 
     by_torque: Residuals
     by_position: Residuals
+    torque: Float[np.ndarray, "equations joints"]
     position: Float[np.ndarray, "samples joints"]
 
     @classmethod
@@ -43,7 +45,8 @@ class NoiseDraws:
         rng = np.random.default_rng(0)
         zeros = Residuals(**{name: 0.0 * values for name, values in vars(linear.residuals).items()})
         counts = linear.weights.torque > 0.0
-        torque = rng.normal(size=counts.shape) * np.where(counts, torque_noise[part[1:-1]], 0.0)
+        normal = np.where(counts, rng.normal(size=counts.shape), 0.0)
+        torque = normal * torque_noise[part[1:-1]]
         weight = linear.weights.position
         position = rng.normal(size=weight.shape) * position_noise[part]
         intervals = linear.objective.intervals
@@ -59,6 +62,7 @@ class NoiseDraws:
         return cls(
             left(dataclasses.replace(zeros, torque=torque)),
             left(dataclasses.replace(zeros, position=position)),
+            normal,
             position,
         )
 
@@ -71,7 +75,6 @@ def noise_levels(
     part: Int[np.ndarray, " samples"],
     torque_noise: Levels,
     position_noise: Levels,
-    fixed: Bool[np.ndarray, "recordings joints"],
 ) -> tuple[Levels, Levels]:
     """The levels at which residuals would be as large as they are.
 
@@ -85,7 +88,6 @@ def noise_levels(
     - `counted`: equations, `moving`: readings that count fully.
     - `part`: number of the recording of each sample.
     - `torque_noise`, `position_noise`: the present levels.
-    - `fixed`: noise of positions that is not to be estimated.
     """
     new_torque, new_position = torque_noise.copy(), position_noise.copy()
     for index in np.ndindex(*torque_noise.shape):
@@ -98,8 +100,8 @@ def noise_levels(
             )
             ratio = (square - others) / alone if alone > 0.0 else 0.0
             new_torque[index] = torque_noise[index] * np.sqrt(np.clip(ratio, _FALL**2, 9.0))
-        if not fixed[index]:
-            rows = moving[:, joint] & (part == number)
+        rows = moving[:, joint] & (part == number)
+        if rows.any():
             square, alone, others = (
                 np.mean(x.position[rows, joint] ** 2)
                 for x in (residuals, draws.by_position, draws.by_torque)

@@ -36,6 +36,8 @@ class LikelihoodFit(eqx.Module):
     - `position`: (samples, n) estimated positions [rad or m], of one recording after the other.
     - `torque_noise`: (recordings, n) [N m or N]; `position_noise`: (recordings, n) [rad or m]:
       standard deviations.
+    - `noise_coefficients`: (order, n) of the autoregression of torque residuals r of each joint,
+      r(t) + a₁ r(t-1) + ... = w(t), whose white noise w has the level `torque_noise`.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
 
@@ -63,6 +65,7 @@ class LikelihoodFit(eqx.Module):
     position: Float[np.ndarray, "samples joints"]
     torque_noise: Float[np.ndarray, "recordings joints"]
     position_noise: Float[np.ndarray, "recordings joints"]
+    noise_coefficients: Float[np.ndarray, "order joints"]
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
@@ -121,7 +124,8 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
     determined = ~unclear[:p]
     error = np.where(unclear, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-    squares = np.sum(np.where(used, residual, 0.0) ** 2, axis=0)
+    unfiltered = minimum.objective.whitening.removed(residual)
+    squares = np.sum(np.where(used, unfiltered, 0.0) ** 2, axis=0)
     complete = len(null) == 0
     fit = Identification(
         k=jnp.asarray(point.k),
@@ -159,6 +163,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         position=point.q,
         torque_noise=minimum.torque_noise,
         position_noise=minimum.position_noise,
+        noise_coefficients=minimum.objective.whitening.coefficients,
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,

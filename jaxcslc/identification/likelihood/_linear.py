@@ -17,9 +17,10 @@ class Linear:
     - `weights`, `residuals`: squares that have the objective's derivatives; those of intervals are
       not the readings' residuals.
     - `order`: of the unknowns.
-    - `by_position`: (equations, n, 3 n) of torque, by the positions at three samples.
-    - `by_border`: (equations, n, border) of torque, in units of the border's scale.
-    - `by_turn`: (3, reversals) of the torque one sample before a reversal's, at it and after it.
+    - `by_position`: (equations, n, (3 + order) n) of torque made white, by the positions at three
+      samples and at as many before as the order of the filter.
+    - `by_border`: (equations, n, border) of the same, in units of the border's scale.
+    - `by_turn`: (3 + order, reversals) of the same from one sample before a reversal's on.
     """
 
     objective: Objective
@@ -28,7 +29,7 @@ class Linear:
     order: Order
     by_position: Float[np.ndarray, "equations joints positions"]
     by_border: Float[np.ndarray, "equations joints border"]
-    by_turn: Float[np.ndarray, "three reversals"]
+    by_turn: Float[np.ndarray, "rows reversals"]
 
     @classmethod
     def of(cls, objective: Objective, point: Point) -> "Linear":
@@ -53,6 +54,7 @@ class Linear:
             inside = np.abs(point.turn - offset) < 1.0
             of_turn = all_by_turn[signs.samples - 1 + offset, signs.joints]
             by_turn[index] = np.where(inside, of_turn, 0.0)
+        whitening = objective.whitening
         residuals = objective.residuals_of(point, predicted)
         readings = objective.readings(residuals)
         return cls(
@@ -60,9 +62,9 @@ class Linear:
             dataclasses.replace(objective.weights, position=readings.weight),
             dataclasses.replace(residuals, position=readings.residual),
             Order.of(samples, n, signs.samples),
-            np.asarray(derivatives.by_position) / gain[:, None],
-            by_border,
-            by_turn,
+            whitening.stencil(np.asarray(derivatives.by_position) / gain[:, None]),
+            whitening.applied(by_border),
+            whitening.by_turn(by_turn, signs.joints),
         )
 
     def factored(self, damping: float) -> Factored:
@@ -78,8 +80,8 @@ class Linear:
         result.add(self._stencil, heavy @ self.by_position)
         mixed = heavy @ self.by_border
         of_sample = np.zeros((samples, n, len(scale)))
-        for i in range(3):
-            of_sample[i : samples - 2 + i] += mixed[:, i * n : (i + 1) * n]
+        for i, equations, of_equation in self.stencil_parts:
+            of_sample[of_equation] += mixed[equations, i * n : (i + 1) * n]
         result.mixed[order.position] = of_sample
         flat = self.by_border.reshape(-1, len(scale))
         result.border += flat.T @ (flat * weights.torque.reshape(-1, 1))
@@ -126,12 +128,13 @@ class Linear:
     def after(self, step: Step, residuals: Residuals) -> Residuals:
         """The residuals that a step leaves, were all equations linear."""
         objective = self.objective
-        moved = step.position.ravel()[self._positions]
-        torque = np.einsum("ijk,ik->ij", self.by_position, moved) + self.by_border @ step.border
-        signs = objective.signs
-        for index, offset in enumerate((-1, 0, 1)):
-            rows = signs.samples - 1 + offset
-            np.add.at(torque, (rows, signs.joints), self.by_turn[index] * step.turn)
+        torque = self.by_border @ step.border
+        n = step.position.shape[1]
+        for i, equations, of_equation in self.stencil_parts:
+            block = self.by_position[equations, :, i * n : (i + 1) * n]
+            torque[equations] += np.einsum("ijk,ik->ij", block, step.position[of_equation])
+        for reversals, rows, joints, derivative in self.turn_parts:
+            np.add.at(torque, (rows, joints), derivative * step.turn[reversals])
         change = objective.scale * step.border
         return Residuals(
             residuals.torque - torque,
@@ -149,55 +152,73 @@ class Linear:
         return first + n * part[:, None] + np.arange(n)
 
     @property
-    def _stencil(self) -> Int[np.ndarray, "equations positions"]:
-        """The unknowns of each equation: the positions at three samples."""
-        position = self.order.position
-        return np.concatenate([position[:-2], position[1:-1], position[2:]], axis=1)
+    def stencil_parts(self) -> list[tuple[int, slice, slice]]:
+        """Parts of equations' stencils, from the earliest sample: number, equations, samples."""
+        samples, n = self.order.position.shape
+        parts: list[tuple[int, slice, slice]] = []
+        for i in range(self.by_position.shape[2] // n):
+            first = max(self.objective.whitening.order - i, 0)
+            shift = i - self.objective.whitening.order
+            parts.append((i, slice(first, samples - 2), slice(first + shift, samples - 2 + shift)))
+        return parts
 
     @property
-    def _positions(self) -> Int[np.ndarray, "equations positions"]:
-        """The same, counted among positions alone."""
-        samples, n = self.order.position.shape
-        index = np.arange(samples * n).reshape(samples, n)
-        return np.concatenate([index[:-2], index[1:-1], index[2:]], axis=1)
+    def turn_parts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Equations that a reversal is in, the first of each reversal, then the second, and so on:
+        numbers of reversals, equations, joints and derivatives."""
+        signs, equations = self.objective.signs, len(self.by_border)
+        parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        for index, derivatives in enumerate(self.by_turn):
+            rows = signs.samples - 2 + index
+            inside = np.flatnonzero(rows < equations)
+            parts.append((inside, rows[inside], signs.joints[inside], derivatives[inside]))
+        return parts
+
+    @property
+    def _stencil(self) -> Int[np.ndarray, "equations positions"]:
+        """The unknowns of each equation; where there are none before the first, the first."""
+        position = self.order.position
+        samples, n = position.shape
+        result = np.empty((samples - 2, self.by_position.shape[2]), int)
+        for i in range(result.shape[1] // n):
+            shift = i - self.objective.whitening.order
+            result[:, i * n : (i + 1) * n] = position[np.maximum(np.arange(samples - 2) + shift, 0)]
+        return result
 
     def _gradient(
         self, residuals: Residuals
     ) -> tuple[Float[np.ndarray, " inner"], Float[np.ndarray, " border"]]:
         objective, order = self.objective, self.order
-        weights, scale, signs = self.weights, objective.scale, objective.signs
-        samples, n = weights.position.shape
+        weights, scale = self.weights, objective.scale
+        n = weights.position.shape[1]
         inner = np.zeros(order.size)
         force = weights.torque * residuals.torque
         by_position = np.einsum("ijk,ij->ik", self.by_position, force)
-        for i in range(3):
-            inner[order.position[i : samples - 2 + i]] += by_position[:, i * n : (i + 1) * n]
+        for i, equations, of_equation in self.stencil_parts:
+            inner[order.position[of_equation]] += by_position[equations, i * n : (i + 1) * n]
         reading = weights.position * residuals.position
         inner[order.position] += reading
         standstill = weights.standstill * residuals.standstill
         inner[order.position[1:]] += standstill
         inner[order.position[:-1]] -= standstill
         inner[order.turn] += weights.turn * residuals.turn
-        for index, offset in enumerate((-1, 0, 1)):
-            rows = signs.samples - 1 + offset
-            inner[order.turn] += self.by_turn[index] * force[rows, signs.joints]
+        for reversals, rows, joints, derivative in self.turn_parts:
+            inner[order.turn[reversals]] += derivative * force[rows, joints]
         border = np.einsum("ijk,ij->k", self.by_border, force)
         np.add.at(border, self.offset, reading * scale[self.offset])
         border += scale * weights.border * residuals.border
         return inner, border
 
     def _add_turns(self, result: BandedEquations) -> None:
-        signs, order = self.objective.signs, self.order
-        torque = self.weights.torque
-        n = order.position.shape[1]
-        turn = order.turn[:, None]
-        result.add(turn, self.weights.turn[:, None, None])
-        for index, offset in enumerate((-1, 0, 1)):
-            row, slope = signs.samples - 1 + offset, self.by_turn[index]
-            weight = torque[row, signs.joints] * slope
-            near = self.by_position[row, signs.joints]
-            block = np.zeros((len(row), 1 + 3 * n, 1 + 3 * n))
+        order, torque, stencil = self.order, self.weights.torque, self._stencil
+        size = self.by_position.shape[2]
+        result.add(order.turn[:, None], self.weights.turn[:, None, None])
+        for reversals, row, joint, slope in self.turn_parts:
+            turn = order.turn[reversals][:, None]
+            weight = torque[row, joint] * slope
+            near = self.by_position[row, joint]
+            block = np.zeros((len(row), 1 + size, 1 + size))
             block[:, 0, 0] = weight * slope
             block[:, 1:, 0] = block[:, 0, 1:] = weight[:, None] * near
-            result.add(np.concatenate([turn, self._stencil[row]], axis=1), block)
-            result.mixed[order.turn] += weight[:, None] * self.by_border[row, signs.joints]
+            result.add(np.concatenate([turn, stencil[row]], axis=1), block)
+            result.mixed[order.turn[reversals]] += weight[:, None] * self.by_border[row, joint]

@@ -16,7 +16,7 @@ from ._objective import Point
 from ._problem import Problem
 from ._search import search
 from ._start import starting_point
-from .torque import TorqueSampling, TorqueUnknown
+from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
 
 
 _FEWEST_SAMPLES = 10
@@ -39,9 +39,9 @@ class MaximumLikelihood:
     - Friction is averaged over two intervals as the second difference averages acceleration, with
       the moment of each reversal as an unknown. Which way a joint moves is fixed while a step is
       judged, so that the objective is smooth.
-    - Torque noise of each joint is estimated by marginal likelihood, from a large value downwards;
-      so is the noise of positions, but for encoders, whose step is read off the recording. Their
-      constant offset within a step is an unknown.
+    - Noise of positions and of each joint's torque is estimated by marginal likelihood, from a
+      large value downwards; that of an encoder is at least that of its step, which is read off the
+      recording. An encoder's constant offset within a step is an unknown.
     - Where the equations say much more of a motion than single counts do, a count is the interval
       that it is: the position is within a step of it. The edges of these intervals say more than
       counts with normally distributed errors would; elsewhere counts have such errors.
@@ -49,7 +49,7 @@ class MaximumLikelihood:
       its readings count as one. Equations far beyond the noise count by size, not square (Huber).
 
     Right where torque acts on rigid bodies. Compliance and backlash make errors that are neither
-    white nor small; see `docs/likelihood.md` for what that costs.
+    white nor small: see `noise_order`, and `docs/likelihood.md` for what that costs.
 
     **Attributes**
 
@@ -59,6 +59,8 @@ class MaximumLikelihood:
     - `errors`: what standard errors allow for: `"correlated"` residuals, as a model that lacks
       something leaves them; or `"independent"` ones of the estimated levels only, for which they
       are the Cramér-Rao bound.
+    - `noise_order`: 0 for torque noise that is white; 1 or 2 for an autoregression of that order,
+      joint by joint, whose coefficients are estimated.
     - `unknowns`: of recorded torques, to be estimated too. `"torque_lag"`: how much later than
       positions they were measured, the same for all joints; negative for demands that act later
       than they are recorded. `"torque_gains"`: torque of each joint over what was recorded.
@@ -84,6 +86,7 @@ class MaximumLikelihood:
     settings: Settings | None = None
     resolution: tuple[float, ...] | None = None
     errors: Errors = "correlated"
+    noise_order: int = 0
     unknowns: tuple[TorqueUnknown, ...] = ()
     prior: Prior | None = None
 
@@ -94,6 +97,8 @@ class MaximumLikelihood:
             )
         if self.errors not in ERRORS:
             raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
+        if not 0 <= self.noise_order <= MOST_ORDER:
+            raise ValueError(f"noise_order: expected 0 to {MOST_ORDER}, got {self.noise_order}")
         for name in self.unknowns:
             if name not in get_args(TorqueUnknown):
                 expected = " or ".join(get_args(TorqueUnknown))
@@ -129,7 +134,14 @@ class MaximumLikelihood:
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
         problem, point, torque_noise, position_noise = self._start(network, recordings, start)
         report = progress or (lambda words: None)
-        minimum = search(problem, point, torque_noise, position_noise, report)
+        minimum = search(
+            problem,
+            point,
+            torque_noise,
+            position_noise,
+            report,
+            noise_order=self.noise_order,
+        )
         return likelihood_fit(network, minimum, self.errors)
 
     def misfit(
@@ -175,7 +187,7 @@ class MaximumLikelihood:
                 calibration=_values(point, calibration),
             ),
             np.broadcast_to(torque_noise, residual.shape),
-            np.where(problem.encoder_step > 0.0, noise, position_noise),
+            np.where(problem.encoder_step > 0.0, np.maximum(noise, position_noise), position_noise),
             lambda words: None,
             fixed_levels=True,
         )

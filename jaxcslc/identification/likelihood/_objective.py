@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
 from .equations import Stretches
-from .torque import TorqueCalibration
+from .torque import TorqueCalibration, Whitening
 
 
 # Prior standard deviation of a reversal about where velocity crosses zero, in intervals.
@@ -44,7 +44,7 @@ class Residuals:
 
     **Attributes**
 
-    - `torque`: (equations, n); `position`: (samples, n), recorded minus predicted.
+    - `torque`: (equations, n), made white; `position`: (samples, n), recorded minus predicted.
     - `standstill`: (intervals, n) motion of joints at standstill, negative.
     - `turn`: (reversals,), `border`: (border,), expected minus present values.
     """
@@ -83,6 +83,7 @@ class Objective:
       beforehand.
     - `expected`: (border,) values known beforehand.
     - `scale`: (border,) size of each coefficient, slope and offset; 0 fixes it.
+    - `whitening`: of torque residuals.
     - `intervals`: of readings that are intervals; None if all are normally distributed.
     """
 
@@ -94,6 +95,7 @@ class Objective:
     weights: Residuals
     expected: Float[np.ndarray, " border"]
     scale: Float[np.ndarray, " border"]
+    whitening: Whitening
     intervals: Intervals | None = None
 
     def residuals(self, point: Point) -> Residuals:
@@ -137,8 +139,9 @@ class Objective:
         self, point: Point, predicted: Float[np.ndarray, "equations joints"]
     ) -> Residuals:
         """Recorded minus predicted, with torque that has been predicted before."""
+        recorded = self.torque.torque(point.calibration)
         return Residuals(
-            self.torque.torque(point.calibration) - predicted / self.torque.gain(point.calibration),
+            self.whitening.applied(recorded - predicted / self.torque.gain(point.calibration)),
             self.position - point.q - point.offset[self.part],
             -np.diff(point.q, axis=0),
             self.signs.turn - point.turn,

@@ -31,9 +31,8 @@ class Problem:
       beforehand.
     - `slope_bounds`: (n,) each, least and greatest logarithms of slopes.
     - `breakaway`: from a point, (n,) the greatest friction at standstill, as it is recorded.
-    - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts. The noise of
-      counts is not to be estimated.
-    - `least_position_noise`: (n,) [rad or m].
+    - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts.
+    - `least_position_noise`: (recordings, n) [rad or m]; of counts, that of their steps.
     """
 
     equations: Stretches
@@ -45,7 +44,7 @@ class Problem:
     slope_bounds: tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]
     breakaway: Callable[[Point], Float[np.ndarray, " joints"]]
     encoder_step: Float[np.ndarray, "recordings joints"]
-    least_position_noise: Float[np.ndarray, " joints"]
+    least_position_noise: Float[np.ndarray, "recordings joints"]
 
     @property
     def at_rest(self) -> Bool[np.ndarray, "equations joints"]:

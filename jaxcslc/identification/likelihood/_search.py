@@ -2,7 +2,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ._band import Factored
 from ._levels import Levels, NoiseDraws, noise_levels, position_errors
@@ -12,6 +12,7 @@ from ._objective import TURN, Objective, Point, Residuals
 from ._problem import Problem
 from ._readings import Intervals
 from ._signs import Signs
+from .torque import Whitening, autocovariance
 
 
 # Equations left uncertain on either side of a reversal, step by step; after these steps, reversals
@@ -35,6 +36,8 @@ _NEAR, _NEARER, _REFINEMENTS, _FREE_REFINEMENTS = 0.3, 1.0, 5, 3
 _UNCERTAIN, _REVERSAL = 0.6, 0.01
 # Huber's constant, in standard deviations: what is beyond counts by its size, not by its square.
 _OUTLIER = 4.0
+# Readings of an encoder whose noise is less than so many times that of its steps have that.
+_MORE_THAN_STEPS = 1.3
 # A joint at rest moves by this part of its position noise from sample to sample.
 _REST = 0.02
 # Counts are intervals where positions are known better than this part of a step. The width of an
@@ -79,6 +82,7 @@ def search(
     fixed_levels: bool = False,
     edge: Levels | None = None,
     tolerance: float = 0.0,
+    noise_order: int = 0,
 ) -> Minimum:
     """Minimises step by step: signs, weights and noise levels are fixed within each step.
 
@@ -92,8 +96,11 @@ def search(
     - `edge`: (recordings, n) widths of intervals' edges in steps, 0 where counts are none. The
       start is then near the minimum. None with fixed levels: no count is an interval.
     - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
+    - `noise_order`: of the autoregression of torque noise.
     """
-    state = _State.start(problem, point, torque_noise, position_noise, fixed_levels, edge)
+    state = _State.start(
+        problem, point, torque_noise, position_noise, noise_order, fixed_levels, edge
+    )
     first = 0 if edge is None else len(_MARGINS)
     number = first - 1
     while True:
@@ -133,6 +140,7 @@ def search(
 class _State:
     """What changes from step to step.
 
+    - `whitening`: of torque residuals.
     - `outlier_weight`: (equations, n) of equations far beyond the noise.
     - `ambiguous`: (equations, n) of reversals that came and went.
     - `levels_fixed`: whether noise levels and these weights are, while readings are normally
@@ -144,6 +152,7 @@ class _State:
     signs: Signs | None
     torque_noise: Levels
     position_noise: Levels
+    whitening: Whitening
     outlier_weight: Float[np.ndarray, "equations joints"]
     ambiguous: Mask
     intervals: Intervals | None
@@ -159,6 +168,7 @@ class _State:
         point: Point,
         torque_noise: Levels,
         position_noise: Levels,
+        noise_order: int,
         fixed: bool,
         edge: Levels | None,
     ) -> "_State":
@@ -169,6 +179,7 @@ class _State:
             None,
             np.maximum(torque_noise, problem.least_torque_noise),
             position_noise,
+            Whitening(np.zeros((noise_order, n))),
             np.ones((samples - 2, n)),
             np.zeros((samples - 2, n), bool),
             intervals,
@@ -215,10 +226,10 @@ def _objective(problem: Problem, state: _State) -> tuple[Objective, Mask]:
     readings, signs, point = problem.readings, state.signs, state.point
     assert signs is not None
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
-    extra = _friction_variance(problem, signs, point)
+    extra = state.whitening.variance(_friction_variance(problem, signs, point))
     weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + extra)
     beyond = problem.calibration.outside(point.calibration)
-    without = problem.at_rest | (readings.joined | beyond)[:, None]
+    without = state.whitening.touched(problem.at_rest | (readings.joined | beyond)[:, None])
     weight[without] = 0.0
     expected, known = problem.known(point)
     at_rest = 1.0 / (_REST * state.position_noise[of_interval]) ** 2
@@ -238,6 +249,7 @@ def _objective(problem: Problem, state: _State) -> tuple[Objective, Mask]:
         weights,
         expected,
         problem.scale,
+        state.whitening,
         state.intervals,
     )
     return objective, (extra == 0.0) & ~without
@@ -268,7 +280,6 @@ def _with_levels(
         part,
         state.torque_noise,
         state.position_noise,
-        problem.encoder_step > 0.0,
     )
     torque_noise = np.maximum(torque_noise, problem.least_torque_noise)
     position_noise = np.maximum(position_noise, problem.least_position_noise)
@@ -277,8 +288,9 @@ def _with_levels(
         position_noise = np.sqrt(position_noise * state.position_noise)
     # Uncertain friction is within break-away; what pushes a joint at its limit is not.
     extra = np.where(signs.uncertain, _friction_variance(problem, signs, step.point), 0.0)
+    extra = state.whitening.variance(extra)
     deviation = np.sqrt(torque_noise[part[1:-1]] ** 2 + extra)
-    robust = (counted | signs.uncertain) & (linear.weights.torque > 0.0)
+    robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
     size = np.maximum(np.abs(step.residuals.torque), 1e-300)
     change = max(
         np.abs(np.log(new / old)).max()
@@ -288,19 +300,53 @@ def _with_levels(
         )
     )
     modelled = number > len(_MARGINS)
+    whitening = state.whitening
+    if modelled and whitening.order:
+        whitening = _coloured(whitening, step.residuals, draws, counted, state.torque_noise, part)
+        moved = whitening.coefficients - state.whitening.coefficients
+        change = max(change, float(np.abs(moved).max()))
+    final = number >= _MOST_LEVEL_STEPS or (modelled and bool(change <= _LEVEL_TOLERANCE))
+    if final:
+        least = problem.least_position_noise
+        counted_steps = (problem.encoder_step > 0.0) & (position_noise <= _MORE_THAN_STEPS * least)
+        position_noise = np.where(counted_steps, least, position_noise)
     return dataclasses.replace(
         state,
         torque_noise=torque_noise,
         position_noise=position_noise,
+        whitening=whitening,
         outlier_weight=np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0),
-        levels_fixed=number >= _MOST_LEVEL_STEPS or (modelled and bool(change <= _LEVEL_TOLERANCE)),
+        levels_fixed=final,
     )
+
+
+def _coloured(
+    whitening: Whitening,
+    residuals: Residuals,
+    draws: NoiseDraws,
+    counted: Mask,
+    torque_noise: Levels,
+    part: Int[np.ndarray, " samples"],
+) -> Whitening:
+    """The filter of the noise that torque residuals show (expectation and maximisation).
+
+    Positions take up a part of the noise: what they take up of a draw of the present noise is added
+    to the autocovariance of residuals.
+    """
+    drawn, taken = draws.torque * torque_noise[part[1:-1]], draws.by_torque.torque
+
+    def covariance(white: np.ndarray) -> np.ndarray:
+        return autocovariance(whitening.removed(white), counted, whitening.order)
+
+    missing = covariance(drawn) - covariance(taken) - covariance(draws.by_position.torque)
+    return Whitening.fitted(covariance(residuals.torque) + missing)
 
 
 def _with_intervals(problem: Problem, state: _State, linear: Linear, factored: Factored) -> _State:
     """Counts as intervals, where positions are known much better than a step."""
     errors, _ = _position_errors(problem, state, linear, factored)
-    edge = np.where(errors <= _SHARP, np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
+    counts = state.position_noise <= problem.least_position_noise
+    edge = np.where(counts & (errors <= _SHARP), np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
     intervals = _intervals(problem, edge)
     return dataclasses.replace(state, intervals=intervals, final=intervals is None)
 
@@ -332,7 +378,6 @@ def _refined(
         part,
         state.torque_noise,
         state.position_noise,
-        np.ones_like(errors, bool),
     )
     torque_noise = np.maximum(torque_noise, problem.least_torque_noise)
     if state.refinements >= _FREE_REFINEMENTS:

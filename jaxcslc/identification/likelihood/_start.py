@@ -130,7 +130,7 @@ def starting_point(
         ),
         breakaway=breakaway,
         encoder_step=steps,
-        least_position_noise=least,
+        least_position_noise=np.where(encoder, steps / np.sqrt(12.0), least),
     )
     point = Point(k, slopes, calibration.start, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, point, np.array(residual), position_noise

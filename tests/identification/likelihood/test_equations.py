@@ -14,7 +14,7 @@ from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
 from jaxcslc.identification.likelihood._signs import Signs
 from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
-from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord
+from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
 
 
 SAMPLES = 12
@@ -54,6 +54,7 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
         weights,
         np.zeros(border),
         rng.uniform(0.5, 2, border),
+        Whitening(np.array([[-0.9, 0.3], [0.2, -0.4]])),
     )
     calibration = np.array([3e-3, 1.1, 0.8])
     return result, Point(k, np.log([2.0, 3.0]), calibration, np.zeros((2, 2)), q, signs.turn)

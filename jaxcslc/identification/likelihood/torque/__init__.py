@@ -3,3 +3,8 @@ from ._calibration import (
     TorqueUnknown as TorqueUnknown,
 )
 from ._torque_record import TorqueRecord as TorqueRecord, TorqueSampling as TorqueSampling
+from ._whitening import (
+    MOST_ORDER as MOST_ORDER,
+    Whitening as Whitening,
+    autocovariance as autocovariance,
+)
