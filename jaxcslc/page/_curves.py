@@ -1,11 +1,13 @@
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+
+# The largest power of ten that is a float exactly.
+_EXACT_POWER = 22
 
 CurveLook = Literal["measured", "predicted", "residual", "points", "fitted"]
 
@@ -109,7 +111,15 @@ def plain(values: Sequence[float | None] | np.ndarray, digits: int = 5) -> list[
     >>> plain([1.2345678, float("nan")])
     [1.2346, None]
     """
-    form = f"%.{digits}g"
+    x = np.asarray(values, float)
+    finite = np.isfinite(x)
+    x = np.where(finite, x, 0.0)
+    magnitude = np.floor(np.log10(np.abs(x), out=np.zeros_like(x), where=x != 0.0))
+    # Powers of ten up to this are exact, so that quotients by them are the decimal numbers.
+    power = np.clip(digits - 1 - magnitude, -_EXACT_POWER, _EXACT_POWER)
+    up, down = 10.0 ** np.maximum(power, 0.0), 10.0 ** np.maximum(-power, 0.0)
     # Python's own numbers: those of NumPy take three times as long to be written.
-    numbers: list[float] = np.asarray(values, float).tolist()
-    return [float(form % value) if math.isfinite(value) else None for value in numbers]
+    rounded: list[float] = (np.rint(x * up / down) / up * down).tolist()
+    if np.all(finite):
+        return list(rounded)
+    return [x if kept else None for x, kept in zip(rounded, finite.tolist(), strict=True)]
