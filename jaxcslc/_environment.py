@@ -1,4 +1,5 @@
 import importlib
+import os
 from types import ModuleType
 from typing import Any
 
@@ -55,6 +56,12 @@ def array_namespace(*arrays: Any) -> ModuleType:
     ('numpy', 'jax.numpy')
     """
     return np if all(isinstance(x, np.ndarray | np.generic | float | int) for x in arrays) else jnp
+
+
+def core_count() -> int:
+    """How many cores this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def as_jax(x: Any) -> Any:

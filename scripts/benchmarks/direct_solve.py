@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio
 
 import jaxcslc as jc
-from jaxcslc.identification.solver import core_count
+from jaxcslc._environment import core_count
 from scripts.benchmarks.c_code import pinocchio_model
 from scripts.benchmarks.metrics import Metric, best_of
 from scripts.benchmarks.solve_gpu import ceilings

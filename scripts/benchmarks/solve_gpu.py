@@ -24,10 +24,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxcslc as jc
+from jaxcslc._environment import core_count
 from jaxcslc.identification.solver import (
     JointFactors,
     Unknowns,
-    core_count,
     factorise,
     factors_of,
     minimum,

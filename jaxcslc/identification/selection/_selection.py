@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..._environment import require, require_float64
+from ..._environment import core_count, require, require_float64
 from ...motion import Derivatives, Patterns, Preparation, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
 from ..checks import small_torque_lag
-from ..solver import HostColumns, columns_of, core_count
+from ..solver import HostColumns, columns_of
 from ._alignment import settled_alignment
 from ._candidates import Candidates
 from ._scoring import Scoring

@@ -56,7 +56,6 @@ from ._weighted_equations import (
 )
 from .many import (
     Preconditioner as Preconditioner,
-    core_count as core_count,
     corrected as corrected,
     factors_of as factors_of,
     factors_of_stream as factors_of_stream,

@@ -1,5 +1,6 @@
 import dataclasses
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import equinox as eqx
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._environment import core_count
 from ...network import AbstractLinearNetwork
 
 
@@ -19,6 +21,8 @@ _BLOCK = 2048
 # the same rows as 112 of 128 x 54 took 0.01 s.
 _ROWS = 256
 _CELLS = 7000
+# Entries of equations whose joints are worth threads of their own.
+_FEWEST_OF_THREADS = 1 << 20
 # Triangles that are stacked and factorised at once.
 _JOINED = 8
 
@@ -79,8 +83,12 @@ class JointFactors(eqx.Module):
         rows: tuple[Float[np.ndarray, "*batch _ _"], ...],
         counts: Float[np.ndarray, "*batch joints"],
     ) -> "JointFactors":
-        """Of equations on the host, for each joint (..., rows, s + 1)."""
-        return cls(tuple(triangle_of(joint_rows) for joint_rows in rows), counts)
+        """Of equations on the host, for each joint (..., rows, s + 1); of many, joints side by
+        side."""
+        if sum(joint_rows.size for joint_rows in rows) < _FEWEST_OF_THREADS:
+            return cls(tuple(map(triangle_of, rows)), counts)
+        with ThreadPoolExecutor(min(core_count(), len(rows))) as pool:
+            return cls(tuple(pool.map(triangle_of, rows)), counts)
 
     def joined(self, other: "JointFactors") -> "JointFactors":
         """The factors of both sets of patterns together."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 
-from jaxcslc.identification.solver import core_count
+from jaxcslc._environment import core_count
 from scripts.benchmarks.metrics import Metric
 
 

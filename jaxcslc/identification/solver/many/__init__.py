@@ -9,7 +9,6 @@ from ._preconditioned import Preconditioner as Preconditioner, factors_of as fac
 from ._sharded import shard_patterns as shard_patterns
 from ._streaming import (
     are_many as are_many,
-    core_count as core_count,
     factors_of_patterns as factors_of_patterns,
     factors_of_stream as factors_of_stream,
     residual_sums_of as residual_sums_of,

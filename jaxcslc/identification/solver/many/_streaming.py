@@ -1,5 +1,4 @@
 import itertools
-import os
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...._environment import platform_of
+from ...._environment import core_count, platform_of
 from ....motion import Patterns
 from ....network import AbstractLinearNetwork
 from .._factors import JointFactors, joined_factors
@@ -60,12 +59,6 @@ def factors_of_stream(
     if not parts:
         raise ValueError("there are no patterns in the stream")
     return joined_factors(parts)
-
-
-def core_count() -> int:
-    """How many cores this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def are_many(patterns: Patterns) -> bool:
