@@ -29,8 +29,8 @@ class FrictionTrial:
     - `joint`: counted from 1; `kind`: of the term.
     - `relative`: the joint's held-out error with the term over that without it.
     - `used`: whether the joint has the term in the end.
-    - `possible`: whether the term's number was one that friction can have: otherwise the joint was
-      judged without the term.
+    - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
+      coefficient of the load may be none that friction has.
     """
 
     joint: int
@@ -41,7 +41,7 @@ class FrictionTrial:
 
     def __str__(self) -> str:
         if not self.possible:
-            return f"{self.kind} not possible"
+            return f"{self.kind} dropped by the fit"
         return f"{self.kind} {self.relative}{', used' if self.used else ''}"
 
 

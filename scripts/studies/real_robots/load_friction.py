@@ -1,28 +1,25 @@
 """Is dry friction that grows with the load worth a term, joint by joint, on real arms?
 
 The torque of a joint's gears presses their teeth, so dry friction may have a part
-kl sgn(qd) |rigid torque|, with kl of a few percent. It is linear in kl for a fixed rigid torque:
-that of the latest coefficients, until nothing changes. Both models have viscous and dry friction
-and are fitted to motion through a 20 Hz Butterworth filter. Errors are root mean squares over
-judged samples with the term over those without it [%]: on eighths of the fitted motion, each
-predicted by a fit to the others, and on the motion that is judged.
-
-A form that differs between driving and braking is no term: its difference is the rigid torque
-itself, of which the motion determines no multiple. It is a torque constant.
+kl sgn(qd) |rigid torque|, with kl of a few percent (`jaxcslc.identification.fit_load`). Both models
+have the friction that `--friction` names, and are fitted to motion through a 20 Hz Butterworth
+filter. Errors are root mean squares over judged samples with the term over those without it [%]: on
+eighths of the fitted motion, each predicted by a fit to the others, and on the motion that is
+judged. A joint whose kl is not between 0 and 1 has lost the term.
 """
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 import jaxcslc as jc
+from jaxcslc.identification import fit_load, predicted_torque
+from jaxcslc.identification.friction import linearised
 from jaxcslc.identification.report import text_table
-from jaxcslc.identification.solver import Equations, Unknowns, regressor_of
 from scripts.studies import command
 from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
 
@@ -34,83 +31,47 @@ SETTINGS = jc.Settings(
     jc.LeastSquares(errors="independent"),
 )
 FOLDS = 8
-_STEPS, _SAME = 20, 1e-6
 
 
-class Motion(NamedTuple):
-    """A recording's patterns and regressor (samples, n, p)."""
+def lines_of(name: str, arm: Arm, friction: Sequence[str] | None) -> list[list[str]]:
+    """Of the table: errors with the term over those without, and the coefficients.
 
-    patterns: jc.Patterns
-    regressor: Float[np.ndarray, "samples joints coefficients"]
-
-    @classmethod
-    def of(cls, network: jc.CSLC, recording: jc.Recording) -> "Motion":
-        patterns = SETTINGS.patterns(recording)
-        return cls(patterns, np.asarray(regressor_of(network, patterns)))
-
-    def with_load(self, network: jc.CSLC, k: Float[np.ndarray, " coefficients"]) -> np.ndarray:
-        """The regressor with a column more for each joint: the sign times the load."""
-        rigid = np.zeros(network.size)
-        rigid[network.layout.inertial] = k[network.layout.inertial]
-        load = np.sign(np.asarray(self.patterns.qd)) * np.abs(self.regressor @ rigid)
-        return np.concatenate([self.regressor, load[:, :, None] * np.eye(load.shape[1])], axis=2)
-
-    def errors(self, network: jc.CSLC, k: Float[np.ndarray, " unknowns"]) -> np.ndarray:
-        """What coefficients leave of torques, (samples, n); those of loads come last, if any."""
-        loaded = len(k) > network.size
-        regressor = self.with_load(network, k[: network.size]) if loaded else self.regressor
-        return np.asarray(self.patterns.torque) - regressor @ k
-
-
-def fit(
-    network: jc.CSLC, motion: Motion, used: Bool[np.ndarray, " samples"], *, load: bool
-) -> Float[np.ndarray, " unknowns"]:
-    """Coefficients of some samples, those of loads behind those of the network."""
-    n, p = network.joint_count, network.size
-    names = (*network.names, *(f"kl{joint + 1}" for joint in range(n)))
-    supports = tuple((*support, p + joint) for joint, support in enumerate(network.support))
-    plain, richer = Unknowns.of(network), Unknowns(names, supports)
-    patterns = motion.patterns
-    mask = np.asarray(patterns.mask) & used[:, None]
-
-    def solved(unknowns: Unknowns, regressor: np.ndarray) -> np.ndarray:
-        torque, time = np.asarray(patterns.torque), np.asarray(patterns.time)
-        equations = Equations.of(unknowns, regressor, torque, mask, time=time, cutoff=None)
-        return SETTINGS.solver.coefficients(equations)
-
-    k = solved(plain, motion.regressor)
-    for _ in range(_STEPS if load else 0):
-        before, k = k, solved(richer, motion.with_load(network, k[:p]))
-        if len(before) == len(k) and np.max(np.abs(k - before)) < _SAME * np.max(np.abs(k)):
-            break
-    return k
-
-
-def lines_of(name: str, arm: Arm) -> list[list[str]]:
-    """Of the table: errors with the term over those without, and the coefficients."""
-    kinds = [
-        tuple(kind for kind in kinds if kind != "static") for kinds in arm.robot.friction_per_joint
+    - `friction`: kinds of all joints; None for the robot's, without static friction.
+    """
+    solver = SETTINGS.solver
+    network = jc.derive(arm.robot, lengths="numeric")
+    laws = arm.robot.friction_per_joint if friction is None else [friction] * network.joint_count
+    kinds = [tuple(kind for kind in of_joint if kind != "static") for of_joint in laws]
+    network = network.with_joint_friction(kinds)
+    patterns = SETTINGS.patterns(arm.training)
+    richer = network.with_joint_friction([(*of_joint, "load") for of_joint in kinds])
+    load = fit_load(richer, patterns, solver=solver)
+    plain = solver.fit(network, patterns)
+    fold = np.arange(patterns.samples) * FOLDS // patterns.samples
+    held_out = [
+        _rms(solver.held_out_errors(*equations, fold), patterns)
+        for equations in (
+            (network, patterns),
+            linearised(load.network, load.fit.k, patterns),
+        )
     ]
-    network = jc.derive(arm.robot, lengths="numeric").with_joint_friction(kinds)
-    training = Motion.of(network, arm.training)
-    samples = training.patterns.samples
-    fold, every = np.arange(samples) * FOLDS // samples, np.ones(samples, bool)
-    rms: list[np.ndarray] = []
-    for load in (False, True):
-        parts = [
-            training.errors(network, fit(network, training, fold != part, load=load))[fold == part]
-            for part in range(FOLDS)
-        ]
-        rms.append(_rms(np.concatenate(parts), training.patterns))
-    rows = [[name, "held out", *_percent(rms[1] / rms[0])]]
-    free, loaded = (fit(network, training, every, load=load) for load in (False, True))
+    rows = [[name, "held out", *_percent(held_out[1] / held_out[0])]]
     for test, recording in arm.tests.items():
-        motion = Motion.of(network, recording)
+        motion = SETTINGS.patterns(recording)
+        torque = np.asarray(motion.torque)
         without, with_load = (
-            _rms(motion.errors(network, k), motion.patterns) for k in (free, loaded)
+            _rms(torque - np.asarray(predicted_torque(model, motion, k)), motion)
+            for model, k in ((network, plain.k), (load.network, load.fit.k))
         )
         rows.append([name, test, *_percent(with_load / without)])
-    rows.append([name, "kl", *(f"{value:.3f}" for value in loaded[network.size :])])
+    names, values = load.network.names, np.asarray(load.fit.k)
+    errors = np.asarray(load.fit.standard_error)
+    numbers = {
+        symbol: f"{value:.3f} ± {error:.3f}"
+        for symbol, value, error in zip(names, values, errors, strict=True)
+    }
+    joints = range(1, network.joint_count + 1)
+    rows.append([name, "kl", *(numbers.get(f"kl{joint}", "none") for joint in joints)])
     return rows
 
 
@@ -131,7 +92,8 @@ def study(options: argparse.Namespace) -> int:
         if options.quick:
             part = 0.4 * float(np.ptp(arm.training.time))
             arm = arm._replace(training=arm.training.between(0.0, part))
-        rows += lines_of(name, arm)
+        kinds = None if options.friction is None else options.friction.split(",")
+        rows += lines_of(name, arm, kinds)
     joints = max(map(len, rows)) - 2
     rows = [row + [""] * (joints + 2 - len(row)) for row in rows]
     print(text_table(["arm", "motion", *(str(joint + 1) for joint in range(joints))], rows))
@@ -141,6 +103,7 @@ def study(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "load_friction")
     parser.add_argument("--arms", nargs="+", default=list(READERS), help=", ".join(READERS))
+    parser.add_argument("--friction", help="kinds of all joints beside it, as in viscous,dry")
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the recordings")
     options = command.parse(parser, argv, arms=["KUKA KR300"])
     command.require_some_of(parser, "arm", options.arms, tuple(READERS))
