@@ -33,7 +33,8 @@ class LikelihoodFit(eqx.Module):
       asked for; `torque_lag_error`: its standard deviation.
     - `torque_gain`: (n,) torque over what was recorded, ones if that was not asked for;
       `torque_gain_error`: infinite where nothing tells it from coefficients.
-    - `position`: (samples, n) estimated positions [rad or m], of one recording after the other.
+    - `position`: (samples, n) estimated positions [rad or m], of one recording after the other; at
+      every `MaximumLikelihood.every`-th sample.
     - `torque_noise`: (recordings, n) [N m or N]; `position_noise`: (recordings, n) [rad or m]:
       standard deviations.
     - `noise_coefficients`: (order, n) of the autoregression of torque residuals r of each joint,

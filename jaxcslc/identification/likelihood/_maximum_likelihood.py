@@ -59,6 +59,9 @@ class MaximumLikelihood:
     - `errors`: what standard errors allow for: `"correlated"` residuals, as a model that lacks
       something leaves them; or `"independent"` ones of the estimated levels only, for which they
       are the Cramér-Rao bound.
+    - `every`: equations of motion hold over two times so many samples, and positions are unknown at
+      every so many; torque between them counts, readings do not. Two or more for arms whose
+      transmission vibrates: a rigid model is right below those frequencies only.
     - `noise_order`: 0 for torque noise that is white; 1 or 2 for an autoregression of that order,
       joint by joint, whose coefficients are estimated.
     - `unknowns`: of recorded torques, to be estimated too. `"torque_lag"`: how much later than
@@ -86,6 +89,7 @@ class MaximumLikelihood:
     settings: Settings | None = None
     resolution: tuple[float, ...] | None = None
     errors: Errors = "correlated"
+    every: int = 1
     noise_order: int = 0
     unknowns: tuple[TorqueUnknown, ...] = ()
     prior: Prior | None = None
@@ -97,6 +101,8 @@ class MaximumLikelihood:
             )
         if self.errors not in ERRORS:
             raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
+        if self.every < 1:
+            raise ValueError(f"every: expected 1 or more, got {self.every}")
         if not 0 <= self.noise_order <= MOST_ORDER:
             raise ValueError(f"noise_order: expected 0 to {MOST_ORDER}, got {self.noise_order}")
         for name in self.unknowns:
@@ -202,7 +208,7 @@ class MaximumLikelihood:
         self, network: CSLC, recordings: Sequence[Recording], start: Identification | None
     ) -> tuple[Problem, Point, np.ndarray, np.ndarray]:
         """As `starting_point` returns them."""
-        _check(network, recordings)
+        _check(network, recordings, self.every)
         return starting_point(
             network,
             recordings,
@@ -212,6 +218,7 @@ class MaximumLikelihood:
             start,
             self.unknowns,
             {} if self.prior is None else self.prior.coefficient_values(network),
+            self.every,
         )
 
 
@@ -237,7 +244,7 @@ def _check_prior(prior: Prior | None, gains: bool) -> None:
         )
 
 
-def _check(network: CSLC, recordings: Sequence[Recording]) -> None:
+def _check(network: CSLC, recordings: Sequence[Recording], every: int) -> None:
     """**Raises** `ValueError` as `MaximumLikelihood.fit`."""
     n = network.joint_count
     if network.payload is not None:
@@ -255,7 +262,8 @@ def _check(network: CSLC, recordings: Sequence[Recording]) -> None:
                 f"{which} has {recording.position.shape[1]} joints; expected {n}, those of"
                 f" {network.name!r}"
             )
-        if recording.samples < _FEWEST_SAMPLES:
+        if recording.samples < _FEWEST_SAMPLES * every:
             raise ValueError(
-                f"{which} has {recording.samples} samples; expected at least {_FEWEST_SAMPLES}"
+                f"{which} has {recording.samples} samples; expected at least"
+                f" {_FEWEST_SAMPLES * every}"
             )

@@ -45,20 +45,22 @@ class Readings:
     joined: Bool[np.ndarray, " equations"]
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], torque_sampling: TorqueSampling) -> "Readings":
-        """Those of recordings of the same joints."""
+    def of(
+        cls, recordings: Sequence[Recording], torque_sampling: TorqueSampling, every: int = 1
+    ) -> "Readings":
+        """Those of recordings of the same joints; positions at every so many samples."""
         times: list[np.ndarray] = []
         start = 0.0
         for recording in recordings:
-            time = np.asarray(recording.time) - recording.time[0] + start
+            time = np.asarray(recording.time)[::every] - recording.time[0] + start
             times.append(time)
             start = float(time[-1] + np.mean(np.diff(time)))
         part = np.repeat(np.arange(len(recordings)), [len(time) for time in times])
         time = np.concatenate(times)
         return cls(
             time,
-            np.concatenate([np.asarray(recording.position) for recording in recordings]),
-            TorqueRecord.of(recordings, torque_sampling),
+            np.concatenate([np.asarray(recording.position)[::every] for recording in recordings]),
+            TorqueRecord.of(recordings, torque_sampling, every),
             part,
             part[2:] != part[:-2],
         )

@@ -41,6 +41,7 @@ def starting_point(
     start: Identification | None,
     unknowns: tuple[TorqueUnknown, ...] = (),
     known_values: Mapping[int, Known] = MappingProxyType({}),
+    every: int = 1,
 ) -> tuple[Problem, Point, Recordings, Recordings]:
     """The problem of recordings, and where its search starts: regression on smoothed motion.
 
@@ -63,11 +64,11 @@ def starting_point(
         settings.preparation.smoothing.smooth(recording.time, recording.position)
         for recording in recordings
     ]
-    q, speed = (np.concatenate([np.array(motion[i]) for motion in smooth]) for i in (0, 1))
+    q, speed = (np.concatenate([np.array(motion[i])[::every] for motion in smooth]) for i in (0, 1))
     speed = np.abs(speed)
     fastest = np.maximum(speed.max(axis=0), 1e-6)
 
-    readings = Readings.of(recordings, torque_sampling)
+    readings = Readings.of(recordings, torque_sampling, every)
     samplings = [Sampling.of(recording) for recording in recordings]
     if resolution is None:
         steps = np.array([sampling.resolution for sampling in samplings])

@@ -21,7 +21,7 @@ TRAINED = "CSLC trained"
 TWIN, WEAK = "twin", "weak motors"
 # Slower than this a joint may stick, where no model of sliding friction predicts its torque; the
 # thesis leaves the ends of the comparison trajectory out for that (7.4.2).
-_MOVING = 0.01  # rad/s
+MOVING = 0.01  # rad/s
 # A quick run does not select its settings.
 _QUICK = jc.Settings(
     jc.Preparation(jc.AveragedSplines(13), torque_alignment="mean"), jc.LeastSquares(cutoff=8.0)
@@ -145,7 +145,7 @@ def identified(
         comparison.recording,
         smoothing=jc.AveragedSplines(17),
         torque_alignment="mean",
-        thresholds=_MOVING,
+        thresholds=MOVING,
     )
     return IdentifiedMachine(
         name,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
@@ -44,15 +45,34 @@ class TestTorqueRecord:
                 assert_allclose(obtained[row], expected, rtol=1e-8)
 
     @pytest.mark.parametrize("sampling", ["held", "sampled"])
-    def test_its_rate_is_the_derivative(self, sampling: TorqueSampling) -> None:
+    def test_equations_over_several_samples(self, sampling: TorqueSampling) -> None:
+        time = np.append(self.TIME, 2.6)
+        torque = np.random.default_rng(0).normal(size=(len(time), 1))
+        spline = scipy.interpolate.CubicSpline(time, torque[:, 0])
+        for lag in (0.0, 0.07):
+            record = TorqueRecord((time,), (torque,), sampling, every=2)
+            obtained, outside = record.averaged(lag)[:, 0], record.outside(lag)
+            assert len(obtained) == 3 and np.sum(~outside) >= 2
+            for row in np.flatnonzero(~outside):
+                start, middle, end = time[::2][row : row + 3]
+                t = np.linspace(start, end, 200_001)
+                triangle = np.minimum((t - start) / (middle - start), (end - t) / (end - middle))
+                held = torque[np.searchsorted(time, t + lag, side="right") - 1, 0]
+                values = held if sampling == "held" else spline(t + lag)
+                expected = np.sum(triangle * values) / np.sum(triangle)
+                assert_allclose(obtained[row], expected, atol=2e-5)
+
+    @pytest.mark.parametrize("every", [1, 2])
+    @pytest.mark.parametrize("sampling", ["held", "sampled"])
+    def test_its_rate_is_the_derivative(self, sampling: TorqueSampling, every: int) -> None:
         torque = np.random.default_rng(0).normal(size=(len(self.TIME), 2))
-        record = TorqueRecord((self.TIME,) * 2, (torque, 2.0 * torque), sampling)
+        record = TorqueRecord((self.TIME,) * 2, (torque, 2.0 * torque), sampling, every)
         lag, step = 0.08, 1e-5
         rows = ~(record.outside(lag - step) | record.outside(lag + step))
         difference = (record.averaged(lag + step) - record.averaged(lag - step)) / (2 * step)
         assert_allclose(record.rate(lag)[rows], difference[rows], atol=1e-4)
         # The two equations between recordings are none.
-        count = len(self.TIME) - 2
+        count = (len(self.TIME) + every - 1) // every - 2
         assert_allclose(record.averaged(lag)[count : count + 2], 0.0)
 
 
@@ -104,6 +124,13 @@ def test_a_gain_is_estimated_where_an_inertia_is_known(disc: jc.CSLC) -> None:
     assert_allclose(result.k, [INERTIA, VISCOUS], rtol=1e-2)
 
 
+@pytest.mark.parametrize("every", [2, 5])
+def test_equations_over_several_samples(disc: jc.CSLC, every: int) -> None:
+    result = jc.MaximumLikelihood(every=every).fit(disc, rotor(0.0))
+    assert result.position.shape == (600 // every, 1)
+    assert_allclose(result.k, [INERTIA, VISCOUS], rtol=2e-3)
+
+
 def test_a_coefficient_that_is_fixed_stays(disc: jc.CSLC) -> None:
     prior = Prior({"kv1": Known(0.25)})
     result = jc.MaximumLikelihood(prior=prior).fit(disc, rotor(0.0))
@@ -123,6 +150,12 @@ class TestBadInput:
     def test_links(self) -> None:
         with pytest.raises(ValueError, match="takes coefficients, got links"):
             jc.MaximumLikelihood(prior=Prior(links={"1": {"mass": Known(1.0)}}))
+
+    def test_every(self, disc: jc.CSLC) -> None:
+        with pytest.raises(ValueError, match="every: expected 1 or more, got 0"):
+            jc.MaximumLikelihood(every=0)
+        with pytest.raises(ValueError, match="has 600 samples; expected at least 1000"):
+            jc.MaximumLikelihood(every=100).fit(disc, rotor(0.0))
 
     def test_unknowns(self) -> None:
         # A type checker at run time speaks first.

@@ -1,6 +1,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -24,6 +24,7 @@ class TorqueRecord:
 
     - `times`: (samples,) of each recording [s]; `torques`: (samples, n) of each.
     - `sampling`: what a recorded torque is.
+    - `every`: equations are at every so many samples; torque between them counts.
 
     >>> import numpy as np
     >>> line = np.arange(5.0)[:, None]
@@ -37,14 +38,18 @@ class TorqueRecord:
     times: tuple[Float[np.ndarray, " _"], ...]
     torques: tuple[Float[np.ndarray, "_ joints"], ...]
     sampling: TorqueSampling
+    every: int = 1
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], sampling: TorqueSampling) -> "TorqueRecord":
+    def of(
+        cls, recordings: Sequence[Recording], sampling: TorqueSampling, every: int = 1
+    ) -> "TorqueRecord":
         """Those of recordings of the same joints."""
         return cls(
             tuple(np.asarray(recording.time, float) for recording in recordings),
             tuple(np.asarray(recording.torque, float) for recording in recordings),
             sampling,
+            every,
         )
 
     def averaged(self, lag: float = 0.0) -> Float[np.ndarray, "equations joints"]:
@@ -58,7 +63,9 @@ class TorqueRecord:
 
         def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
             if self.sampling == "held":
-                return _held(time, torque, lag, _remaining)
+                return _held(time, torque, time[:: self.every], lag, _remaining)
+            if self.every > 1:
+                return _integrated(time, torque, time[:: self.every], lag, 2)
             if lag != 0.0:
                 torque = _spline(time, torque)(_within(time, lag))
             return _sampled(time, torque)
@@ -70,7 +77,9 @@ class TorqueRecord:
 
         def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
             if self.sampling == "held":
-                return _held(time, torque, lag, _density)
+                return _held(time, torque, time[:: self.every], lag, _density)
+            if self.every > 1:
+                return _integrated(time, torque, time[:: self.every], lag, 1)
             return _sampled(time, _spline(time, torque)(_within(time, lag), 1))
 
         return self._of_each(values)
@@ -81,7 +90,8 @@ class TorqueRecord:
         for time in self.times:
             # A torque that is held is known for one interval more.
             end = time[-1] + (time[-1] - time[-2] if self.sampling == "held" else 0.0)
-            parts.append((time[:-2] + lag < time[0]) | (time[2:] + lag > end))
+            knots = time[:: self.every]
+            parts.append((knots[:-2] + lag < time[0]) | (knots[2:] + lag > end))
         return np.concatenate(self._apart(parts, np.ones(2, bool)))
 
     def _of_each(self, values: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
@@ -104,13 +114,14 @@ def _within(time: Float[np.ndarray, " samples"], lag: float) -> Float[np.ndarray
 
 def _spline(
     time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
-) -> Callable[..., np.ndarray]:
+) -> Any:
     return scipy.interpolate.CubicSpline(time, torque)
 
 
 def _held(
     time: Float[np.ndarray, " samples"],
     torque: Float[np.ndarray, "samples joints"],
+    knots: Float[np.ndarray, " knots"],
     lag: float,
     weight: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
 ) -> Float[np.ndarray, "equations joints"]:
@@ -118,12 +129,13 @@ def _held(
 
     **Arguments**
 
+    - `knots`: of equations; each is over two intervals between them.
     - `weight`: of a step, `_remaining`; or its derivative by the lag, `_density`.
     """
-    start, middle, end = time[:-2], time[1:-1], time[2:]
+    start, middle, end = knots[:-2], knots[1:-1], knots[2:]
     first = np.maximum(np.searchsorted(time, start + lag, side="right"), 1)
     last = np.searchsorted(time, end + lag, side="left")  # the first step that is too late
-    result = torque[first - 1] if weight is _remaining else np.zeros_like(torque[1:-1])
+    result = torque[first - 1] if weight is _remaining else np.zeros_like(torque[first])
     for number in range(max(int(np.max(last - first)), 0)):
         index = np.minimum(first + number, len(time) - 1)
         moment = time[index] - lag - middle
@@ -151,6 +163,25 @@ def _density(
     """The height of a triangle over two intervals at a moment."""
     side = np.where(moment < 0.0, (moment + before) / before, (after - moment) / after)
     return 2.0 * np.maximum(side, 0.0) / (before + after)
+
+
+def _integrated(
+    time: Float[np.ndarray, " samples"],
+    torque: Float[np.ndarray, "samples joints"],
+    knots: Float[np.ndarray, " knots"],
+    lag: float,
+    times: int,
+) -> Float[np.ndarray, "equations joints"]:
+    """The triangle's mean of a spline: the second difference of its integral's integral.
+
+    **Arguments**
+
+    - `times`: how often it is integrated; once for the derivative by the lag.
+    """
+    integral = _spline(time, torque).antiderivative(times)(np.clip(knots + lag, time[0], time[-1]))
+    h = np.diff(knots)[:, None]
+    slopes = np.diff(integral, axis=0) / h
+    return 2.0 * np.diff(slopes, axis=0) / (h[:-1] + h[1:])
 
 
 def _sampled(
