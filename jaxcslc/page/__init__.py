@@ -18,7 +18,13 @@ from ._blocks import (
     Value as Value,
 )
 from ._chart import AbstractChart as AbstractChart
-from ._curves import Curve as Curve, envelope as envelope, intervals as intervals, plain as plain
+from ._curves import (
+    Curve as Curve,
+    envelope as envelope,
+    intervals as intervals,
+    plain as plain,
+    significant as significant,
+)
 from ._film import Film as Film
 from ._matrix_chart import MatrixChart as MatrixChart
 from ._panel_chart import Panel as Panel, PanelChart as PanelChart
