@@ -23,7 +23,6 @@ from ._curves import (
     envelope as envelope,
     intervals as intervals,
     plain as plain,
-    significant as significant,
 )
 from ._film import Film as Film
 from ._matrix_chart import MatrixChart as MatrixChart

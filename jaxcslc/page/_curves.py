@@ -114,16 +114,16 @@ def plain(values: Sequence[float | None] | np.ndarray, digits: int = 5) -> list[
     x = np.asarray(values, float)
     finite = np.isfinite(x)
     # Python's own numbers: those of NumPy take three times as long to be written.
-    rounded: list[float] = significant(np.where(finite, x, 0.0), digits).tolist()
+    rounded: list[float] = _significant(np.where(finite, x, 0.0), digits).tolist()
     if np.all(finite):
         return list(rounded)
     return [x if kept else None for x, kept in zip(rounded, finite.tolist(), strict=True)]
 
 
-def significant(x: Float[np.ndarray, "*shape"], digits: int) -> Float[np.ndarray, "*shape"]:
+def _significant(x: Float[np.ndarray, "*shape"], digits: int) -> Float[np.ndarray, "*shape"]:
     """Numbers to some significant digits: those that the decimal numbers are read as.
 
-    >>> significant(np.array([1.2345678, 123456.0]), 5).tolist()
+    >>> _significant(np.array([1.2345678, 123456.0]), 5).tolist()
     [1.2346, 123460.0]
     """
     magnitude = np.floor(np.log10(np.abs(x), out=np.zeros_like(x), where=x != 0.0))

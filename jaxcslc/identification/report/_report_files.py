@@ -6,7 +6,7 @@ import numpy as np
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from ...page import render, significant
+from ...page import render
 from .._held_out import HeldOut
 from .._settings import settings_document
 from ._errors import ErrorTable, predicted_torque
@@ -186,19 +186,12 @@ def _error_rows(patterns: Patterns, errors: ErrorTable) -> list[dict[str, float 
 def _write_torque(
     path: Path, network: AbstractLinearNetwork, patterns: Patterns, predicted: np.ndarray
 ) -> None:
-    import pyarrow as pa  # takes a while to import
-    import pyarrow.csv as pacsv
-
-    columns = {"measured": np.asarray(patterns.torque), "predicted": predicted}
-    table = {"time": significant(np.asarray(patterns.time), 10)}
-    for name, values in columns.items():
-        for label, column in zip(network.output_labels, values.T, strict=True):
-            table[f"{name}_{label}"] = significant(column, 10)
-    for label, column in zip(network.output_labels, np.asarray(patterns.mask).T, strict=True):
-        table[f"mask_{label}"] = column.astype(np.int8)
-    # Ten times as fast as NumPy's writer, which takes ten seconds for an hour of seven joints.
-    # Its header would be quoted.
-    with path.open("wb") as file:
-        file.write((",".join(table) + "\n").encode())
-        options = pacsv.WriteOptions(include_header=False, quoting_style="none")
-        pacsv.write_csv(pa.table(table), file, options)
+    columns = {
+        "measured": np.asarray(patterns.torque),
+        "predicted": predicted,
+        "mask": np.asarray(patterns.mask, float),
+    }
+    header = [f"{name}_{label}" for name in columns for label in network.output_labels]
+    table = np.concatenate([np.asarray(patterns.time)[:, None], *columns.values()], axis=1)
+    text = ",".join(["time", *header])
+    np.savetxt(path, table, delimiter=",", header=text, comments="", fmt="%.10g")
