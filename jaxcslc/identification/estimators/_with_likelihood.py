@@ -201,12 +201,14 @@ class _Judged:
         on_time = report.settings.with_options(torque_lag=0.0)
         early: list[Recording] = []
         late: list[Recording] = []
+        rows: list[np.ndarray] = []
         fitted: list[Patterns] = []
         unfitted: list[Patterns] = []
         for recording in self._on_time(self.training.values()):
             start, end = float(recording.time[0]), float(recording.time[-1])
             split = end - _HELD_OUT * (end - start)
             early.append(recording.between(0.0, split - start))
+            rows.append(np.arange(recording.samples) < early[-1].samples)
             late.append(recording.between(split - start, end - start))
             patterns = on_time.patterns(recording)
             fitted.append(patterns.between(start, split))
@@ -216,7 +218,10 @@ class _Judged:
         k = np.asarray(fit.k)
         if report.possible is not None and report.possible.used:
             k = self._possible(report.network, fit, report.possible.parameters)
-        shorter = self._estimator.fit(self.network, early, self._first, self.step)
+        # Near the fit to everything, whose noise levels it has.
+        position = likelihood.position[np.concatenate(rows)]
+        near = dataclasses.replace(likelihood, position=position)
+        shorter = self._estimator.fit(self.network, early, near, self.step)
         return _Unfitted("held-out stretch", late, joined_patterns(unfitted), k, shorter)
 
     def _predicted(self, fit: Identification, bodies: PossibleFit | None) -> np.ndarray:
@@ -247,12 +252,12 @@ class _Judged:
             np.sqrt(np.mean(likelihood.torque_noise**2, axis=0)),
             np.sqrt(np.mean(likelihood.position_noise**2, axis=0)),
         )
+        other = _with_coefficients(
+            likelihood.network, self.least_squares.network, unfitted.least_squares
+        )
         ours, theirs = (
             self._estimator.misfit(network, unfitted.recordings, k, *levels)
-            for network, k in (
-                (likelihood.network, predicted),
-                (self.least_squares.network, unfitted.least_squares),
-            )
+            for network, k in ((likelihood.network, predicted), other)
         )
         stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)
         return RelativeError.of(
@@ -353,6 +358,17 @@ def _check_size(network: CSLC, training: Mapping[str, Recording], memory: float)
             f"maximum likelihood of {samples} samples needs {8e-9 * numbers:.2g} GB; expected at"
             f" most {memory:g} GB, about {most} samples: thin the recording, or allow more memory"
         )
+
+
+def _with_coefficients(network: CSLC, other: CSLC, k: np.ndarray) -> tuple[CSLC, np.ndarray]:
+    """Another network as this one, with zeros for what it lacks: no function is compiled for it."""
+    if not set(other.names) <= set(network.names):
+        return other, k
+    index = {name: number for number, name in enumerate(network.names)}
+    result = np.zeros(network.size)
+    result[[index[name] for name in other.names]] = k
+    slopes = other.static_slopes
+    return network if slopes is None else network.with_static_slopes(slopes), result
 
 
 def _slopes(likelihood: LikelihoodFit) -> SlopeFit | None:

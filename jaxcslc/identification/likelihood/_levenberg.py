@@ -15,6 +15,8 @@ _MOST_TRIALS, _MOST_HALVINGS = 8, 4
 # Up to so many whole steps are tried, the later ones corrected for what is not linear, until the
 # sum of squares falls by this part of what linear equations promise.
 _MOST_CORRECTIONS, _GOOD = 3, 0.5
+# A promise below this is of rounding.
+_ROUNDING = 1e-5
 # The damping: at first, least, its factor after good and bad steps, and the most with which a
 # search has converged.
 DAMPING, _LEAST_DAMPING, _FACTOR, SMALL_DAMPING = 1e-3, 1e-9, 10.0, 1e-6
@@ -97,7 +99,7 @@ def _trials(
     """
     objective, residuals = linear.objective, linear.residuals
     part = change
-    for _ in range(_MOST_CORRECTIONS if promise > PROMISE else 0):
+    for _ in range(_MOST_CORRECTIONS if promise > _ROUNDING else 0):
         yield part, True, _GOOD * promise
         left = objective.residuals(objective.moved(point, part)).torque
         missed = left - linear.after(part, residuals).torque

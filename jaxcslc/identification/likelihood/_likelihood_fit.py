@@ -39,6 +39,8 @@ class LikelihoodFit(eqx.Module):
       standard deviations.
     - `noise_coefficients`: (order, n) of the autoregression of torque residuals r of each joint,
       r(t) + a₁ r(t-1) + ... = w(t), whose white noise w has the level `torque_noise`.
+    - `edge`: (recordings, n) widths of the edges of counts that are intervals, in steps of the
+      encoder; 0 where readings count as normally distributed.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
 
@@ -67,6 +69,7 @@ class LikelihoodFit(eqx.Module):
     torque_noise: Float[np.ndarray, "recordings joints"]
     position_noise: Float[np.ndarray, "recordings joints"]
     noise_coefficients: Float[np.ndarray, "order joints"]
+    edge: Float[np.ndarray, "recordings joints"]
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
@@ -148,6 +151,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     static = network.static_slopes is not None
     slopes = np.exp(point.slopes) if static else np.zeros(n)
     calibration, values = minimum.objective.torque, point.calibration
+    intervals, part = minimum.objective.intervals, minimum.objective.part
     first = p + n + len(values)
     of_calibration = error[p + n : first] if len(values) else np.zeros(1 + n)
     return LikelihoodFit(
@@ -165,6 +169,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         torque_noise=minimum.torque_noise,
         position_noise=minimum.position_noise,
         noise_coefficients=minimum.objective.whitening.coefficients,
+        edge=np.zeros_like(point.offset) if intervals is None else intervals.edges(part),
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,

@@ -20,6 +20,8 @@ from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
 
 
 _FEWEST_SAMPLES = 10
+# A misfit is known well enough when the sum of squares falls by no more than this part in a step.
+_MISFIT_TOLERANCE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +117,7 @@ class MaximumLikelihood:
         self,
         network: CSLC,
         recording: Recording | Sequence[Recording],
-        start: Identification | None = None,
+        start: Identification | LikelihoodFit | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> LikelihoodFit:
         """The most likely coefficients of a recording, or of several together.
@@ -125,7 +127,9 @@ class MaximumLikelihood:
         - `network`: n joints, p coefficients; without a payload.
         - `recording`: at least ten samples. Velocities that it holds are not used. Each of several
           has noise levels and encoder offsets of its own.
-        - `start`: coefficients to start from; by default those of a regression.
+        - `start`: coefficients to start from; by default those of a regression. Or a fit that is
+          near, with positions at the same samples, as of recordings that go on: its noise levels
+          are kept, and a few steps are enough.
         - `progress`: is called with a few words at each step.
 
         **Returns** a `LikelihoodFit`; look at `converged`.
@@ -138,16 +142,32 @@ class MaximumLikelihood:
         """
         require_float64()
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
-        problem, point, torque_noise, position_noise = self._start(network, recordings, start)
-        report = progress or (lambda words: None)
-        minimum = search(
-            problem,
-            point,
-            torque_noise,
-            position_noise,
-            report,
-            noise_order=self.noise_order,
+        near = start if isinstance(start, LikelihoodFit) else None
+        coefficients = start.fit if isinstance(start, LikelihoodFit) else start
+        problem, point, torque_noise, position_noise = self._start(
+            network, recordings, coefficients
         )
+        report = progress or (lambda words: None)
+        if near is None:
+            minimum = search(
+                problem,
+                point,
+                torque_noise,
+                position_noise,
+                report,
+                noise_coefficients=np.zeros((self.noise_order, network.joint_count)),
+            )
+        else:
+            minimum = search(
+                problem,
+                _near(point, near),
+                near.torque_noise,
+                near.position_noise,
+                report,
+                fixed_levels=True,
+                edge=near.edge,
+                noise_coefficients=near.noise_coefficients,
+            )
         return likelihood_fit(network, minimum, self.errors)
 
     def misfit(
@@ -196,6 +216,7 @@ class MaximumLikelihood:
             np.where(problem.encoder_step > 0.0, np.maximum(noise, position_noise), position_noise),
             lambda words: None,
             fixed_levels=True,
+            tolerance=_MISFIT_TOLERANCE,
         )
         part, left = problem.readings.part[1:-1], minimum.linear.residuals
         error = np.hypot(
@@ -220,6 +241,23 @@ class MaximumLikelihood:
             {} if self.prior is None else self.prior.coefficient_values(network),
             self.every,
         )
+
+
+def _near(point: Point, fit: LikelihoodFit) -> Point:
+    """**Raises** `ValueError` if the fit's positions are at other samples than the point's."""
+    if fit.position.shape != point.q.shape or fit.offset.shape != point.offset.shape:
+        raise ValueError(
+            f"start: its positions are {fit.position.shape} of {len(fit.offset)} recordings;"
+            f" expected {point.q.shape} of {len(point.offset)}"
+        )
+    return dataclasses.replace(
+        point,
+        k=np.asarray(fit.k),
+        slopes=np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes,
+        calibration=_values(point, fit),
+        offset=fit.offset,
+        q=fit.position,
+    )
 
 
 def _values(point: Point, fit: LikelihoodFit | None) -> Float[np.ndarray, " unknowns"]:

@@ -111,6 +111,10 @@ class Intervals:
     step: Float[np.ndarray, "samples joints"]
     edge: Float[np.ndarray, "samples joints"]
 
+    def edges(self, part: Int[np.ndarray, " samples"]) -> Float[np.ndarray, "recordings joints"]:
+        """Of each recording; `part`: number of the recording of each sample."""
+        return self.edge[np.unique(part, return_index=True)[1]]
+
     def working(
         self,
         residual: Float[np.ndarray, "samples joints"],

@@ -82,7 +82,7 @@ def search(
     fixed_levels: bool = False,
     edge: Levels | None = None,
     tolerance: float = 0.0,
-    noise_order: int = 0,
+    noise_coefficients: Float[np.ndarray, "order joints"] | None = None,
 ) -> Minimum:
     """Minimises step by step: signs, weights and noise levels are fixed within each step.
 
@@ -96,10 +96,11 @@ def search(
     - `edge`: (recordings, n) widths of intervals' edges in steps, 0 where counts are none. The
       start is then near the minimum. None with fixed levels: no count is an interval.
     - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
-    - `noise_order`: of the autoregression of torque noise.
+    - `noise_coefficients`: (order, n) of the autoregression of torque noise to start from; by
+      default torque noise is white.
     """
     state = _State.start(
-        problem, point, torque_noise, position_noise, noise_order, fixed_levels, edge
+        problem, point, torque_noise, position_noise, noise_coefficients, fixed_levels, edge
     )
     first = 0 if edge is None else len(_MARGINS)
     number = first - 1
@@ -113,7 +114,7 @@ def search(
         progress(f"maximum likelihood: step {number + 1 - first}")
         quiet = same and number >= len(_MARGINS) and step.damping <= SMALL_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
-        converged = quiet and settled and state.final
+        converged = quiet and settled and state.final and (edge is None or number > first)
         small = state.final and number >= len(_MARGINS) and step.fall < tolerance
         if converged or small or number == _MOST_STEPS - 1:
             linear = Linear.of(objective, state.point)
@@ -128,7 +129,10 @@ def search(
                 number + 1 - first,
                 converged,
             )
-        if not state.levels_fixed:
+        if edge is not None and number == first:
+            weight = _outlier_weight(problem, state, linear, step, counted)
+            state = dataclasses.replace(state, outlier_weight=weight)
+        elif not state.levels_fixed:
             state = _with_levels(problem, state, linear, step, counted, number)
         elif state.intervals is not None and not state.final and step.change <= _NEARER:
             state = _refined(problem, state, linear, step, counted)
@@ -168,7 +172,7 @@ class _State:
         point: Point,
         torque_noise: Levels,
         position_noise: Levels,
-        noise_order: int,
+        noise_coefficients: Float[np.ndarray, "order joints"] | None,
         fixed: bool,
         edge: Levels | None,
     ) -> "_State":
@@ -179,7 +183,7 @@ class _State:
             None,
             np.maximum(torque_noise, problem.least_torque_noise),
             position_noise,
-            Whitening(np.zeros((noise_order, n))),
+            Whitening(np.zeros((0, n)) if noise_coefficients is None else noise_coefficients),
             np.ones((samples - 2, n)),
             np.zeros((samples - 2, n), bool),
             intervals,
@@ -270,7 +274,7 @@ def _with_levels(
     problem: Problem, state: _State, linear: Linear, step: LevenbergStep, counted: Mask, number: int
 ) -> _State:
     """Noise levels and weights of outliers that follow the residuals of a step."""
-    part, signs = problem.readings.part, linear.objective.signs
+    part = problem.readings.part
     draws = NoiseDraws.of(linear, step.factored, part, state.torque_noise, state.position_noise)
     torque_noise, position_noise = noise_levels(
         step.residuals,
@@ -286,12 +290,6 @@ def _with_levels(
     if number > _FREE_LEVEL_STEPS:
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
         position_noise = np.sqrt(position_noise * state.position_noise)
-    # Uncertain friction is within break-away; what pushes a joint at its limit is not.
-    extra = np.where(signs.uncertain, _friction_variance(problem, signs, step.point), 0.0)
-    extra = state.whitening.variance(extra)
-    deviation = np.sqrt(torque_noise[part[1:-1]] ** 2 + extra)
-    robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
-    size = np.maximum(np.abs(step.residuals.torque), 1e-300)
     change = max(
         np.abs(np.log(new / old)).max()
         for new, old in (
@@ -310,12 +308,11 @@ def _with_levels(
         least = problem.least_position_noise
         counted_steps = (problem.encoder_step > 0.0) & (position_noise <= _MORE_THAN_STEPS * least)
         position_noise = np.where(counted_steps, least, position_noise)
+    levelled = dataclasses.replace(state, torque_noise=torque_noise, position_noise=position_noise)
     return dataclasses.replace(
-        state,
-        torque_noise=torque_noise,
-        position_noise=position_noise,
+        levelled,
         whitening=whitening,
-        outlier_weight=np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0),
+        outlier_weight=_outlier_weight(problem, levelled, linear, step, counted),
         levels_fixed=final,
     )
 
@@ -340,6 +337,22 @@ def _coloured(
 
     missing = covariance(drawn) - covariance(taken) - covariance(draws.by_position.torque)
     return Whitening.fitted(covariance(residuals.torque) + missing)
+
+
+def _outlier_weight(
+    problem: Problem, state: _State, linear: Linear, step: LevenbergStep, counted: Mask
+) -> Float[np.ndarray, "equations joints"]:
+    """Huber's weights of a step's residuals.
+
+    Uncertain friction is within break-away; what pushes a joint at its limit is not.
+    """
+    signs, noise = linear.objective.signs, state.torque_noise[problem.readings.part[1:-1]]
+    extra = np.where(signs.uncertain, _friction_variance(problem, signs, step.point), 0.0)
+    extra = state.whitening.variance(extra)
+    deviation = np.sqrt(noise**2 + extra)
+    robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
+    size = np.maximum(np.abs(step.residuals.torque), 1e-300)
+    return np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)
 
 
 def _with_intervals(problem: Problem, state: _State, linear: Linear, factored: Factored) -> _State:

@@ -1,5 +1,7 @@
 """Positions and coefficients estimated together: against motion integrated by other means."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -248,6 +250,25 @@ def test_ten_samples(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     settings = jc.Settings().with_options(smoothing=jc.motion.CentralDifferences(), trim=0)
     result = jc.MaximumLikelihood(settings=settings).fit(network, short)
     assert np.all(np.isfinite(np.asarray(result.k)))
+
+
+def test_a_fit_near_is_a_start(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """To what is before the end of a recording, in a few steps."""
+    time, position, torque = clean
+    step = 2e-4
+    counts = step * np.round(position / step)
+    network, estimator = pendulum("viscous", "dry", "static"), jc.MaximumLikelihood()
+    whole = estimator.fit(network, jc.Recording(time, counts, torque))
+    first = jc.Recording(time[:900], counts[:900], torque[:900])
+    alone = estimator.fit(network, first)
+    near = estimator.fit(network, first, dataclasses.replace(whole, position=whole.position[:900]))
+    assert alone.converged and near.converged
+    assert near.steps <= alone.steps // 2
+    assert_allclose(near.torque_noise, whole.torque_noise)
+    error = np.asarray(alone.fit.standard_error)
+    assert np.all(np.abs(np.asarray(near.k - alone.k)) < 0.5 * error)
+    with pytest.raises(ValueError, match=r"positions are \(1200, 1\) of 1 .* expected \(900, 1\)"):
+        estimator.fit(network, first, whole)
 
 
 def test_static_friction_without_dry_friction(
