@@ -14,8 +14,8 @@ class Linear:
     **Attributes**
 
     - `objective`.
-    - `weights`, `residuals`: squares that have the objective's derivatives; those of intervals are
-      not the readings' residuals.
+    - `weights`, `residuals`: squares that have the objective's derivatives; those of intervals and
+      of joints that stick are not the readings' and the equations' residuals.
     - `order`: of the unknowns.
     - `by_position`: (equations, n, (3 + order) n) of torque made white, by the positions at three
       samples and at as many before as the order of the filter.
@@ -56,11 +56,11 @@ class Linear:
             by_turn[index] = np.where(inside, of_turn, 0.0)
         whitening = objective.whitening
         residuals = objective.residuals_of(point, predicted)
-        readings = objective.readings(residuals)
+        readings, torques = objective.readings(residuals), objective.torques(residuals)
         return cls(
             objective,
-            dataclasses.replace(objective.weights, position=readings.weight),
-            dataclasses.replace(residuals, position=readings.residual),
+            dataclasses.replace(objective.weights, position=readings.weight, torque=torques.weight),
+            dataclasses.replace(residuals, position=readings.residual, torque=torques.residual),
             Order.of(samples, n, signs.samples),
             whitening.stencil(np.asarray(derivatives.by_position) / gain[:, None]),
             whitening.applied(by_border),

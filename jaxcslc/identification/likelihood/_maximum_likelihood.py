@@ -47,8 +47,9 @@ class MaximumLikelihood:
     - Where the equations say much more of a motion than single counts do, a count is the interval
       that it is: the position is within a step of it. The edges of these intervals say more than
       counts with normally distributed errors would; elsewhere counts have such errors.
-    - Where a joint rests, friction has any value up to break-away: its equation is left out and
-      its readings count as one. Equations far beyond the noise count by size, not square (Huber).
+    - Where a joint rests, friction has any value up to break-away: torque that it bears bounds
+      its coefficients (a censored observation), and its readings count as one. Equations far beyond
+      the noise count by size, not square (Huber).
 
     Right where torque acts on rigid bodies. Compliance and backlash make errors that are neither
     white nor small: see `noise_order`, and `docs/likelihood.md` for what that costs.

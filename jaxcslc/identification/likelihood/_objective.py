@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 
 from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
+from ._sticking import Sticking
 from .equations import Stretches
 from .torque import TorqueCalibration, Whitening
 
@@ -85,6 +86,7 @@ class Objective:
     - `scale`: (border,) size of each coefficient, slope and offset; 0 fixes it.
     - `whitening`: of torque residuals.
     - `intervals`: of readings that are intervals; None if all are normally distributed.
+    - `sticking`: equations that bound friction at break-away; None if there are none.
     """
 
     equations: Stretches
@@ -97,6 +99,7 @@ class Objective:
     scale: Float[np.ndarray, " border"]
     whitening: Whitening
     intervals: Intervals | None = None
+    sticking: Sticking | None = None
 
     def residuals(self, point: Point) -> Residuals:
         """Recorded minus predicted."""
@@ -110,9 +113,17 @@ class Objective:
         total = sum(
             float(np.sum(getattr(self.weights, name) * values**2))
             for name, values in vars(residuals).items()
-            if name != "position"
+            if name not in ("position", "torque")
         )
-        return total + float(np.sum(self.readings(residuals).value))
+        of_torque, of_readings = self.torques(residuals), self.readings(residuals)
+        return total + float(np.sum(of_torque.value)) + float(np.sum(of_readings.value))
+
+    def torques(self, residuals: Residuals) -> WorkingReadings:
+        """The weighted squares that equations count as, about residuals."""
+        torque, weight = residuals.torque, self.weights.torque
+        if self.sticking is None:
+            return WorkingReadings(weight * torque**2, weight, torque)
+        return self.sticking.working(torque, weight)
 
     def readings(self, residuals: Residuals) -> WorkingReadings:
         """The weighted squares that readings count as, about residuals."""

@@ -12,6 +12,7 @@ from ._objective import TURN, Objective, Point, Residuals
 from ._problem import Problem
 from ._readings import Intervals
 from ._signs import Signs
+from ._sticking import Sticking, sticking_equations
 from .torque import Whitening, autocovariance
 
 
@@ -108,6 +109,8 @@ def search(
         number += 1
         state, same = _with_signs(problem, state, number)
         objective, counted = _objective(problem, state)
+        if number >= len(_MARGINS):
+            objective = _with_sticking(problem, state, objective)
         linear = Linear.of(objective, state.point)
         step = levenberg_step(problem, linear, state.point, state.damping)
         state = dataclasses.replace(state, point=step.point, damping=step.damping)
@@ -257,6 +260,29 @@ def _objective(problem: Problem, state: _State) -> tuple[Objective, Mask]:
         state.intervals,
     )
     return objective, (extra == 0.0) & ~without
+
+
+def _with_sticking(problem: Problem, state: _State, objective: Objective) -> Objective:
+    """With the equations of joints that stick, which bound friction at break-away.
+
+    Not beside torque noise with a spectrum: an equation that is a bound has no residual.
+    """
+    point, breakaway = state.point, problem.breakaway(state.point)
+    if state.whitening.order or not problem.at_rest.any():
+        return objective
+    part, signs = problem.readings.part, objective.signs
+    friction = objective.residuals(point).torque + signs.direction * breakaway
+    mask = sticking_equations(problem.at_rest, friction, breakaway)
+    mask &= ~problem.readings.joined[:, None]
+    mask &= ~problem.calibration.outside(point.calibration)[:, None]
+    if not mask.any():
+        return objective
+    direction = np.where(mask, np.where(friction < 0.0, -1.0, 1.0), signs.direction)
+    return dataclasses.replace(
+        objective,
+        signs=dataclasses.replace(signs, direction=direction),
+        sticking=Sticking(mask, direction, state.torque_noise[part[1:-1]]),
+    )
 
 
 def _friction_variance(
