@@ -12,7 +12,7 @@ from jaxtyping import TypeCheckError
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.solver._least_squares import check_choice
+from jaxcslc.identification.solver._checks import check_choice
 from jaxcslc.identification.solver._losses import (
     LOSSES,
     Loss,
