@@ -16,8 +16,9 @@ from jaxcslc.identification.solver import (
     needs_correction,
     residual_sums,
 )
+from scripts.benchmarks.exact_solution import exact_coefficients
 
-from .conftest import ORDINARY, Motion, exact_coefficients, patterns_of
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 150

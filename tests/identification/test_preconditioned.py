@@ -16,8 +16,9 @@ from jaxcslc.identification.solver import (
     joined_factors,
     minimum,
 )
+from scripts.benchmarks.exact_solution import exact_coefficients
 
-from .conftest import ORDINARY, Motion, exact_coefficients, patterns_of
+from .conftest import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 3000

@@ -167,18 +167,25 @@ def sample_of(network: AbstractLinearNetwork, motion: Motion) -> Preconditioner:
     """The preconditioner of patterns that are spread over all."""
     # Of the host's arrays the sample alone goes to the device.
     motion = tuple(_spread(x, len(x)) if isinstance(x, np.ndarray) else x for x in motion)
-    return Preconditioner.of_products(unpacked(network, np.asarray(_sample(network, *motion))))
+    on_gpu = platform_of(motion[0]) != "cpu"
+    numbers = np.asarray(_sample(network, *motion, on_gpu=on_gpu))
+    return Preconditioner.of_products(unpacked(network, numbers))
 
 
 def sample_products(
-    network: AbstractLinearNetwork, samples: int, *motion: Float[Array, "patterns _"]
+    network: AbstractLinearNetwork,
+    samples: int,
+    *motion: Float[Array, "patterns _"],
+    on_gpu: bool,
 ) -> Float[Array, " packed"]:
     """The products of rows of patterns that are spread over all, packed.
 
     - `samples`: of all devices together.
     """
-    sample = (jnp.swapaxes(_spread(x, samples), 0, 1) for x in motion)
-    return packed([rows @ rows.T for rows in weighted_rows(network, *sample)])
+    # Behind nothing: where a kernel runs, no other program of the columns is compiled.
+    identities = tuple(jnp.eye(len(support) + 1) for support in network.support)
+    sample = (_spread(x, samples) for x in motion)
+    return packed(gram_matrices(network, identities, *sample, on_gpu=on_gpu))
 
 
 def _spread(x: Any, samples: int) -> Any:
@@ -339,5 +346,5 @@ _reflected = eqx.filter_jit(factorise)
 
 
 @eqx.filter_jit
-def _sample(network: AbstractLinearNetwork, *motion: Any) -> Float[Array, " packed"]:
-    return sample_products(network, len(motion[0]), *motion)
+def _sample(network: AbstractLinearNetwork, *motion: Any, on_gpu: bool) -> Float[Array, " packed"]:
+    return sample_products(network, len(motion[0]), *motion, on_gpu=on_gpu)

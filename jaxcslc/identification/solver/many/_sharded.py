@@ -77,9 +77,9 @@ def factors_of_shards(
 
     - `motion`: q, qd, qdd (samples, m), torque and weight (samples, n).
     """
-    sample = np.asarray(_sample(network, mesh, *motion))
-    preconditioner = Preconditioner.of_products(unpacked(network, sample))
     on_gpu = mesh.devices.flat[0].platform != "cpu"
+    sample = np.asarray(_sample(network, mesh, on_gpu, *motion))
+    preconditioner = Preconditioner.of_products(unpacked(network, sample))
 
     def products_behind(preconditioner: Preconditioner) -> Sequence[np.ndarray]:
         inverses = packed(preconditioner.inverses)
@@ -118,7 +118,7 @@ def _sample(network: AbstractLinearNetwork, mesh: Mesh, *motion: Array) -> Float
 
     # On each device by itself: slices across devices would bring all patterns to all of them.
     def of_device(*shard: Array) -> Array:
-        return sample_products(network, len(shard[0]) * mesh.size, *shard)
+        return sample_products(network, len(shard[0]) * mesh.size, *shard, on_gpu=on_gpu)
 
     return jnp.sum(_on_all(of_device, mesh, motion), axis=0)
 
