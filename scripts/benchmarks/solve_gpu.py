@@ -164,10 +164,9 @@ def accuracy(name: str) -> Iterator[Row]:
             "rank by reflections": int(reflected.rank),
         }
         if reflected.rank == network.size:
-            everything = jnp.ones(q.shape, bool)
-            patterns = jc.Patterns(
-                jnp.arange(float(len(q))), *map(jnp.asarray, motion[:4]), everything, everything
-            )
+            instants, mask = np.arange(float(len(q))), np.ones(q.shape, bool)
+            on_host = jc.Patterns(instants, q, qd, qdd, noisy, mask, mask)
+            patterns = jax.tree.map(jnp.asarray, on_host)
             exact = exact_coefficients(network, motion)
             deviation = np.sqrt(reflected.variance * np.diag(reflected.inverse_gram))
             for what, coefficients in (

@@ -113,7 +113,9 @@ def _residual_sums(
 
 
 @eqx.filter_jit
-def _sample(network: AbstractLinearNetwork, mesh: Mesh, *motion: Array) -> Float[Array, " packed"]:
+def _sample(
+    network: AbstractLinearNetwork, mesh: Mesh, on_gpu: bool, *motion: Array
+) -> Float[Array, " packed"]:
     """The products of rows of some patterns of each device, packed."""
 
     # On each device by itself: slices across devices would bring all patterns to all of them.
