@@ -16,7 +16,8 @@ Joints = Float[np.ndarray, " joints"]
 
 # Limits of derivatives that nobody states: this long to full speed, and to full acceleration [s].
 _TO_SPEED, _TO_ACCELERATION = 0.2, 0.05
-_NAMES = ("position", "velocity", "acceleration", "jerk", "torque", "power", "torque_margin")
+_NAMES = ("position", "velocity", "acceleration", "jerk", "torque", "power")
+_MARGINS = ("position_margin", "torque_margin")
 _ROBOTS = Path(__file__).parent / "robots"
 DISTANCES = ("mujoco", "coal")
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
@@ -85,7 +86,8 @@ class Limits:
         - `robot`: whose file may state ranges, speeds and efforts; `puma560` and `panda` have
           limits of their own.
         - `stated`: by name, as the attributes and `"position"`, pairs of lowest and highest; one
-          number (or pair) for all joints, or one each.
+          number (or pair) for all joints, or one each. `"position_margin"` is kept back of ranges
+          at both ends, for errors of the controller [rad or m].
 
         **Raises**
 
@@ -100,9 +102,13 @@ class Limits:
         else:
             known = _of_file(robot)
         known |= stated or {}
-        if unknown := sorted(known.keys() - set(_NAMES)):
-            raise ValueError(f"limits: unknown entry {unknown[0]!r}; expected {', '.join(_NAMES)}")
-        position = _pairs(known.get("position"), n)
+        expected = (*_NAMES, *_MARGINS)
+        if unknown := sorted(known.keys() - set(expected)):
+            raise ValueError(
+                f"limits: unknown entry {unknown[0]!r}; expected {', '.join(expected)}"
+            )
+        margin = _numbers("position_margin", known.get("position_margin", 0.0), n)
+        position = _pairs(known.get("position"), n) + margin[:, None] * [1.0, -1.0]
         values = {
             name: _numbers(name, known.get(name, math.inf), n)
             for name in ("velocity", "acceleration", "jerk", "torque", "power")
@@ -196,9 +202,10 @@ class Surroundings:
 def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundings | None]:
     """Reads limits from a TOML file.
 
-    Tables `[joints]` with `position`, `velocity`, `acceleration`, `jerk`, `torque`, `power` and
-    `torque_margin`, which replace those of the robot's file; and `[surroundings]` with the
-    attributes of `Surroundings`. Without the latter no collision is looked for.
+    Tables `[joints]` with `position`, `velocity`, `acceleration`, `jerk`, `torque`, `power`,
+    `position_margin` and `torque_margin`, which replace those of the robot's file; and
+    `[surroundings]` with the attributes of `Surroundings`. Without the latter no collision is
+    looked for.
 
     **Raises**
 

@@ -235,6 +235,14 @@ def test_wrong_limits_are_named(stated: dict[str, Any], message: str) -> None:
         Limits.of(arm, stated)
 
 
+def test_margins_of_positions_are_kept_back_at_both_ends() -> None:
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)] * 2)
+    stated = {"position": [[-1, 1], [0, 2]], "velocity": 1, "position_margin": [0.1, 0.2]}
+    limits = Limits.of(arm, stated)
+    np.testing.assert_allclose(limits.low, [-0.9, 0.2])
+    np.testing.assert_allclose(limits.high, [0.9, 1.8])
+
+
 def test_torque_between_samples_counts() -> None:
     """A check at few samples says at least what one at many samples finds."""
     arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
