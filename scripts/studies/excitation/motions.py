@@ -5,7 +5,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
@@ -35,8 +35,9 @@ DESIGNED = {
 }
 PEERS = ("D", "condition")  # criteria of others, which know of white noise alone
 TRACKING = {"position_margin": 0.02}  # for what the controller errs by [rad]
-SLOW = 0.2  # the bandwidth of errors of the model, as ours expect it [Hz]
-DESIGNS = 6  # of each, from random starts of their own
+# Errors of the model are slow: their bandwidth [Hz], and what of them is constant.
+SLOW, CONSTANT = 0.2, 0.5
+DESIGNS = 10  # of each, from random starts of their own
 THESIS, RANDOM = "thesis", "random Fourier"
 MOTIONS = (*DESIGNED, RANDOM, THESIS)
 
@@ -51,12 +52,6 @@ def network() -> jc.CSLC:
 
 
 @cache
-def network_with_offsets() -> jc.CSLC:
-    """The same with a constant torque of each joint, as dry friction differs between directions."""
-    return jc.derive(jc.puma560().with_friction("viscous", "dry", "offset"))
-
-
-@cache
 def noise(estimator: str = "likelihood") -> Noise:
     """Of the machine's encoders, and of torques."""
     return Noise(TORQUE_NOISE, sim.puma560().encoder_resolution, 1 / INTERVAL, None, estimator)
@@ -68,17 +63,10 @@ def limits() -> Limits:
     return Limits.of(jc.puma560(), {"torque": list(linear), "torque_margin": 0.05} | TRACKING)
 
 
-def knowledge(net: jc.CSLC | None = None) -> Knowledge:
+def knowledge() -> Knowledge:
     """The machine's coefficients as a prior model; no information about them."""
-    net = net or network()
-    k = np.zeros(net.size)
-    k[common_coefficients(net)] = np.asarray(true_coefficients(network(), sim.puma560()))
+    k = np.asarray(true_coefficients(network(), sim.puma560()))
     return Knowledge(k, None, np.full(len(k), np.inf))
-
-
-def common_coefficients(net: jc.CSLC) -> Int[np.ndarray, " coefficients"]:
-    """Indices of `network`'s coefficients in another network of the robot."""
-    return np.array([net.names.index(name) for name in network().names])
 
 
 def puma_design(name: str, seed: int, quick: bool = False) -> Design:
@@ -86,14 +74,15 @@ def puma_design(name: str, seed: int, quick: bool = False) -> Design:
     criterion = DESIGNED[name]
     chain = noise()
     if criterion not in PEERS:
-        chain = dataclasses.replace(noise("regression"), torque_bandwidth=SLOW)
+        offset = tuple(CONSTANT * x for x in TORQUE_NOISE)
+        chain = dataclasses.replace(noise("regression"), torque_bandwidth=SLOW, offset=offset)
     return design_motion(
-        network_with_offsets(),
+        network(),
         limits(),
         chain,
         duration=DURATION,
         criterion=criterion,
-        knowledge=knowledge(network_with_offsets()),
+        knowledge=knowledge(),
         seed=seed,
         starts=1 if quick else 3,
         rounds=2 if quick else 5,

@@ -26,10 +26,8 @@ from scripts.studies.truth import moving_patterns, true_coefficients
 from .motions import (
     TORQUE_NOISE,
     Designs,
-    common_coefficients,
     fourier_planner,
     network,
-    network_with_offsets,
     performed,
     puma_design,
 )
@@ -67,11 +65,9 @@ def compared(name: str, seed: int, designs: Designs) -> dict[str, Any]:
     # Static and asymmetric friction, which no coefficient describes, leave 0.53 N m of ε on any.
     undisturbed = sim.undisturbed(machine)
     judged = moving_patterns(sim.simulate(undisturbed, sim.comparison(), seed=10_000 + seed))
-    identified, true = network_with_offsets(), np.asarray(true_coefficients(network(), machine))
-    fit = SETTINGS.fit(identified, SETTINGS.patterns(recording))
-    common = common_coefficients(identified)
-    k, reported = np.asarray(fit.k)[common], np.asarray(fit.standard_error)[common]
-    error = np.abs(k - true)
+    fit = SETTINGS.fit(network(), SETTINGS.patterns(recording))
+    k, true = np.asarray(fit.k), np.asarray(true_coefficients(network(), machine))
+    reported, error = np.asarray(fit.standard_error), np.abs(k - true)
     size, absolute = fourier_planner().problem.information.size, np.abs(true)
     return {
         "epsilon": epsilon(network(), k, judged),
