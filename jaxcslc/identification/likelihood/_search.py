@@ -118,7 +118,9 @@ def search(
         quiet = same and number >= len(_MARGINS) and step.damping <= SMALL_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
         converged = quiet and settled and state.final and (edge is None or number > first)
-        small = state.final and number >= len(_MARGINS) and step.fall < tolerance
+        # Rounding lets the sum grow: without a tolerance, that is no end.
+        small = tolerance > 0.0 and state.final and number >= len(_MARGINS)
+        small = small and step.fall < tolerance
         if converged or small or number == _MOST_STEPS - 1:
             linear = Linear.of(objective, state.point)
             return Minimum(

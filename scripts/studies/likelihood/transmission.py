@@ -41,7 +41,7 @@ from scripts.studies.truth import true_coefficients
 jax.config.update("jax_enable_x64", True)
 
 # Samples that equations are over, and the order of torque noise.
-VARIANTS = ((1, 0), (3, 0), (3, 1), (4, 0), (4, 1))
+VARIANTS = ((3, 0), (3, 1))
 
 
 def rows_of(machine: sim.Machine, samples: int, seed: int) -> Iterator[dict[str, Any]]:
