@@ -12,7 +12,7 @@ times wait for the result, and rates are beside those of Pinocchio in the same r
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import jax
@@ -33,15 +33,18 @@ from scripts.benchmarks.stored.results import (
 jax.config.update("jax_enable_x64", True)
 
 
+def shown(metrics: Iterable[Metric]) -> Iterator[Metric]:
+    """The same, each printed as soon as it is measured."""
+    for metric in metrics:
+        print(f"  {metric.name} {metric.value:.4g} {metric.unit}", file=sys.stderr, flush=True)
+        yield metric
+
+
 def measured(names: Sequence[str], out: Path | None) -> list[Measurement]:
     """Runs groups; a file that is named has all finished ones at any time."""
     done: list[Measurement] = []
     for name in names:
-        metrics: list[Metric] = []
-        for metric in GROUPS[name].metrics():
-            print(f"  {metric.name} {metric.value:.4g} {metric.unit}", file=sys.stderr, flush=True)
-            metrics.append(metric)
-        done.append(Measurement.of(name, metrics))
+        done.append(Measurement.of(name, shown(GROUPS[name].metrics())))
         if out is not None:
             save(done, out)
     return done

@@ -17,8 +17,9 @@ date: `make bench ARGS="--groups 'first answer' --update"`. Figures of another m
 a file (`--out FILE` there, `--merge FILE` here). What limits the figures, and how they came about,
 is on [Speed and scale](scale.md).
 
-Seconds are wall-clock time unless they are a processor's; other programs may have run beside.
-Compiling and running are apart, and rates wait for their results. A target that is met is **bold**.
+Seconds are wall-clock time unless they are a processor's. Other processes that ran or waited for a
+core when a group began are counted: they make wall-clock times and rates worse. Compiling and
+running are apart, and rates wait for their results. A target that is met is **bold**.
 """
 
 
@@ -47,7 +48,8 @@ def _table(measurement: Measurement) -> str:
         if targets:
             cells.append("" if metric.target is None else f"{metric.target:g}")
         lines.append(f"| {' | '.join(cells)} |")
-    return f"{measurement.machine}; {measurement.date}:\n\n" + "\n".join(lines) + "\n"
+    load = f", {measurement.load:g} other processes" if measurement.load >= 0.5 else ""
+    return f"{measurement.machine}; {measurement.date}{load}:\n\n" + "\n".join(lines) + "\n"
 
 
 def _met(metric: Metric) -> bool:

@@ -28,17 +28,20 @@ class Measurement:
     - `group`: its name in `scripts.benchmarks.groups`.
     - `machine`, `date`: in words, and in ISO's form.
     - `metrics`: the figures.
+    - `load`: processes that ran or waited for a core before, the mean of a minute.
     """
 
     group: str
     machine: str
     date: str
     metrics: tuple[Metric, ...]
+    load: float = 0.0
 
     @classmethod
     def of(cls, group: str, metrics: Iterable[Metric], machine: str | None = None) -> "Measurement":
-        """Figures that were measured now, on this machine unless another one is named."""
-        return cls(group, machine or this_machine(), date.today().isoformat(), tuple(metrics))
+        """Figures that are measured now, on this machine unless another one is named."""
+        load = round(os.getloadavg()[0], 1)
+        return cls(group, machine or this_machine(), date.today().isoformat(), tuple(metrics), load)
 
 
 def this_machine() -> str:
@@ -76,7 +79,8 @@ def load(path: Path = RESULTS) -> list[Measurement]:
 
 def _measurement(entry: Mapping[str, Any]) -> Measurement:
     metrics = tuple(Metric(**metric) for metric in entry["metrics"])
-    return Measurement(entry["group"], entry["machine"], entry["date"], metrics)
+    load = float(entry.get("load", 0.0))
+    return Measurement(entry["group"], entry["machine"], entry["date"], metrics, load)
 
 
 def save(measurements: Iterable[Measurement], path: Path = RESULTS) -> None:
