@@ -145,6 +145,19 @@ def test_a_preconditioner_is_an_inverse(rng: np.random.Generator) -> None:
     assert len(kept) == np.sum(np.linalg.eigvalsh(gram) > 0.5)
 
 
+def test_a_preconditioner_of_products(rng: np.random.Generator) -> None:
+    """Independent columns become orthonormal; what depends on them vanishes up to rounding."""
+    rows = rng.normal(size=(40, 6)) * 10.0 ** rng.uniform(-8, 8, 6)
+    rows[:, 2], rows[:, 4] = 0.0, 3.0 * rows[:, 1] - rows[:, 0]
+    (inverse,), (factor,) = Preconditioner.of_products([rows.T @ rows])
+    assert_allclose(factor @ inverse, np.eye(6), atol=1e-7)
+    transformed = rows @ inverse
+    lengths = np.linalg.norm(transformed, axis=0)
+    assert_allclose(np.sort(lengths), [0.0, 0.0, 1.0, 1.0, 1.0, 1.0], atol=1e-7)
+    independent = transformed[:, lengths > 0.5]
+    assert_allclose(independent.T @ independent, np.eye(4), atol=1e-12)
+
+
 def test_patterns_without_weight(puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion) -> None:
     motion = motion_of(puma, puma_k, exciting_motion, scaled(), 1e-2)
     factors, _ = factors_of(puma, (*motion[:4], np.zeros((SAMPLES, 6))))

@@ -2,13 +2,16 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import jaxcslc
 from jaxcslc.manipulator import Manipulator
 from jaxcslc.network import RigidBodyRecursion
+from jaxcslc.network._compilation import by_platform
 from jaxcslc.network.straight_line import (
     StraightLine,
     array_outputs,
@@ -87,3 +90,16 @@ def test_the_form_is_selected_by_joints_and_samples(joints: int) -> None:
     assert term.unrolled is None
     assert not term.is_unrolled(few, few.shape)
     assert term.is_unrolled(few, many) == (joints == 5)
+
+
+def test_the_way_is_that_of_the_platform_compiled_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine with a GPU, whose processor computes all the same."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+
+    def function(x: jax.Array) -> jax.Array:
+        return by_platform(x, on_cpu=lambda x: x**2, elsewhere=lambda x: x**3)
+
+    x = jnp.array([1.0, 2.0, 3.0])
+    assert_array_equal(function(x), x**2)
+    assert_array_equal(jax.jit(function)(x), x**2)
+    assert_array_equal(jax.jit(jax.vmap(jax.grad(function)))(x), 2.0 * x)
