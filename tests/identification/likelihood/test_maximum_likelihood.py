@@ -243,6 +243,46 @@ def test_a_joint_that_is_long_at_its_limit() -> None:
     assert_allclose(result.k, alone.k, atol=0.05)
 
 
+def test_long_rests() -> None:
+    """Half of the recording at standstill: what is known is that of the motion."""
+    _, position, torque = swing(900)
+    still = 450
+    turn = 300 + int(np.flatnonzero(np.diff(np.sign(np.diff(position[300:, 0]))))[0]) + 1
+    step = 2e-4
+    halted = np.concatenate([position[:turn], np.repeat(position[turn : turn + 1], still, axis=0)])
+    demand = np.concatenate(
+        [torque[:turn], np.full((still, 1), WEIGHT * np.cos(position[turn, 0]))]
+    )
+    counts = step * np.round(halted / step)
+    recording = jc.Recording(STEP * np.arange(len(counts)), counts, demand)
+    network = pendulum("viscous", "dry", "static")
+    result = jc.MaximumLikelihood(errors="independent").fit(network, recording)
+    assert result.converged
+    for deviation in deviations(result).values():
+        assert abs(deviation) < 4.0
+
+
+def test_twelve_joints() -> None:
+    """A chain of sliders along one line: each drives all that follow."""
+    n, masses = 12, np.linspace(2.0, 0.5, 12)
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)] * n, kinds="P" * n, gravity=(0, 0, 0))
+    network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(200)[:, None]
+    rate, phase = rng.uniform(3.0, 9.0, n), rng.uniform(0.0, 6.0, n)
+    q = 0.1 * np.sin(rate * t + phase)
+    qd, qdd = 0.1 * rate * np.cos(rate * t + phase), -0.1 * rate**2 * np.sin(rate * t + phase)
+    carried = np.cumsum(masses[::-1])[::-1]
+    inertia = np.minimum.outer(carried, carried)
+    torque = qdd @ inertia + 0.5 * qd
+    result = jc.MaximumLikelihood(torque_sampling="sampled").fit(
+        network, jc.Recording(t[:, 0], q + 1e-5 * rng.normal(size=q.shape), torque)
+    )
+    assert result.converged
+    value = dict(zip(result.fit.names, np.asarray(result.k), strict=True))
+    assert_allclose([value[f"kv{joint}"] for joint in range(1, n + 1)], 0.5, atol=0.02)
+
+
 def test_ten_samples(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     time, position, torque = clean
     network = pendulum("viscous")
