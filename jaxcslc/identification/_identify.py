@@ -227,7 +227,7 @@ def _check_load(network: CSLC, estimator: str, recordings: int, horizon: bool) -
     )
     for wanted, what in others:
         if wanted:
-            raise ValueError(f"identify: friction of kind 'load' is not for {what}; remove one")
+            raise ValueError(f"identify: friction of kind 'load' is not for {what}")
 
 
 def _checked(

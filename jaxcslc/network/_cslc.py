@@ -302,7 +302,9 @@ class CSLC(AbstractTermSum):
         if self.payload is not None:
             raise ValueError(f"{self.robot.name!r} has a payload already")
         if self.load_friction is not None:
-            raise ValueError("payload: friction of kind 'load' does not know it; remove one")
+            raise ValueError(
+                "payload: friction of kind 'load' does not know it; expected an arm without"
+            )
         payload = ProjectedTerm.of(
             payload_term(carrier(self.robot, link)), JointProjection.of(self.robot)
         )

@@ -40,7 +40,7 @@ def usual_models(arm: Arm) -> Iterator[Model]:
 
     What examples of Pinocchio do, with its regressor's columns; friction without the static kind.
     """
-    network = _without_static(arm)
+    network = without_static(arm)
     preparation = jc.Preparation(
         jc.Butterworth(LOW_PASS), smooth_torque=True, threshold_fraction=0.0
     )
@@ -99,7 +99,8 @@ def _end(estimators: jc.identification.EstimatorComparison) -> str:
     return f"{ended} after {likelihood.steps} steps"
 
 
-def _without_static(arm: Arm) -> jc.CSLC:
+def without_static(arm: Arm) -> jc.CSLC:
+    """The network of an arm, numeric lengths, without static friction."""
     network = jc.derive(arm.robot, lengths="numeric")
     laws = arm.robot.friction_per_joint
     joints = [joint for joint, kinds in enumerate(laws, start=1) if "static" in kinds]

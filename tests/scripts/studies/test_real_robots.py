@@ -3,11 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
+from mujoco import sysid
 
 import jaxcslc as jc
-from scripts.studies.real_robots import arms, intervals, load_friction, study
+from scripts.studies.real_robots import arms, intervals, load_friction, simulation_fit, study
 from scripts.studies.real_robots.methods import Model
 from scripts.studies.real_robots.page import page_text
 
@@ -99,6 +101,25 @@ def test_load_dependent_friction_is_seen(loaded: arms.Arm) -> None:
     held_out, again, _, coefficient = load_friction.lines_of("pendulum", loaded, None)
     assert float(held_out[2]) < -20 and float(again[2]) < -20
     assert abs(float(coefficient[2].split(" ± ")[0]) - 0.2) < 0.02
+
+
+def test_coefficients_of_a_simulated_model_are_its_inverse_dynamics() -> None:
+    """What MuJoCo's toolbox searches for, as coefficients: torques of the compiled model."""
+    arm = pendulum(Path())
+    patterns = jc.Settings(jc.Preparation(threshold_fraction=0.0)).patterns(arm.training)
+    network = jc.derive(arm.robot, lengths="numeric")
+    spec = simulation_fit.arm_model(arm.robot, 2.0, patterns)
+    parameters = simulation_fit.start_parameters(spec, spec.compile(), network, patterns)
+    assert parameters.size == 13  # ten of the body, motor inertia, viscous and dry friction
+    parameters["link_1_inertia"].value[:] += 0.1 * np.arange(10)
+    parameters["joint_1 frictionloss"].value[:] = 0.0  # a constraint of the solver
+    model = sysid.apply_param_modifiers(parameters, spec)
+    k = simulation_fit.coefficients_of(network, model, parameters)
+    data = mujoco.MjData(model)
+    for state in np.random.default_rng(0).normal(size=(5, 3, 1)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = state
+        mujoco.mj_inverse(model, data)
+        assert np.allclose(network.torque(k, *state), data.qfrc_inverse, rtol=1e-9)
 
 
 def test_fits_of_the_same_arm_differ_by_their_errors() -> None:
