@@ -60,8 +60,9 @@ def test_each_example_of_friction_runs_by_itself(
     for example in examples_of("docs/friction.md"):
         exec(compile(example, "docs/friction.md", "exec"), {})
         printed.append(capsys.readouterr().out)
-    names, slopes, reidentified = printed
+    names, load, slopes, reidentified = printed
     assert names == "('ks6', 'kvp3', 'kvn3')\n"
+    assert load.startswith("[ 0.5") and "0.15" in load
     assert slopes.startswith("[5.")
     assert "0.03" in reidentified  # dry friction of 0.05, cleaned
 
