@@ -7,6 +7,7 @@ import typer
 
 from ..identification import (
     EstimatorChoice,
+    MaximumLikelihood,
     Report,
     Settings,
     choose_friction,
@@ -53,8 +54,10 @@ from ._identify_options import (
     FleetOption,
     FoldsOption,
     HorizonOption,
+    LikelihoodEveryOption,
     LossOption,
     MemoryOption,
+    NoiseOrderOption,
     OffsetsOption,
     PossibleOption,
     PreviousOption,
@@ -96,6 +99,8 @@ def identify_command(
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
     estimator: EstimatorOption = "least-squares",
+    likelihood_every: LikelihoodEveryOption = None,
+    noise_order: NoiseOrderOption = None,
     offsets: OffsetsOption = False,
     between: BetweenOption = None,
     every: EveryOption = None,
@@ -134,6 +139,7 @@ def identify_command(
             options = {
                 **_refitted(saved, reidentify),
                 **_choices(estimator, possible, prior),
+                "likelihood": _likelihood(likelihood_every, noise_order),
                 "options": without_none(torque_lag=torque_lag, loss=loss),
             }
             preparation = _settings(settings, saved)
@@ -233,6 +239,12 @@ def _choices(estimator: str, possible: str, prior: Path | None) -> dict[str, Any
         "possible": choice_of("--possible", possible, get_args(Choice)),
         "prior": None if prior is None else load_prior(prior),
     }
+
+
+def _likelihood(every: int | None, noise_order: int | None) -> MaximumLikelihood | None:
+    """How maximum likelihood is fitted, if anything is said of it."""
+    options: dict[str, Any] = dict(without_none(every=every, noise_order=noise_order))
+    return MaximumLikelihood(**options) if options else None
 
 
 def _written(

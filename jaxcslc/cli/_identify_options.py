@@ -20,6 +20,17 @@ EstimatorOption = Annotated[
         " is biased; or the one of the first two that predicts motion that was not fitted better.",
     ),
 ]
+LikelihoodEveryOption = Annotated[
+    int | None,
+    typer.Option(
+        help="Maximum likelihood: equations of motion over two times so many samples, for arms"
+        " whose transmission vibrates.",
+    ),
+]
+NoiseOrderOption = Annotated[
+    int | None,
+    typer.Option(help="Maximum likelihood: order of the autoregression of torque noise, 0 to 2."),
+]
 OffsetsOption = Annotated[
     bool,
     typer.Option("--offsets", help="Fit a constant torque of each joint in each recording along."),

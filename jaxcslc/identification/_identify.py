@@ -9,6 +9,7 @@ from ._identify_several import identify_several
 from ._settings import Settings
 from .checks import DataCheck, check
 from .estimators import EstimatorChoice, check_estimator, with_instruments, with_likelihood
+from .likelihood import MaximumLikelihood
 from .possible import Choice
 from .prediction import file_coefficients, prediction_error
 from .prior import Prior
@@ -23,6 +24,7 @@ def identify(
     settings: Settings | None = None,
     *,
     estimator: EstimatorChoice = "least-squares",
+    likelihood: MaximumLikelihood | None = None,
     offsets: bool = False,
     previous: Previous | None = None,
     groups: Sequence[str] | None = None,
@@ -58,6 +60,8 @@ def identify(
       smoothing (`MaximumLikelihood`); `"auto"` fits both, and uses the latter where it predicts
       motion that was not fitted better by more than chance: the validation recording or, without
       one, the last quarter of each training recording. `report.estimators` compares them.
+    - `likelihood`: how the latter is fitted (`every`, `noise_order`, `resolution`, `errors`); its
+      torque sampling and settings are those of the report.
       `"instrumental-variables"` is of one recording, without possible bodies and systematic errors
       (`InstrumentalVariables`); a note says whether least squares is biased.
     - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
@@ -118,6 +122,7 @@ def identify(
         offsets=offsets,
         recordings=len(by_name),
         possible=possible,
+        likelihood=likelihood,
     )
     if estimator == "instrumental-variables":
         possible, systematic = "never", False
@@ -177,6 +182,7 @@ def identify(
             by_name,
             validation,
             estimator=estimator,
+            likelihood=likelihood,
             possible=possible,
             prior=prior,
             memory=memory,

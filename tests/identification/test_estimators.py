@@ -130,6 +130,24 @@ def test_several_recordings(network: jc.CSLC) -> None:
     assert_allclose(report.k, K, atol=0.02)
 
 
+def test_options_of_maximum_likelihood(network: jc.CSLC) -> None:
+    report = jc.identify(
+        network,
+        swing(network, 0),
+        estimator="maximum-likelihood",
+        likelihood=jc.MaximumLikelihood(every=2, noise_order=1),
+        **QUICK,
+    )
+    assert report.estimators is not None
+    likelihood = report.estimators.likelihood
+    assert likelihood.noise_coefficients.shape == (1, 1)
+    assert len(likelihood.position) == (swing(network, 0).samples + 1) // 2
+    # Of one lag, the variance is that of white noise over 1 - a².
+    factor = np.sqrt(1.0 - likelihood.noise_coefficients[0] ** 2)
+    assert_allclose(likelihood.torque_deviation * factor, likelihood.torque_noise, rtol=1e-6)
+    assert_allclose(report.k, K, atol=0.03)
+
+
 def test_what_is_known_before_is_kept(network: jc.CSLC) -> None:
     prior = Prior({"kv1": Known(0.25)})
     report = jc.identify(
@@ -142,6 +160,14 @@ class TestBadInput:
     def test_unknown(self, network: jc.CSLC) -> None:
         with pytest.raises((ValueError, TypeError), match="often"):
             jc.identify(network, swing(network, 0), estimator="often")  # type: ignore[arg-type]
+
+    def test_options_of_another_estimator(self, network: jc.CSLC) -> None:
+        options = jc.MaximumLikelihood(every=2)
+        with pytest.raises(ValueError, match="takes no options of maximum likelihood"):
+            jc.identify(network, swing(network, 0), likelihood=options, **QUICK)
+        options = jc.MaximumLikelihood(unknowns=("torque_lag",))
+        with pytest.raises(ValueError, match=r"are for MaximumLikelihood\.fit; expected neither"):
+            jc.identify(network, swing(network, 0), estimator="auto", likelihood=options, **QUICK)
 
     def test_a_re_identification(self, network: jc.CSLC) -> None:
         with pytest.raises(ValueError, match="'auto': not with previous, which is of least-squ"):

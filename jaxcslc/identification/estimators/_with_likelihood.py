@@ -45,6 +45,7 @@ def with_likelihood(
     validation: Recording | None,
     *,
     estimator: EstimatorChoice,
+    likelihood: MaximumLikelihood | None,
     possible: Choice,
     prior: Prior | None,
     memory: float,
@@ -60,7 +61,7 @@ def with_likelihood(
     - `estimator`: `"maximum-likelihood"`, or `"auto"`: it is used where it predicts motion that was
       not fitted better than least squares, by more than chance and by 1 %. They are judged by
       `MaximumLikelihood.misfit`: torque errors of smoothed motion favour regression on such.
-    - `possible`, `prior`, `memory`, `step`: as of `identify`.
+    - `likelihood`, `possible`, `prior`, `memory`, `step`: as of `identify`.
 
     **Returns** the report; `report.estimators` compares the two.
 
@@ -70,9 +71,17 @@ def with_likelihood(
     """
     try:
         _check_size(network, training, memory)
-        return _Judged(report, network, training, validation, possible, prior, step).report(
-            estimator
+        judged = _Judged(
+            report,
+            network,
+            training,
+            validation,
+            likelihood or MaximumLikelihood(),
+            possible,
+            prior,
+            step,
         )
+        return judged.report(estimator)
     except (ValueError, RuntimeError) as error:
         if estimator != "auto":
             raise
@@ -104,6 +113,7 @@ class _Judged:
     network: CSLC
     training: Mapping[str, Recording]
     validation: Recording | None
+    options: MaximumLikelihood
     possible: Choice
     prior: Prior | None
     step: Callable[[str], None]
@@ -168,8 +178,10 @@ class _Judged:
     def _estimator(self) -> MaximumLikelihood:
         settings = self.least_squares.settings
         alignment = settings.preparation.torque_alignment
-        return MaximumLikelihood(
-            "sampled" if alignment == "sample" else "held", settings.with_options(torque_lag=0.0)
+        return dataclasses.replace(
+            self.options,
+            torque_sampling="sampled" if alignment == "sample" else "held",
+            settings=settings.with_options(torque_lag=0.0),
         )
 
     @property
@@ -208,7 +220,8 @@ class _Judged:
             start, end = float(recording.time[0]), float(recording.time[-1])
             split = end - _HELD_OUT * (end - start)
             early.append(recording.between(0.0, split - start))
-            rows.append(np.arange(recording.samples) < early[-1].samples)
+            samples = np.arange(0, recording.samples, self._estimator.every)
+            rows.append(samples < early[-1].samples)
             late.append(recording.between(split - start, end - start))
             patterns = on_time.patterns(recording)
             fitted.append(patterns.between(start, split))
@@ -249,7 +262,7 @@ class _Judged:
         """Misfits of maximum likelihood over those of least squares."""
         likelihood = unfitted.likelihood
         levels = (
-            np.sqrt(np.mean(likelihood.torque_noise**2, axis=0)),
+            np.sqrt(np.mean(likelihood.torque_deviation**2, axis=0)),
             np.sqrt(np.mean(likelihood.position_noise**2, axis=0)),
         )
         other = _with_coefficients(
@@ -330,13 +343,26 @@ class _Judged:
 
 
 def check_estimator(
-    estimator: str, *, previous: bool, offsets: bool, recordings: int, possible: Choice
+    estimator: str,
+    *,
+    previous: bool,
+    offsets: bool,
+    recordings: int,
+    possible: Choice,
+    likelihood: MaximumLikelihood | None,
 ) -> None:
     """**Raises** `ValueError` for an unknown estimator, and what only least squares can do."""
     if estimator not in get_args(EstimatorChoice):
         raise ValueError(
             f"estimator: expected {', '.join(get_args(EstimatorChoice))}, got {estimator!r}"
         )
+    if likelihood is not None and (likelihood.unknowns or likelihood.prior is not None):
+        raise ValueError(
+            "likelihood: unknowns of torque and a prior of its own are for MaximumLikelihood.fit;"
+            " expected neither"
+        )
+    if likelihood is not None and estimator not in ("maximum-likelihood", "auto"):
+        raise ValueError(f"estimator {estimator!r}: takes no options of maximum likelihood")
     if estimator != "least-squares" and (previous or offsets):
         option = "previous" if previous else "offsets"
         raise ValueError(f"estimator {estimator!r}: not with {option}, which is of least-squares")

@@ -10,6 +10,7 @@ from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
 from ._correlated import CorrelatedErrors, correlated_errors, independent_covariance
 from ._search import Minimum
+from .torque import Whitening
 
 
 # A coefficient that shares this part of a unit null vector is not determined by itself.
@@ -78,6 +79,12 @@ class LikelihoodFit(eqx.Module):
     def k(self) -> Float[Array, " coefficients"]:
         """The coefficients, (p,)."""
         return self.fit.k
+
+    @property
+    def torque_deviation(self) -> Float[np.ndarray, "recordings joints"]:
+        """(recordings, n) standard deviations of torque noise [N m or N], as it is before it is
+        made white: `torque_noise` for noise that is white anyway."""
+        return self.torque_noise * Whitening(self.noise_coefficients).deviation
 
     def __repr__(self) -> str:
         noise = "; ".join(

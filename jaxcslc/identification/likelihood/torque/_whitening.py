@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float
 MOST_ORDER = 2
 # Reflection coefficients are at most this: noise of longer memory is an offset of the recording.
 _MOST = 0.98
+# An impulse has faded after so many equations.
+_LONG = 2000
 # Residuals count as no larger than this, in robust standard deviations.
 _OUTLIER = 4.0
 
@@ -62,6 +64,18 @@ class Whitening:
             for row, values in zip(self.coefficients.T, white.T, strict=True)
         ]
         return np.stack(columns, axis=1)
+
+    @property
+    def deviation(self) -> Float[np.ndarray, " joints"]:
+        """(n,) standard deviation of residuals whose filtered ones have one of 1.
+
+        >>> import numpy as np
+        >>> Whitening(np.array([[-0.6]])).deviation.round(3).tolist()
+        [1.25]
+        """
+        impulse = np.zeros((_LONG, self.coefficients.shape[1]))
+        impulse[0] = 1.0
+        return np.sqrt(np.sum(self.removed(impulse) ** 2, axis=0))
 
     def stencil(
         self, by_position: Float[np.ndarray, "equations joints three"]
