@@ -25,6 +25,8 @@ _STATIC_SHARE, _DECAY, _LEAST_DECAY, _MOST_DECAY = 0.1, 1 / 30, 1 / 1.5, 1 / 300
 _SLOPE_DEVIATION = 1.0
 # Below this part of its greatest speed, a joint whose readings stay the same is at rest.
 _SLOW = 2e-3
+# Steps of readings below this part of their noise are those of rounding, not of an encoder.
+_LEAST_STEP = 0.1
 # Positions without noise count as noisy by this part of the range of motion.
 _LEAST_NOISE = 1e-9
 
@@ -70,13 +72,15 @@ def starting_point(
 
     readings = Readings.of(recordings, torque_sampling, every)
     samplings = [Sampling.of(recording) for recording in recordings]
+    noise = np.array([sampling.noise for sampling in samplings])
     if resolution is None:
         steps = np.array([sampling.resolution for sampling in samplings])
+        steps = np.where(steps > _LEAST_STEP * noise, steps, 0.0)
     else:
         steps = np.tile(resolution, (len(recordings), 1))
     encoder = steps > 0.0
     least = _LEAST_NOISE * np.maximum(np.ptp(readings.position, axis=0), 1e-3)
-    noise = np.maximum(np.array([sampling.noise for sampling in samplings]), least)
+    noise = np.maximum(noise, least)
     position_noise = np.where(encoder, steps / np.sqrt(12.0), noise)
 
     k = np.zeros(p)

@@ -126,6 +126,16 @@ def test_noise_levels_are_estimated(clean: tuple[np.ndarray, np.ndarray, np.ndar
     assert_allclose(result.position_noise, 1e-4, rtol=0.15)
 
 
+def test_rounding_far_below_the_noise_is_no_encoder() -> None:
+    time, position, torque = swing(1200, static=0.0)
+    rng = np.random.default_rng(0)
+    noisy = 1e-7 * np.round((position + 1e-4 * rng.normal(size=position.shape)) / 1e-7)
+    network = pendulum("viscous", "dry")
+    result = jc.MaximumLikelihood().fit(network, jc.Recording(time, noisy, torque))
+    assert_allclose(result.position_noise, 1e-4, rtol=0.15)
+    assert_allclose(result.edge, 0.0)
+
+
 class TestSeveralRecordings:
     def test_each_has_its_noise(self) -> None:
         time, position, torque = swing(1600, static=0.0)
