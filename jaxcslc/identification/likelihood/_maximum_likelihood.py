@@ -192,7 +192,7 @@ class MaximumLikelihood:
         - `recording`: as of `fit`.
         - `k`: (p,) coefficients.
         - `torque_noise`: (n,) standard deviations [N m or N].
-        - `position_noise`: (n,) of joints without encoder steps [rad or m].
+        - `position_noise`: (n,) [rad or m]; of encoders, at least that of their steps counts.
         - `calibration`: a fit whose lag and gains of torque hold; by default there are none.
 
         **Returns** a `Misfit`.
