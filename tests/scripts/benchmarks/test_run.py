@@ -15,6 +15,7 @@ from scripts.benchmarks.stored import page as page_module, results
 def figures() -> Iterator[Metric]:
     yield Metric("stream.rate", 3.0, "million patterns/s", "higher", target=2.5)
     yield Metric("stream.seconds", 12.3456789, "s", "lower", target=5.0)
+    yield Metric("forward.rate", 5.3149999, "million patterns/s", "higher")  # stored as 5.315
     yield Metric("stream.of_copy", 0.25, "1", "higher")
 
 
@@ -39,11 +40,12 @@ def test_a_group_that_is_not_run_keeps_its_figures(stored: Path) -> None:
     kept, new = sorted(results.load(stored / "results.json"), key=lambda x: x.date)
     assert (kept.group, kept.machine, kept.date) == ("control", "other machine", "2020-01-01")
     assert (new.group, new.machine) == ("direct solve", results.this_machine())
-    assert [metric.value for metric in new.metrics] == [3.0, 12.346, 0.25]
+    assert [metric.value for metric in new.metrics] == [3.0, 12.346, 5.315, 0.25]
     text = (stored / "benchmarks.md").read_text(encoding="utf-8")
     assert "other machine; 2020-01-01:" in text
     assert "| `stream.rate` | **3** | million patterns/s | higher | 2.5 |" in text
     assert "| `stream.seconds` | 12.3 | s | lower | 5 |" in text
+    assert text == page_module.page(results.load(stored / "results.json"))
 
 
 def test_figures_of_another_machine_are_merged(stored: Path) -> None:
@@ -55,7 +57,7 @@ def test_figures_of_another_machine_are_merged(stored: Path) -> None:
     )
     assert run.main(["--merge", str(stored / "there.json")]) == 0
     (entry,) = results.load(stored / "results.json")
-    assert (entry.date, len(entry.metrics)) == ("2020-02-01", 3)
+    assert (entry.date, len(entry.metrics)) == ("2020-02-01", 4)
     (stored / "there.json").write_text('[{"row": 1}]')
     with pytest.raises(ValueError, match="expected measurements"):
         run.main(["--merge", str(stored / "there.json")])
