@@ -9,7 +9,7 @@ from ...network import CSLC
 from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
 from ._correlated import CorrelatedErrors, correlated_errors, independent_covariance
-from ._search import Minimum
+from .search import Minimum
 from .torque import Whitening
 
 

@@ -14,8 +14,8 @@ from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._objective import Point
 from ._problem import Problem
-from ._search import search
 from ._start import starting_point
+from .search import search
 from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
 
 

@@ -1,0 +1,1 @@
+from ._search import Minimum as Minimum, search as search

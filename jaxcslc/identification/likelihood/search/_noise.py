@@ -1,0 +1,152 @@
+import dataclasses
+
+import numpy as np
+from jaxtyping import Int
+
+from .._band import Factored
+from .._levels import Levels, NoiseDraws, noise_levels, position_errors
+from .._levenberg import LevenbergStep
+from .._linear import Linear
+from .._objective import Residuals
+from .._problem import Problem
+from ..torque import Whitening, autocovariance
+from ._state import MARGINS, Mask, State, intervals_of
+from ._weighting import outlier_weights
+
+
+# Noise levels go all the way to where residuals would have them in so many steps, then half of it;
+# they are fixed when they change by less than this part in a step, or after so many steps.
+_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS = 6, 0.05, 14
+# Beside intervals, edges and the level of torque noise follow so many steps. The level goes all the
+# way, and in later ones half of it.
+_REFINEMENTS, _FREE_REFINEMENTS = 5, 3
+# Readings of an encoder whose noise is less than so many times that of its steps have that.
+_MORE_THAN_STEPS = 1.3
+# Counts are intervals where positions are known better than this part of a step. The width of an
+# edge is so many times the error of positions, for then scores are linear in errors, and at least
+# that of an encoder, in steps. Intervals reduce the error, and their width follows.
+_SHARP, _EDGE, _LEAST_EDGE = 0.1, 2.0, 0.01
+
+
+def with_levels(
+    problem: Problem, state: State, linear: Linear, step: LevenbergStep, counted: Mask, number: int
+) -> State:
+    """Noise levels and weights of outliers that follow the residuals of a step."""
+    draws = NoiseDraws.of(
+        linear, step.factored, problem.readings.part, state.torque_noise, state.position_noise
+    )
+    torque_noise, position_noise = _levels_of(problem, state, step.residuals, draws, counted)
+    if number > _FREE_LEVEL_STEPS:
+        torque_noise = np.sqrt(torque_noise * state.torque_noise)
+        position_noise = np.sqrt(position_noise * state.position_noise)
+    change = max(
+        np.abs(np.log(new / old)).max()
+        for new, old in (
+            (torque_noise, state.torque_noise),
+            (position_noise, state.position_noise),
+        )
+    )
+    modelled = number > len(MARGINS)
+    whitening = state.whitening
+    if modelled and whitening.order:
+        whitening = _coloured(
+            whitening, step.residuals, draws, counted, state.torque_noise, problem.readings.part
+        )
+        moved = whitening.coefficients - state.whitening.coefficients
+        change = max(change, float(np.abs(moved).max()))
+    final = number >= _MOST_LEVEL_STEPS or (modelled and bool(change <= _LEVEL_TOLERANCE))
+    if final:
+        least = problem.least_position_noise
+        counted_steps = (problem.encoder_step > 0.0) & (position_noise <= _MORE_THAN_STEPS * least)
+        position_noise = np.where(counted_steps, least, position_noise)
+    levelled = dataclasses.replace(state, torque_noise=torque_noise, position_noise=position_noise)
+    return dataclasses.replace(
+        levelled,
+        whitening=whitening,
+        outlier_weight=outlier_weights(problem, levelled, linear, step, counted),
+        levels_fixed=final,
+    )
+
+
+def _levels_of(
+    problem: Problem, state: State, residuals: Residuals, draws: NoiseDraws, counted: Mask
+) -> tuple[Levels, Levels]:
+    """Noise levels that residuals have, of torque and of positions, none below its least."""
+    torque_noise, position_noise = noise_levels(
+        residuals,
+        draws,
+        counted,
+        problem.moving,
+        problem.readings.part,
+        state.torque_noise,
+        state.position_noise,
+    )
+    return (
+        np.maximum(torque_noise, problem.least_torque_noise),
+        np.maximum(position_noise, problem.least_position_noise),
+    )
+
+
+def _coloured(
+    whitening: Whitening,
+    residuals: Residuals,
+    draws: NoiseDraws,
+    counted: Mask,
+    torque_noise: Levels,
+    part: Int[np.ndarray, " samples"],
+) -> Whitening:
+    """The filter of the noise that torque residuals show (expectation and maximisation).
+
+    Positions take up a part of the noise: what they take up of a draw of the present noise is added
+    to the autocovariance of residuals.
+    """
+    drawn, taken = draws.torque * torque_noise[part[1:-1]], draws.by_torque.torque
+
+    def covariance(white: np.ndarray) -> np.ndarray:
+        return autocovariance(whitening.removed(white), counted, whitening.order)
+
+    missing = covariance(drawn) - covariance(taken) - covariance(draws.by_position.torque)
+    return Whitening.fitted(covariance(residuals.torque) + missing)
+
+
+def with_intervals(problem: Problem, state: State, linear: Linear, factored: Factored) -> State:
+    """Counts as intervals, where positions are known much better than a step."""
+    errors, _ = _position_errors(problem, state, linear, factored)
+    counts = state.position_noise <= problem.least_position_noise
+    edge = np.where(counts & (errors <= _SHARP), np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
+    intervals = intervals_of(problem, edge)
+    return dataclasses.replace(state, intervals=intervals, final=intervals is None)
+
+
+def with_refined_intervals(
+    problem: Problem, state: State, linear: Linear, step: LevenbergStep, counted: Mask
+) -> State:
+    """Torque noise and edges that follow what intervals leave.
+
+    Single counts hide torque noise far below what they leave of torque. Intervals show it, and with
+    a level that is too large, standard errors would be.
+    """
+    part, intervals = problem.readings.part, state.intervals
+    assert intervals is not None
+    errors, draws = _position_errors(problem, state, linear, step.factored)
+    torque_noise, _ = _levels_of(problem, state, step.residuals, draws, counted)
+    if state.refinements >= _FREE_REFINEMENTS:
+        torque_noise = np.sqrt(torque_noise * state.torque_noise)
+    edge = np.clip(_EDGE * errors, _LEAST_EDGE, _EDGE * _SHARP)[part]
+    return dataclasses.replace(
+        state,
+        intervals=dataclasses.replace(intervals, edge=np.where(intervals.edge > 0.0, edge, 0.0)),
+        torque_noise=torque_noise,
+        refinements=state.refinements + 1,
+        final=state.refinements + 1 == _REFINEMENTS,
+    )
+
+
+def _position_errors(
+    problem: Problem, state: State, linear: Linear, factored: Factored
+) -> tuple[Levels, NoiseDraws]:
+    """Of estimated positions in steps of encoders, (recordings, n), and the draws that say so."""
+    part, step = problem.readings.part, problem.encoder_step
+    draws = NoiseDraws.of(linear, factored, part, state.torque_noise, state.position_noise)
+    errors = position_errors(draws, problem.moving, part, len(step))
+    return errors / np.where(step > 0.0, step, 1e-300), draws

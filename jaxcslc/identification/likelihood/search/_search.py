@@ -1,0 +1,120 @@
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from .._band import Factored
+from .._levels import Levels
+from .._levenberg import PROMISE, SMALL_DAMPING, levenberg_step
+from .._linear import Linear
+from .._objective import Objective, Point
+from .._problem import Problem
+from ._noise import with_intervals, with_levels, with_refined_intervals
+from ._state import MARGINS, Mask, State, with_signs
+from ._weighting import objective_of, outlier_weights, with_sticking
+
+
+_MOST_STEPS = 60
+# It has converged when a step moves no coefficient by more than this part of a standard error, and
+# linear equations promise less than this of the sum of squares, in units of variances.
+_SETTLED = 1e-3
+# Counts become intervals when a step moves no coefficient by more than this part of one; then the
+# width of edges and the level of torque noise follow steps of less than this.
+_NEAR, _NEARER = 0.3, 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Minimum:
+    """Where a search ended.
+
+    **Attributes**
+
+    - `point`: all unknowns; `objective`: the sum of squares there; `linear`: its equations.
+    - `factored`: the equations, whose information is in units of the border's scale.
+    - `torque_noise`, `position_noise`: (recordings, n) standard deviations.
+    - `counted`: (equations, n), which equations have the full weight.
+    - `steps`: Gauss-Newton steps; `converged`: whether the last one changed nothing.
+    """
+
+    point: Point
+    objective: Objective
+    linear: Linear
+    factored: Factored
+    torque_noise: Levels
+    position_noise: Levels
+    counted: Mask
+    steps: int
+    converged: bool
+
+
+def search(
+    problem: Problem,
+    point: Point,
+    torque_noise: Levels,
+    position_noise: Levels,
+    progress: Callable[[str], None],
+    *,
+    fixed_levels: bool = False,
+    edge: Levels | None = None,
+    tolerance: float = 0.0,
+    noise_coefficients: Float[np.ndarray, "order joints"] | None = None,
+) -> Minimum:
+    """Minimises step by step: signs, weights and noise levels are fixed within each step.
+
+    At first counts are normally distributed and noise levels follow the residuals; then the levels
+    are fixed, and counts become intervals where that says more, with the torque noise that these
+    leave.
+
+    **Arguments**
+
+    - `fixed_levels`: whether noise levels are those of the start.
+    - `edge`: (recordings, n) widths of intervals' edges in steps, 0 where counts are none. The
+      start is then near the minimum. None with fixed levels: no count is an interval.
+    - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
+    - `noise_coefficients`: (order, n) of the autoregression of torque noise to start from; by
+      default torque noise is white.
+    """
+    state = State.start(
+        problem, point, torque_noise, position_noise, noise_coefficients, fixed_levels, edge
+    )
+    first = 0 if edge is None else len(MARGINS)
+    number = first - 1
+    while True:
+        number += 1
+        state, same = with_signs(problem, state, number)
+        objective, counted = objective_of(problem, state)
+        if number >= len(MARGINS):
+            objective = with_sticking(problem, state, objective)
+        linear = Linear.of(objective, state.point)
+        step = levenberg_step(problem, linear, state.point, state.damping)
+        state = dataclasses.replace(state, point=step.point, damping=step.damping)
+        progress(f"maximum likelihood: step {number + 1 - first}")
+        quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
+        settled = step.change <= _SETTLED and step.promise <= PROMISE
+        converged = quiet and settled and state.final and (edge is None or number > first)
+        # Rounding lets the sum grow: without a tolerance, that is no end.
+        small = tolerance > 0.0 and state.final and number >= len(MARGINS)
+        small = small and step.fall < tolerance
+        if converged or small or number == _MOST_STEPS - 1:
+            linear = Linear.of(objective, state.point)
+            return Minimum(
+                state.point,
+                objective,
+                linear,
+                linear.factored(0.0),
+                state.torque_noise,
+                state.position_noise,
+                counted,
+                number + 1 - first,
+                converged,
+            )
+        if edge is not None and number == first:
+            weight = outlier_weights(problem, state, linear, step, counted)
+            state = dataclasses.replace(state, outlier_weight=weight)
+        elif not state.levels_fixed:
+            state = with_levels(problem, state, linear, step, counted, number)
+        elif state.intervals is not None and not state.final and step.change <= _NEARER:
+            state = with_refined_intervals(problem, state, linear, step, counted)
+        elif not state.final and quiet and step.change <= _NEAR:
+            state = with_intervals(problem, state, linear, step.factored)

@@ -1,0 +1,114 @@
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .._levels import Levels
+from .._levenberg import DAMPING
+from .._objective import Point
+from .._problem import Problem
+from .._readings import Intervals
+from .._signs import Signs
+from ..torque import Whitening
+
+
+# Equations left uncertain on either side of a reversal, step by step; after these steps, reversals
+# are moments to be estimated.
+MARGINS = (4, 3, 2)
+# From this step on, a reversal that comes or goes is left uncertain.
+_SIGN_STEPS = 7
+
+Mask = Bool[np.ndarray, "equations joints"]
+
+
+@dataclasses.dataclass(frozen=True)
+class State:
+    """What changes from step to step.
+
+    - `whitening`: of torque residuals.
+    - `outlier_weight`: (equations, n) of equations far beyond the noise.
+    - `ambiguous`: (equations, n) of reversals that came and went.
+    - `levels_fixed`: whether noise levels and these weights are, while readings are normally
+      distributed; `final`: and what counts are.
+    - `refinements`: of the level of torque noise beside intervals.
+    """
+
+    point: Point
+    signs: Signs | None
+    torque_noise: Levels
+    position_noise: Levels
+    whitening: Whitening
+    outlier_weight: Float[np.ndarray, "equations joints"]
+    ambiguous: Mask
+    intervals: Intervals | None
+    damping: float
+    levels_fixed: bool
+    final: bool
+    refinements: int = 0
+
+    @classmethod
+    def start(
+        cls,
+        problem: Problem,
+        point: Point,
+        torque_noise: Levels,
+        position_noise: Levels,
+        noise_coefficients: Float[np.ndarray, "order joints"] | None,
+        fixed: bool,
+        edge: Levels | None,
+    ) -> "State":
+        samples, n = problem.readings.position.shape
+        intervals = None if edge is None else intervals_of(problem, edge)
+        return cls(
+            point,
+            None,
+            np.maximum(torque_noise, problem.least_torque_noise),
+            position_noise,
+            Whitening(np.zeros((0, n)) if noise_coefficients is None else noise_coefficients),
+            np.ones((samples - 2, n)),
+            np.zeros((samples - 2, n), bool),
+            intervals,
+            DAMPING,
+            fixed,
+            fixed,
+        )
+
+
+def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool]:
+    """The signs of the present motion, unless they are those of before, which is said.
+
+    A reversal between two samples belongs to the one that it was with. Of a reversal that comes and
+    goes, as next to a rest, equations stay uncertain.
+    """
+    readings, before, point = problem.readings, state.signs, state.point
+    modelled = number >= len(MARGINS)
+    ambiguous = state.ambiguous
+    while True:
+        signs = Signs.of(
+            point.q,
+            readings.time,
+            problem.stuck,
+            margin=MARGINS[min(number, len(MARGINS) - 1)],
+            modelled=modelled,
+            joined=readings.joined,
+            ambiguous=ambiguous,
+        )
+        if before is None or number <= len(MARGINS):
+            break
+        unmatched = signs.unmatched(before)
+        if not unmatched.any():
+            return state, True
+        if number < _SIGN_STEPS or np.all(ambiguous[unmatched]):
+            break
+        ambiguous = ambiguous | unmatched
+    turn = signs.turn if before is None else signs.carried(before, point.turn)
+    point = dataclasses.replace(point, turn=turn)
+    return dataclasses.replace(state, signs=signs, point=point, ambiguous=ambiguous), False
+
+
+def intervals_of(problem: Problem, edge: Levels) -> Intervals | None:
+    """Readings with edges of these widths; None if all are 0."""
+    if not edge.any():
+        return None
+    part = problem.readings.part
+    return Intervals(problem.reading_shares, problem.encoder_step[part], edge[part])

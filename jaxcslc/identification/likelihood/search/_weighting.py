@@ -1,0 +1,105 @@
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from .._levenberg import LevenbergStep
+from .._linear import Linear
+from .._objective import TURN, Objective, Point, Residuals
+from .._problem import Problem
+from .._signs import Signs
+from .._sticking import Sticking, sticking_equations
+from ._state import Mask, State
+
+
+# Standard deviation of friction that is anything up to break-away, and of a reversal's whose moment
+# is estimated, as parts of the break-away torque. Simulated: 0.003 to 0.006 for the latter.
+_UNCERTAIN, _REVERSAL = 0.6, 0.01
+# Huber's constant, in standard deviations: what is beyond counts by its size, not by its square.
+_OUTLIER = 4.0
+# A joint at rest moves by this part of its position noise from sample to sample.
+_REST = 0.02
+
+
+def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
+    """The sum of squares, and which equations have their full weight."""
+    readings, signs, point = problem.readings, state.signs, state.point
+    assert signs is not None
+    of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
+    extra = state.whitening.variance(_friction_variance(problem, signs, point))
+    weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + extra)
+    beyond = problem.calibration.outside(point.calibration)
+    without = state.whitening.touched(problem.at_rest | (readings.joined | beyond)[:, None])
+    weight[without] = 0.0
+    expected, known = problem.known(point)
+    at_rest = 1.0 / (_REST * state.position_noise[of_interval]) ** 2
+    weights = Residuals(
+        torque=weight,
+        position=problem.reading_shares / state.position_noise[readings.part] ** 2,
+        standstill=np.where(problem.stuck, at_rest, 0.0),
+        turn=np.full(len(signs.samples), TURN**-2),
+        border=known,
+    )
+    objective = Objective(
+        problem.equations,
+        readings.position,
+        problem.calibration,
+        readings.part,
+        signs,
+        weights,
+        expected,
+        problem.scale,
+        state.whitening,
+        state.intervals,
+    )
+    return objective, (extra == 0.0) & ~without
+
+
+def with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
+    """With the equations of joints that stick, which bound friction at break-away.
+
+    Not beside torque noise with a spectrum: an equation that is a bound has no residual.
+    """
+    point, breakaway = state.point, problem.breakaway(state.point)
+    if state.whitening.order or not problem.at_rest.any():
+        return objective
+    part, signs = problem.readings.part, objective.signs
+    friction = objective.residuals(point).torque + signs.direction * breakaway
+    mask = sticking_equations(problem.at_rest, friction, breakaway)
+    mask &= ~problem.readings.joined[:, None]
+    mask &= ~problem.calibration.outside(point.calibration)[:, None]
+    if not mask.any():
+        return objective
+    direction = np.where(mask, np.where(friction < 0.0, -1.0, 1.0), signs.direction)
+    return dataclasses.replace(
+        objective,
+        signs=dataclasses.replace(signs, direction=direction),
+        sticking=Sticking(mask, direction, state.torque_noise[part[1:-1]]),
+    )
+
+
+def _friction_variance(
+    problem: Problem, signs: Signs, point: Point
+) -> Float[np.ndarray, "equations joints"]:
+    """Variance of friction that signs do not tell."""
+    breakaway = problem.breakaway(point)
+    extra = np.where(signs.uncertain, (_UNCERTAIN * breakaway) ** 2, 0.0)
+    for offset in (-1, 0, 1):
+        extra[signs.samples - 1 + offset, signs.joints] = (_REVERSAL * breakaway[signs.joints]) ** 2
+    return extra
+
+
+def outlier_weights(
+    problem: Problem, state: State, linear: Linear, step: LevenbergStep, counted: Mask
+) -> Float[np.ndarray, "equations joints"]:
+    """Huber's weights of a step's residuals.
+
+    Uncertain friction is within break-away; what pushes a joint at its limit is not.
+    """
+    signs, noise = linear.objective.signs, state.torque_noise[problem.readings.part[1:-1]]
+    extra = np.where(signs.uncertain, _friction_variance(problem, signs, step.point), 0.0)
+    extra = state.whitening.variance(extra)
+    deviation = np.sqrt(noise**2 + extra)
+    robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
+    size = np.maximum(np.abs(step.residuals.torque), 1e-300)
+    return np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)
