@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 from ...network import CSLC
 from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
-from ._correlated import CorrelatedErrors, correlated_errors, independent_covariance
+from .errors import CorrelatedErrors, eliminated_rows, independent_covariance, reported_errors
 from .search import Minimum
 from .torque import Whitening
 
@@ -120,14 +120,13 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     residual, used = minimum.linear.residuals.torque, minimum.counted
     counts = used.sum(axis=0).astype(float)
     inverse = spectrum.covariance
-    bound = independent_covariance(minimum.linear, minimum.factored, inverse)
-    sandwich = CorrelatedErrors(bound, max(float(counts.sum()) - p, 1.0), counts)
+    rows, scores = eliminated_rows(minimum.linear, minimum.factored)
+    bound = independent_covariance(minimum.linear, rows, inverse)
+    reported = CorrelatedErrors(bound, max(float(counts.sum()) - p, 1.0), counts)
     if errors == "correlated":
-        sandwich = correlated_errors(minimum.linear, minimum.factored, inverse, used)
-        if minimum.objective.intervals is not None:
-            sandwich = sandwich.at_least(bound)
+        reported = reported_errors(minimum.linear, rows, scores, inverse, bound, used)
     independent, covariance = (
-        matrix * border[:, None] * border[None, :] for matrix in (bound, sandwich.covariance)
+        matrix * border[:, None] * border[None, :] for matrix in (bound, reported.covariance)
     )
     unclear = np.sqrt(np.sum(spectrum.undetermined**2, axis=0)) >= _SHARE
     null = spectrum.undetermined[:, :p]
@@ -145,8 +144,8 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         independent_covariance=jnp.asarray(independent[:p, :p]),
         torque_error=jnp.asarray(np.sqrt(squares / np.maximum(counts, 1.0))),
         equations=jnp.asarray(counts),
-        effective_equations=jnp.asarray(sandwich.effective),
-        degrees_of_freedom=jnp.asarray(sandwich.degrees_of_freedom),
+        effective_equations=jnp.asarray(reported.effective),
+        degrees_of_freedom=jnp.asarray(reported.degrees_of_freedom),
         rank=jnp.asarray(p - len(null)),
         condition=jnp.asarray(np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0])),
         undetermined=jnp.asarray(undetermined),

@@ -59,9 +59,9 @@ class MaximumLikelihood:
     - `torque_sampling`: `"held"`, a demand that acts until the next sample; or `"sampled"`.
     - `settings`: of the regression that it starts from; None for the defaults of `Settings`.
     - `resolution`: (n,) of the encoders [rad or m], 0 for none; read off the recording if None.
-    - `errors`: what standard errors allow for: `"correlated"` residuals, as a model that lacks
-      something leaves them; or `"independent"` ones of the estimated levels only, for which they
-      are the Cramér-Rao bound.
+    - `errors`: what standard errors allow for: `"independent"` residuals of the estimated levels
+      only, for which they are the Cramér-Rao bound; or `"correlated"` ones where a test says that
+      residuals are, as a model that lacks something leaves them.
     - `every`: equations of motion hold over two times so many samples, and positions are unknown at
       every so many; torque between them counts, readings do not. Two or more for arms whose
       transmission vibrates: a rigid model is right below those frequencies only.

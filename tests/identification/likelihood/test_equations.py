@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.likelihood._correlated import eliminated_rows
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
 from jaxcslc.identification.likelihood._signs import Signs
 from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
+from jaxcslc.identification.likelihood.errors import eliminated_rows
 from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
 
 

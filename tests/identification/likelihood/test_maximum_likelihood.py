@@ -213,6 +213,27 @@ def test_errors_allow_for_noise_that_is_not_white() -> None:
             )
     assert np.sqrt(np.mean(spread["independent"])) > 2.5
     assert 0.6 < np.sqrt(np.mean(spread["correlated"])) < 1.7
+    # The sandwich, with as many degrees of freedom as it has components.
+    assert result.fit.degrees_of_freedom <= 32
+
+
+def test_errors_of_white_noise_are_the_bound(
+    clean: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    time, position, torque = clean
+    step, ratios, degrees = 2e-4, [], []
+    for seed in range(4):
+        shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
+        counts = step * np.round(position / step + shift)
+        network = pendulum("viscous", "dry", "static")
+        result = jc.MaximumLikelihood().fit(network, jc.Recording(time, counts, torque))
+        bound = np.sqrt(np.diag(np.asarray(result.fit.independent_covariance)))
+        ratios += (np.asarray(result.fit.standard_error) / bound).tolist()
+        degrees.append(float(result.fit.degrees_of_freedom))
+    assert np.min(ratios) > 1.0 - 1e-9
+    # By chance, single ones are larger.
+    assert np.mean(np.array(ratios) < 1.0 + 1e-9) > 0.7
+    assert np.median(degrees) > 1000
 
 
 def test_a_joint_that_never_moves_is_undetermined() -> None:

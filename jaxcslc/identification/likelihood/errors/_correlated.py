@@ -1,0 +1,122 @@
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...solver import CosineSums, components_for, correlated_covariance, effective_counts
+from .._linear import Linear
+from ._rows import score_gram
+from ._whiteness import Whiteness
+
+
+# Stretches of time in which products of rows are summed before they are multiplied by cosines.
+_STRETCHES = 256
+
+
+class CorrelatedErrors(NamedTuple):
+    """Errors of a fit whose residuals need not be white.
+
+    - `covariance`: (border, border), in units of the border's scale.
+    - `degrees_of_freedom`: of Student's t.
+    - `effective`: (n,) how many independent equations each joint's are worth.
+    """
+
+    covariance: Float[np.ndarray, "border border"]
+    degrees_of_freedom: float
+    effective: Float[np.ndarray, " joints"]
+
+    def at_least(self, bound: Float[np.ndarray, "border border"]) -> "CorrelatedErrors":
+        """The same with no variance below that of a bound.
+
+        Few readings are near the edges of their intervals. Each of them is fitted more closely than
+        it would be otherwise, and the spread of scores says less than the truth.
+        """
+        variance, least = np.diag(self.covariance), np.diag(bound)
+        growth = np.sqrt(np.maximum(1.0, least / np.where(variance > 0.0, variance, np.inf)))
+        return self._replace(covariance=self.covariance * growth[:, None] * growth)
+
+
+def reported_errors(
+    linear: Linear,
+    rows: Float[np.ndarray, "samples rows border"],
+    scores: Float[np.ndarray, "samples border"],
+    inverse: Float[np.ndarray, "border border"],
+    bound: Float[np.ndarray, "border border"],
+    counted: Bool[np.ndarray, "equations joints"],
+) -> CorrelatedErrors:
+    """Errors of a fit: the bound where residuals are white, else what correlated ones do to it.
+
+    The bound is known as well as noise levels are, the sandwich from a few components of a
+    spectrum: so the sandwich is for where residuals say that it is needed (White 1982, the
+    information matrix test). They say so of all coefficients together, and then all errors are
+    those of the sandwich, with its degrees of freedom; or of some, which then have its variance.
+
+    **Arguments**
+
+    - `linear`: the equations at the minimum; `rows`, `scores`: of `eliminated_rows`.
+    - `inverse`: of the information; `bound`: of `independent_covariance`; both in units of the
+      border's scale.
+    - `counted`: (equations, n) whether an equation has its full weight.
+    """
+    residual = np.where(counted, linear.residuals.torque, 0.0)
+    effective = np.asarray(effective_counts(jnp.asarray(residual), jnp.asarray(counted, float)))
+    used = np.asarray(components_for(jnp.asarray(effective)))
+    sums = cosine_sums(rows, scores, used)
+    sandwich = _sandwich(linear, inverse, sums, used, effective)
+    whiteness = Whiteness.of(sums, inverse, score_gram(linear, rows), int(used.sum()))
+    if not whiteness.white():
+        return sandwich if linear.objective.intervals is None else sandwich.at_least(bound)
+    least = np.diag(bound)
+    ratio = np.diag(sandwich.covariance) / np.where(least > 0.0, least, np.inf)
+    growth = np.sqrt(np.where(whiteness.exceeds(ratio), ratio, 1.0))
+    freedom = max(float(counted.sum()) - len(bound), 1.0)
+    return CorrelatedErrors(growth[:, None] * bound * growth, freedom, effective)
+
+
+def _sandwich(
+    linear: Linear,
+    inverse: Float[np.ndarray, "border border"],
+    sums: CosineSums,
+    used: Float[np.ndarray, " components"],
+    effective: Float[np.ndarray, " joints"],
+) -> CorrelatedErrors:
+    """What residuals as they are, correlated in time and across joints, do to a fit.
+
+    With positions eliminated, a fit is a regression whose rows are what an equation or a reading
+    says of the border beyond what it says of positions. The sum over time of these rows times
+    residuals makes the error of the fit; its variance is the height of its spectrum at frequency
+    zero, estimated as for least squares (`correlated_covariance`). For white noise of the levels
+    that weights assume, it is the inverse of the information; for a model that lacks something it
+    is larger, often by far. What is known beforehand adds its part, for it is no sum over time.
+    """
+    covariance = correlated_covariance(sums, jnp.asarray(inverse), jnp.asarray(used))
+    objective = linear.objective
+    known = inverse * (objective.scale**2 * objective.weights.border)
+    total = np.asarray(covariance) + known @ inverse
+    return CorrelatedErrors(0.5 * (total + total.T), float(used.sum()), effective)
+
+
+def cosine_sums(
+    rows: Float[np.ndarray, "samples rows border"],
+    scores: Float[np.ndarray, "samples border"],
+    used: Float[np.ndarray, " components"],
+) -> CosineSums:
+    """Components of scores, and how much of rows is in each."""
+    samples, _, border = rows.shape
+    number = np.arange(1, len(used) + 1)[:, None]
+
+    def cosines(phase: np.ndarray) -> np.ndarray:
+        return used[:, None] * np.sqrt(2.0) * np.cos(np.pi * number * phase[None, :])
+
+    stretches = np.array_split(np.arange(samples), min(_STRETCHES, samples))
+    grams = np.empty((len(stretches), border, border))
+    for gram, stretch in zip(grams, stretches, strict=True):
+        flat = rows[stretch[0] : stretch[-1] + 1].reshape(-1, border)
+        gram[:] = flat.T @ flat
+    middle = cosines(np.array([stretch.mean() + 0.5 for stretch in stretches]) / samples)
+    return CosineSums(
+        jnp.asarray(cosines((np.arange(samples) + 0.5) / samples) @ scores),
+        jnp.asarray(np.tensordot(middle, grams, axes=1)),
+        jnp.asarray(np.tensordot(np.sum(middle**2, axis=0), grams, axes=1)),
+    )
