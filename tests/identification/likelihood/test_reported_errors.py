@@ -28,10 +28,10 @@ def test_white_noise_is_seldom_rejected() -> None:
     rng = np.random.default_rng(1)
     all_of_noise = [whiteness_of(rng.normal(size=(SAMPLES, 2))) for _ in range(400)]
     ratios = np.array([one.ratio for one in all_of_noise])
-    freedom = all_of_noise[0].degrees_of_freedom
-    assert_allclose(freedom, COMPONENTS * COLUMNS, rtol=0.02)
-    assert_allclose(ratios.mean(), 1.0, atol=4 * np.sqrt(2 / freedom / len(ratios)))
-    assert_allclose(ratios.std(), np.sqrt(2 / freedom), rtol=0.15)
+    degrees = all_of_noise[0].degrees_of_freedom
+    assert_allclose(degrees, COMPONENTS * COLUMNS, rtol=0.02)
+    assert_allclose(ratios.mean(), 1.0, atol=4 * np.sqrt(2 / degrees / len(ratios)))
+    assert_allclose(ratios.std(), np.sqrt(2 / degrees), rtol=0.15)
     assert 0.01 < np.mean([not one.white() for one in all_of_noise]) < 0.10
 
 

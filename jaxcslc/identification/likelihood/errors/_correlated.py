@@ -70,8 +70,8 @@ def reported_errors(
     least = np.diag(bound)
     ratio = np.diag(sandwich.covariance) / np.where(least > 0.0, least, np.inf)
     growth = np.sqrt(np.where(whiteness.exceeds(ratio), ratio, 1.0))
-    freedom = max(float(counted.sum()) - len(bound), 1.0)
-    return CorrelatedErrors(growth[:, None] * bound * growth, freedom, effective)
+    count = max(float(counted.sum()) - len(bound), 1.0)
+    return CorrelatedErrors(growth[:, None] * bound * growth, count, effective)
 
 
 def _sandwich(

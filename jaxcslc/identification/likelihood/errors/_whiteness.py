@@ -58,8 +58,8 @@ class Whiteness:
         spread = inverse @ gram
         total = float(np.trace(spread))
         expected = components * total * max(1.0 - taken / before, _LEAST_LEFT)
-        freedom = components * total**2 / float(np.sum(spread * spread.T))
-        return cls(components, square / expected, freedom)
+        count = components * total**2 / float(np.sum(spread * spread.T))
+        return cls(components, square / expected, count)
 
     def white(self) -> bool:
         """Whether white noise explains all coefficients together."""
@@ -70,6 +70,6 @@ class Whiteness:
         return ratio > _most(float(self.components))
 
 
-def _most(freedom: float) -> float:
+def _most(count: float) -> float:
     """The mean square of so many standard normal variables that is seldom exceeded."""
-    return float(scipy.special.chdtri(freedom, _LEVEL) / freedom)
+    return float(scipy.special.chdtri(count, _LEVEL) / count)
