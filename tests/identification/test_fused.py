@@ -20,7 +20,7 @@ from jaxcslc.identification.solver.fused import (
     packed_inverses,
     unpacked_products,
 )
-from jaxcslc.network.straight_line import CudaText, Motion as Symbols, Operation, kernels_run
+from jaxcslc.network.straight_line import KernelText, Motion as Symbols, Operation, kernels_run
 
 from .conftest import ORDINARY, Motion, patterns_of
 
@@ -62,7 +62,7 @@ def statements_in_c(network: jc.CSLC, folder: Path) -> Any:
         return operation.text if operation.name == "input" else None
 
     outputs = [(value, f"out[{i}] = {{0}};") for i, (_, _, value) in enumerate(entries)]
-    lines = CudaText(motion.graph, reading).statements(outputs)
+    lines = KernelText(motion.graph, reading).statements(outputs)
     arguments = "const real *q, const real *qd, const real *qdd, real *out"
     source = "\n".join(
         [

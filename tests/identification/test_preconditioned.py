@@ -16,6 +16,7 @@ from jaxcslc.identification.solver import (
     joined_factors,
     minimum,
 )
+from jaxcslc.identification.solver.fused import host_kernel_of
 from scripts.benchmarks.exact_solution import exact_coefficients
 
 from .conftest import ORDINARY, Motion, patterns_of
@@ -63,14 +64,18 @@ MOTIONS = {
 }
 
 
+@pytest.mark.parametrize("by_kernel", [False, True], ids=["JAX", "C"])
 @pytest.mark.parametrize("name", MOTIONS)
 def test_factors_are_those_of_reflections(
-    puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, name: str
+    puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, name: str, *, by_kernel: bool
 ) -> None:
     """R'R alike to rounding, the same rank, and the same coefficients with the same errors."""
+    kernel = host_kernel_of(puma) if by_kernel else None
+    if by_kernel and kernel is None:
+        pytest.skip("no C compiler (cc) on this machine")
     scale, largest = MOTIONS[name]
     motion = motion_of(puma, puma_k, exciting_motion, scale, 1e-2)
-    expected, (factors, _) = reflected(puma, motion), factors_of(puma, motion)
+    expected, (factors, _) = reflected(puma, motion), factors_of(puma, motion, kernel=kernel)
     assert_array_equal(factors.counts, expected.counts)
     for mine, theirs in zip(factors.triangles, expected.triangles, strict=True):
         lengths = np.linalg.norm(theirs, axis=0)

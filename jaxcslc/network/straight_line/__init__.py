@@ -1,13 +1,14 @@
 from ._arrays import array_outputs as array_outputs
+from ._c_library import c_library as c_library
 from ._closed_form import ClosedForm as ClosedForm, nested as nested
 from ._cuda import Kernel as Kernel, assembly as assembly, kernels_run as kernels_run
-from ._cuda_text import CudaText as CudaText
 from ._expressions import (
     Expressions as Expressions,
     Motion as Motion,
     Operation as Operation,
     Value as Value,
 )
+from ._kernel_text import KernelText as KernelText
 from ._program import Program as Program
 from ._recursion import newton_euler as newton_euler
 from ._rigid_body import (

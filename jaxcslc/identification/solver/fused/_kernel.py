@@ -4,7 +4,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from ....network import CSLC
-from ....network.straight_line import CudaText, Kernel, Motion, Operation, Value
+from ....network.straight_line import Kernel, KernelText, Motion, Operation, Value
 
 
 # Of a block: so many warps share 32 patterns. Each computes a part of the columns of all 32, then
@@ -104,7 +104,7 @@ def _source(
             return f"trigonometry[{32 * (2 * angle + (operation.name == 'sin'))} + lane]"
         return None
 
-    text = CudaText(graph, reading)
+    text = KernelText(graph, reading)
     parts = _shared_out(text, outputs)
     columns = [
         text.statements(
@@ -161,7 +161,7 @@ def _by_warp(parts: Sequence[Sequence[str]]) -> str:
     return "\nelse ".join(cases)
 
 
-def _shared_out(text: CudaText, outputs: Sequence[_Output]) -> list[list[_Output]]:
+def _shared_out(text: KernelText, outputs: Sequence[_Output]) -> list[list[_Output]]:
     """Columns by warp: all of a coefficient, or of coefficients nearby, have most in common."""
     below = {output.row: set(text.needed([output.value])) for output in outputs}
 

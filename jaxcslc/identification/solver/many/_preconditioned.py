@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ...._environment import array_namespace, platform_of
 from ....network import AbstractLinearNetwork
 from .._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
-from ..fused import fused_gram_matrices, fused_kernel_of
+from ..fused import HostKernel, fused_gram_matrices, fused_kernel_of
 
 
 # Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30
@@ -102,7 +102,11 @@ def _inverse_and_factor_of_product(gram: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def factors_of(
-    network: AbstractLinearNetwork, motion: Motion, preconditioner: Preconditioner | None = None
+    network: AbstractLinearNetwork,
+    motion: Motion,
+    preconditioner: Preconditioner | None = None,
+    *,
+    kernel: HostKernel | None = None,
 ) -> tuple[JointFactors, Preconditioner]:
     """The factors of many patterns at the speed of matrix products.
 
@@ -119,13 +123,18 @@ def factors_of(
     - `motion`: q, qd, qdd (samples, m), torque and weight (samples, n), on the host or on a
       device; one program is compiled for a number of samples.
     - `preconditioner`: of other patterns like them; of a sample of these if None.
+    - `kernel`: computes products of NumPy's arrays in place of JAX.
 
     **Returns** the factors, NumPy's, and the preconditioner that served.
     """
     if preconditioner is None:
-        preconditioner = sample_of(network, motion)
+        preconditioner = sample_of(network, motion, kernel)
 
     def products_behind(preconditioner: Preconditioner) -> list[np.ndarray]:
+        if kernel is not None:
+            motion_of_host: Any = motion
+            counts = np.sum(motion_of_host[-1] != 0.0, axis=0, dtype=float)
+            return [packed([*kernel.products(preconditioner.inverses, *motion_of_host), counts])]
         return [np.asarray(_products(network, packed(preconditioner.inverses), *motion))]
 
     def reflected() -> JointFactors:
@@ -163,10 +172,16 @@ def refined(
     return reflected(), preconditioner
 
 
-def sample_of(network: AbstractLinearNetwork, motion: Motion) -> Preconditioner:
+def sample_of(
+    network: AbstractLinearNetwork, motion: Motion, kernel: HostKernel | None = None
+) -> Preconditioner:
     """The preconditioner of patterns that are spread over all."""
     # Of the host's arrays the sample alone goes to the device.
     motion = tuple(_spread(x, len(x)) if isinstance(x, np.ndarray) else x for x in motion)
+    if kernel is not None:
+        motion_of_host: Any = motion
+        identities = [np.eye(size) for size in kernel.sizes]
+        return Preconditioner.of_products(kernel.products(identities, *motion_of_host))
     on_gpu = platform_of(motion[0]) != "cpu"
     numbers = np.asarray(_sample(network, *motion, on_gpu=on_gpu))
     return Preconditioner.of_products(unpacked(network, numbers))

@@ -14,6 +14,7 @@ from ...._environment import core_count, platform_of
 from ....motion import Patterns
 from ....network import AbstractLinearNetwork
 from .._factors import JointFactors, joined_factors
+from ..fused import HostKernel, host_kernel_of
 from ._correction import residual_sums
 from ._preconditioned import Preconditioner, factors_of, sample_of
 from ._sharded import factors_of_shards, mesh_of, residual_sums_of_shards
@@ -40,6 +41,7 @@ def factors_of_stream(
     """
     devices = jax.local_devices()
     on_cpu = devices[0].platform == "cpu"
+    kernel = host_kernel_of(network) if on_cpu else None
     workers = workers or (core_count() if on_cpu else _GPU_WORKERS * len(devices))
     parts: list[JointFactors] = []
     preconditioner: Preconditioner | None = None
@@ -48,13 +50,13 @@ def factors_of_stream(
         pieces = _regular(network, chunks, _CPU_LENGTH if on_cpu else _GPU_LENGTH)
         for piece, device in zip(pieces, itertools.cycle(devices), strict=False):
             if preconditioner is None:
-                preconditioner = sample_of(network, piece)
+                preconditioner = sample_of(network, piece, kernel)
             if len(waiting) >= 2 * workers:
                 part, preconditioner = waiting.popleft().result()
                 parts.append(part)
             if len(parts) >= _MOST_PARTS:
                 parts = [joined_factors(parts)]
-            waiting.append(pool.submit(_factors_on, device, network, piece, preconditioner))
+            waiting.append(pool.submit(_factors_on, device, network, piece, preconditioner, kernel))
         parts += [future.result()[0] for future in waiting]
     if not parts:
         raise ValueError("there are no patterns in the stream")
@@ -121,7 +123,10 @@ def _factors_on(
     network: AbstractLinearNetwork,
     piece: _Piece,
     preconditioner: Preconditioner,
+    kernel: HostKernel | None,
 ) -> tuple[JointFactors, Preconditioner]:
+    if kernel is not None:
+        return factors_of(network, piece, preconditioner, kernel=kernel)
     return factors_of(network, jax.device_put(piece, device), preconditioner)
 
 

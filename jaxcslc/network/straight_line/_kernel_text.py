@@ -4,7 +4,7 @@ from ._expressions import Expressions, Operation, Value
 
 
 _SYMBOLS = {"add": "+", "subtract": "-", "multiply": "*"}
-# Of CUDA's mathematics under other names than the graph's, for any x.
+# Of C's mathematics, and CUDA's, under other names than the graph's, for any x.
 _FUNCTIONS = {
     "sign": "(real)(({0} > 0) - ({0} < 0))",
     "positive": "({0} > 0 ? {0} : (real)0)",
@@ -12,8 +12,8 @@ _FUNCTIONS = {
 }
 
 
-class CudaText:
-    """Statements of CUDA C that compute values of a graph, one constant of type `real` each.
+class KernelText:
+    """Statements of C, or CUDA C, that compute values of a graph, a constant of type `real` each.
 
     - `inputs`: what an input or a function's value is in the kernel; None for what statements
       compute.

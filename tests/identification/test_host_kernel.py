@@ -1,0 +1,133 @@
+"""The C code that multiplies columns where it computes them: against NumPy, and without it."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.identification.solver import Preconditioner
+from jaxcslc.identification.solver.fused import host_kernel_of
+from jaxcslc.network.straight_line import c_library
+
+from .conftest import ORDINARY, Motion, patterns_of
+
+
+needs_compiler = pytest.mark.skipif(
+    shutil.which("cc") is None, reason="no C compiler (cc) on this machine"
+)
+ALL_LAWS = ("viscous", "static", "quadratic", "root", "offset", "spring")
+
+
+def network_of(name: str) -> jc.CSLC:
+    if name == "slide":
+        robot = jc.Manipulator.from_modified_dh(
+            [(0, 0, 0, 0), (np.pi / 2, 0.3, 0, 0)], kinds="RP", gravity=(0, 0, -9.81)
+        )
+        return jc.derive(robot.with_friction(*ALL_LAWS), lengths="numeric")
+    return jc.derive(getattr(jc, name)(), lengths="auto")
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["puma560", "panda", "slide"])
+@pytest.mark.parametrize("samples", [1, 300, 4500])
+def test_products_are_those_of_the_regressor(
+    name: str, samples: int, rng: np.random.Generator
+) -> None:
+    """By NumPy, from JAX's regressor; of numbers that fill no block, one, and several pieces."""
+    network = network_of(name)
+    n = network.joint_count
+    q, qd, qdd, torque = rng.uniform(-2.0, 2.0, (4, samples, n))
+    weight = rng.choice([0.0, 1.0, 0.5], (samples, n))
+    kernel = host_kernel_of(network)
+    assert kernel is not None
+    regressor = np.asarray(jax.jit(network.regressor)(q, qd, qdd))
+    rows = [
+        np.c_[regressor[:, j, list(support)], torque[:, j]] * weight[:, j, None]
+        for j, support in enumerate(network.support)
+    ]
+    # Pivoted triangles, well conditioned: the order of rows is not that of columns.
+    triangles = [np.triu(rng.uniform(1.0, 2.0, (x.shape[1],) * 2)) for x in rows]
+    inverses = [x[rng.permutation(len(x))] for x in triangles]
+    products = kernel.products(inverses, q, qd, qdd, torque, weight)
+    for product, joint_rows, inverse in zip(products, rows, inverses, strict=True):
+        expected = (joint_rows @ inverse).T @ (joint_rows @ inverse)
+        assert_allclose(product, expected, atol=1e-12 * max(np.max(np.abs(expected)), 1.0))
+
+
+@needs_compiler
+def test_columns_of_zeros_and_numbers_that_are_not_finite(
+    puma: jc.CSLC, rng: np.random.Generator
+) -> None:
+    kernel = host_kernel_of(puma)
+    assert kernel is not None
+    q, qd, qdd, torque = rng.uniform(-2.0, 2.0, (4, 50, 6))
+    motion = q, 0.0 * qd, 0.0 * qdd, 0.0 * torque, np.ones((50, 6))
+    identities = [np.eye(size) for size in kernel.sizes]
+    still = Preconditioner.of_products(kernel.products(identities, *motion))
+    assert all(np.all(np.isfinite(x)) for x in kernel.products(still.inverses, *motion))
+    motion[0][20, 1] = np.nan
+    assert np.isnan(kernel.products(identities, *motion)[1]).any()
+
+
+@needs_compiler
+def test_a_fit_is_the_same_without_a_compiler(
+    puma: jc.CSLC,
+    puma_k: jax.Array,
+    exciting_motion: Motion,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    noise = 0.1 * rng.normal(size=(3000, 6))
+    patterns = patterns_of(puma, puma_k, exciting_motion, noise)
+    compiled = ORDINARY.fit_stream(puma, [patterns])
+    c_library.cache_clear()
+    monkeypatch.setenv("CC", "")
+    assert host_kernel_of(puma) is None
+    without = ORDINARY.fit_stream(puma, [patterns])
+    c_library.cache_clear()
+    error = np.abs(np.asarray(compiled.k) - np.asarray(without.k))
+    assert np.max(error / np.asarray(without.standard_error)) < 1e-9
+
+
+def test_what_cannot_be_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A compiler that is missing, that fails, and a program that is wrong."""
+    for command in ("", "no-such-compiler", "false"):
+        c_library.cache_clear()
+        monkeypatch.setenv("CC", command)
+        assert c_library("int one(void) { return 1; }") is None
+    c_library.cache_clear()
+    monkeypatch.delenv("CC")
+    assert c_library("int one(void) { return") is None
+
+
+@needs_compiler
+def test_programs_are_kept_where_jax_keeps_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = f"int number(void) {{ return {42}; }}"
+    config: Any = jax.config
+    before = config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
+    try:
+        c_library.cache_clear()
+        library = c_library(source)
+        assert library is not None and library.number() == 42
+        (kept,) = (tmp_path / "cache").iterdir()
+        kept.chmod(0o600)
+        written = kept.stat().st_mtime_ns
+        c_library.cache_clear()
+        assert c_library(source) is not None and kept.stat().st_mtime_ns == written
+        damaged = kept.with_name("damaged")
+        damaged.write_bytes(b"half a library")
+        damaged.replace(kept)
+        c_library.cache_clear()
+        again = c_library(source)
+        assert again is not None and again.number() == 42
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+        c_library.cache_clear()
