@@ -1,13 +1,12 @@
-import os
 import sys
 
 
 def main() -> None:
     """The command `jaxcslc`: wrong input ends it with one line and exit code 2, Ctrl-C with 130."""
-    # Matrices are small: more threads of BLAS only wait for each other. On two cores they took 1.8
-    # of the 9.9 s of processor time of an identification of 3,300 samples.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
+        from ._process import prepare_process
+
+        prepare_process()
         # Imported here: Ctrl-C during an import then ends the command as quietly as later on.
         from ._app import run
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import jax
 import typer
 
+from ._process import collect_garbage
+
 
 if TYPE_CHECKING:
     app: typer.Typer
@@ -53,7 +55,11 @@ def run() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     typed = "".join(sys.argv[1:2])
-    application([typed] if typed in _COMMANDS else () if typed == "--version" else _COMMANDS)()
+    command = application(
+        [typed] if typed in _COMMANDS else () if typed == "--version" else _COMMANDS
+    )
+    collect_garbage()
+    command()
 
 
 def _version(asked: bool) -> bool:
