@@ -171,6 +171,23 @@ class Table(AbstractBlock):
                     f" got {len(row)}"
                 )
 
+    @classmethod
+    def of_columns(
+        cls,
+        columns: Sequence[Column],
+        values: Sequence[Sequence[Value]],
+        caption: str = "",
+        name: str = "",
+    ) -> "Table":
+        """A table from its columns' values, those of a column side by side.
+
+        **Raises** `ValueError` for columns of different lengths.
+
+        >>> Table.of_columns((Column("joint"), Column("RMS [N m]")), ((1, 2), (0.3, 0.2))).rows
+        ((1, 0.3), (2, 0.2))
+        """
+        return cls(tuple(columns), tuple(zip(*values, strict=True)), caption, name)
+
 
 @dataclasses.dataclass(frozen=True)
 class Code(AbstractBlock):

@@ -5,7 +5,6 @@ from ._coefficient_table import (
 )
 from ._comparison import (
     ReportComparison as ReportComparison,
-    SavedResult as SavedResult,
     compare_reports as compare_reports,
 )
 from ._derivation_report import (
@@ -37,6 +36,7 @@ from ._saved import (
     load_report as load_report,
     load_settings as load_settings,
 )
+from ._saved_result import SavedResult as SavedResult
 from ._verdicts import Verdict as Verdict, verdicts as verdicts
 from ._warnings import condition_warning as condition_warning, fit_warnings as fit_warnings
 from .page import (

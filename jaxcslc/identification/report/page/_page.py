@@ -1,5 +1,4 @@
 import json
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +19,7 @@ from ....page import (
     Section,
     Table,
 )
-from ._bodies import arm_chart
+from ._bodies_section import bodies_section
 from ._estimators import estimators_section
 from ._horizon import horizon_section
 from ._summary import VERDICT_TONES, counted, summary
@@ -52,7 +51,7 @@ def report_page(data: Mapping[str, Any], *, charts: bool = True) -> Page:
         _coefficients(data),
         _excitation(data, charts=charts),
         *([_friction(data)] if charts and data["friction"] else []),
-        *([_bodies(data, charts=charts)] if data["bodies"] else []),
+        *([bodies_section(data, charts=charts)] if data["bodies"] else []),
         _settings(data),
         _repeat(data),
     )
@@ -85,7 +84,7 @@ def _data_check(data: Mapping[str, Any]) -> Section:
             f"{name} recording: {recording['samples']} samples, {recording['duration']:.4g} s{rate}"
         )
         columns = [
-            _name_column(data),
+            Column(data["kind"], numeric=False),
             Column("fitted [%]", "samples that masks leave in", digits=3),
         ]
         values: list[list[Any]] = [[100 * share for share in recording["share_judged"]]]
@@ -100,7 +99,7 @@ def _data_check(data: Mapping[str, Any]) -> Section:
         values.append(recording["quality"]["all"]["torque_rms"])
         columns.append(Column("unit", numeric=False))
         values.append(data["units"])
-        blocks.append(_table(columns, [data["joints"], *values], caption, f"data-{name}"))
+        blocks.append(Table.of_columns(columns, [data["joints"], *values], caption, f"data-{name}"))
     if data["several"] is not None:
         blocks.append(_several(data))
     return Section(
@@ -134,7 +133,7 @@ def _several(data: Mapping[str, Any]) -> Table:
 def _errors(data: Mapping[str, Any]) -> Section:
     quantity, held_out = data["quantity"], data["held_out"]
     columns = [
-        _name_column(data),
+        Column(data["kind"], numeric=False),
         Column("RMS, judged", f"root mean square of measured less predicted {quantity}"),
         Column("RMS, all"),
         Column("unit", numeric=False),
@@ -152,10 +151,10 @@ def _errors(data: Mapping[str, Any]) -> Section:
             *(judged["percent"], everything["percent"]),
             *(judged["r_squared"], everything["r_squared"]),
         ]
-        blocks.append(_table(columns, values, f"{name} recording", f"errors-{name}"))
+        blocks.append(Table.of_columns(columns, values, f"{name} recording", f"errors-{name}"))
     if held_out is not None:
         held_out_columns = [
-            _name_column(data),
+            Column(data["kind"], numeric=False),
             *(Column("RMS, fitted"), Column("RMS, held out"), Column("unit", numeric=False)),
             Column("ratio", digits=3),
             Column("limit", "largest ratio that noise explains", digits=3),
@@ -166,7 +165,7 @@ def _errors(data: Mapping[str, Any]) -> Section:
             *(held_out["ratio"], held_out["limit"]),
         ]
         caption = f"motion that was not fitted ({held_out['source']})"
-        blocks.append(_table(held_out_columns, values, caption, "held-out"))
+        blocks.append(Table.of_columns(held_out_columns, values, caption, "held-out"))
     return Section(
         "Errors",
         f"Measured less predicted {quantity}, as root mean square (RMS), in % of the RMS"
@@ -240,7 +239,7 @@ def _excitation(data: Mapping[str, Any], *, charts: bool) -> Section:
         columns = [Column("coefficients", numeric=False), Column("condition")]
         groups = excitation["groups"]
         values = [[row["coefficients"] for row in groups], [row["condition"] for row in groups]]
-        tables.append(_table(columns, values, "Condition number", "excitation-table"))
+        tables.append(Table.of_columns(columns, values, "Condition number", "excitation-table"))
     columns = [
         Column("coefficient", numeric=False),
         Column("and", numeric=False),
@@ -249,7 +248,9 @@ def _excitation(data: Mapping[str, Any], *, charts: bool) -> Section:
     pairs = data["correlated"]
     if pairs:
         values = [[pair[name] for pair in pairs] for name in ("first", "second", "correlation")]
-        tables.append(_table(columns, values, "Most correlated coefficients", "correlated"))
+        tables.append(
+            Table.of_columns(columns, values, "Most correlated coefficients", "correlated")
+        )
     else:
         tables.append(Paragraph("No two coefficients are correlated by more than 0.9."))
     blocks.append(Grid(tuple(tables)))
@@ -281,73 +282,6 @@ def _friction(data: Mapping[str, Any]) -> Section:
         " beside a straight line calls for another friction term.",
         [Grid(tuple(charts))],
     )
-
-
-def _bodies(data: Mapping[str, Any], *, charts: bool) -> Section:
-    bodies = data["bodies"]
-    columns = [
-        Column("body", numeric=False),
-        Column("mass [kg]"),
-        *(Column(f"r{axis} [m]") for axis in "xyz"),
-        *(Column(f"I{axis}{axis} [kg m²]") for axis in "xyz"),
-        Column("motor inertia [kg m²]"),
-    ]
-    rows = tuple(
-        (
-            *(name, link["mass"], *link["centre"]),
-            *(link["inertia"][axis][axis] for axis in range(3)),
-            link["motor_inertia"],
-        )
-        for name, link in zip(bodies["names"], bodies["links"], strict=True)
-    )
-    table = Table(tuple(columns), rows, "Masses, centres of gravity, moments of inertia", "bodies")
-    blocks: list[AbstractBlock] = [
-        Paragraph(
-            f"Coefficients move by {bodies['distance']:.3g} standard errors (root mean square) to"
-            " be those of possible bodies."
-        ),
-        table,
-    ]
-    if bodies["judged"] is not None:
-        blocks += _judged_bodies(data, bodies["judged"])
-    if charts and bodies["arm"] is not None:
-        blocks.append(arm_chart(bodies["arm"]))
-    elif charts:
-        blocks.append(Paragraph(f"Not drawn: {bodies['no_arm']}"))
-    return Section(
-        "Possible bodies",
-        "The masses, centres of gravity and inertia tensors nearest to the fit that bodies can"
-        " have. What the motion does not determine is that of the prior. In the frames of the"
-        " robot's file and without what the file fixes to a body, inertia about the centre of"
-        " gravity.",
-        blocks,
-    )
-
-
-def _judged_bodies(data: Mapping[str, Any], judged: Mapping[str, Any]) -> list[AbstractBlock]:
-    """How bodies and free fit predict motion that neither was fitted to."""
-    change, error = 100 * math.expm1(judged["change"]), 100 * judged["change_error"]
-    used = "the bodies'" if judged["used"] else "the free fit's"
-    text = (
-        f"On motion that was left out in turn, errors of the bodies are {change:+.2g} % ±"
-        f" {error:.2g} % on average beside those of the free fit: this report's coefficients are"
-        f" {used}."
-    )
-    ratio = [
-        ours / theirs if theirs else None
-        for ours, theirs in zip(judged["held_out_rms"], judged["free_held_out_rms"], strict=True)
-    ]
-    columns = [
-        _name_column(data),
-        *(Column("RMS, free fit"), Column("RMS, possible bodies")),
-        *(Column("unit", numeric=False), Column("ratio", digits=3)),
-    ]
-    values = [
-        data["joints"],
-        *(judged["free_held_out_rms"], judged["held_out_rms"], data["units"], ratio),
-    ]
-    caption = f"motion that was not fitted ({judged['source']})"
-    return [Paragraph(text), _table(columns, values, caption, "bodies-held-out")]
 
 
 def _settings(data: Mapping[str, Any]) -> Section:
@@ -401,14 +335,5 @@ def _repeat(data: Mapping[str, Any]) -> Section:
     )
 
 
-def _name_column(data: Mapping[str, Any]) -> Column:
-    return Column(data["kind"], numeric=False)
-
-
 def _axis(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
-
-
-def _table(columns: list[Column], values: list[list[Any]], caption: str, name: str) -> Table:
-    """A table from its columns' values."""
-    return Table(tuple(columns), tuple(zip(*values, strict=True)), caption, name)

@@ -1,0 +1,77 @@
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .._systematic import SystematicError, standard_uncertainty
+from ..solver import Identification
+from ._saved import identification_file
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SavedResult:
+    """What is compared of a report's `identification.json`, without its robot.
+
+    **Attributes**
+
+    - `name`: of the folder or file.
+    - `robot`: that was identified, or another system.
+    - `fit`: the `Identification`.
+    - `uncertainty`: (p,) of each coefficient, systematic errors included.
+    - `document`: everything in the file.
+
+    `compare_reports` reads two.
+    """
+
+    name: str
+    robot: str
+    fit: Identification
+    uncertainty: Float[np.ndarray, " coefficients"]
+    document: Mapping[str, Any]
+
+    @classmethod
+    def load(cls, path: str | Path) -> "SavedResult":
+        """Reads the `identification.json` of a folder, or a file of its kind.
+
+        **Raises**
+
+        - `ValueError`: there is no such file, or it holds something else.
+        """
+        file = identification_file(path)
+        try:
+            fit = Identification.load(file)
+            document = json.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ValueError(f"{file}: no such identification") from None
+        except OverflowError as error:
+            raise ValueError(f"{file}: {error}") from None
+        robot = document.get("robot", document.get("system", ""))
+        uncertainty = standard_uncertainty(fit, _systematic(document, fit, file))
+        return cls(str(path), str(robot), fit, uncertainty, document)
+
+    def entry(self, name: str, default: Any) -> Any:
+        """An entry of the file if it is of the default's type, or else the default."""
+        value = self.document.get(name, default)
+        return value if isinstance(value, type(default)) else default
+
+
+def _systematic(
+    document: Mapping[str, Any], fit: Identification, file: Path
+) -> SystematicError | None:
+    parts = document.get("systematic_error")
+    if parts is None:
+        return None
+    try:
+        arrays = {str(name): np.asarray(values, float) for name, values in parts.items()}
+    except (AttributeError, TypeError, ValueError):
+        raise ValueError(f"{file}: systematic_error: expected numbers by cause") from None
+    for name, values in arrays.items():
+        if values.shape != (len(fit.names),) or not np.all(np.isfinite(values)):
+            raise ValueError(
+                f"{file}: systematic_error, {name}: expected {len(fit.names)} finite numbers"
+            )
+    return SystematicError(arrays) if arrays else None
