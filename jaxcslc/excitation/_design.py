@@ -34,7 +34,7 @@ from ._limits import Limits, Surroundings
 from ._noise import Noise
 from ._result import UNDETERMINED, Design
 from ._search import Problem, Search
-from ._task import body_prior, random_parameters, random_states, task_products
+from ._task import body_prior, random_parameters, random_products, task_products
 
 
 FamilyName = Literal["splines", "fourier", "periodic", "moves"]
@@ -206,11 +206,14 @@ class Planner:
         torque = np.where(np.isfinite(limits.torque), limits.torque, 100 * deviation)
         size = coefficient_sizes(network, knowledge.k, typical, torque)
         information = MotionInformation(network, knowledge.k, size, noise, interval)
-        if task is None and criterion in ON_TASK:
-            task = random_states(check, network, model, time, np.random.default_rng(seed))
-        of_task = (
-            body_prior(network, size) if criterion == "bodies" else task_products(information, task)
-        )
+        of_task: Any = np.zeros((network.size, network.size))
+        if criterion == "bodies":
+            of_task = body_prior(network, size)
+        elif task is not None:
+            of_task = task_products(information, task)
+        elif criterion in ON_TASK:
+            rng = np.random.default_rng(seed)
+            of_task = random_products(information, check, model, time, rng)
         problem = Problem.of(
             information,
             family,

@@ -241,11 +241,18 @@ def coefficient_sizes(
     - `motion`: `q`, `qd`, `qdd`, typical of the robot.
     - `torque`: (n,) of each joint [N m or N].
     """
-    regressor = np.asarray(_regressor(network, *(jnp.asarray(x) for x in motion)))
+    regressor = regressor_of(network, *motion)
     column = np.sqrt(np.mean(regressor**2, axis=0)) / torque[:, None]
     largest = column.max(axis=0)
     least = share / np.where(largest > 0.0, largest, np.inf)
     return np.maximum(np.abs(k), np.where(least > 0.0, least, 1.0))
+
+
+def regressor_of(
+    network: CSLC, q: Any, qd: Any, qdd: Any
+) -> Float[np.ndarray, "samples joints coefficients"]:
+    """The regressor of a motion on the host; a program for each number of samples."""
+    return np.asarray(_regressor(network, *(jnp.asarray(x) for x in (q, qd, qdd))))
 
 
 @eqx.filter_jit

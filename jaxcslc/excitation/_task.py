@@ -1,6 +1,5 @@
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -9,7 +8,7 @@ from ..motion import Preparation, Recording
 from ..network import CSLC
 from ._families import Parameters, Times
 from ._feasibility import DenseCheck
-from ._information import Motion, MotionInformation
+from ._information import MotionInformation, regressor_of
 
 
 _TASKS, _TASK_STRIDE = 40, 5  # random motions on which torques matter, samples apart
@@ -37,20 +36,21 @@ def random_parameters(
     return check.within_kinematic_limits(parameters, 0.9)
 
 
-def random_states(
+def random_products(
+    information: MotionInformation,
     check: DenseCheck,
-    network: CSLC,
     k: Float[np.ndarray, " coefficients"] | None,
     time: Times,
     rng: np.random.Generator,
-) -> Motion:
-    """States of random motions all over the ranges, those whose torques keep the limits.
+) -> Float[np.ndarray, "_ _"]:
+    """Mean squared torque, over the noise's, of errors of coefficients, in states of random motions
+    all over the ranges: those whose torques keep the limits.
 
     **Arguments**
 
     - `check`: of limits, with the family of the motions.
     - `k`: (p,) the model of torques; None if there is none.
-    - `time`: of the states.
+    - `time`: of the motions.
     """
     limits, family = check.limits, check.family
     half = (limits.high - limits.low) / 2
@@ -58,26 +58,29 @@ def random_states(
         family.motion(random_parameters(check, limits.middle + half * pose, rng), time)
         for pose in rng.uniform(-0.8, 0.8, (_TASKS, len(half)))
     ]
-    q, qd, qdd = (np.concatenate(x)[::_TASK_STRIDE] for x in zip(*motions, strict=True))
-    if k is None:
-        return q, qd, qdd
-    torque = network.torque(jnp.asarray(k), jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd))
-    within = np.all(np.abs(np.asarray(torque)) <= limits.usable_torque, axis=1)
-    within |= not within.any()
-    return q[within], qd[within], qdd[within]
+    states = (np.concatenate(x)[::_TASK_STRIDE] for x in zip(*motions, strict=True))
+    # Of all states, whose number is the same for all limits: programs are compiled once.
+    regressor = regressor_of(information.network, *states)
+    if k is not None:
+        within = np.all(np.abs(regressor @ k) <= limits.usable_torque, axis=1)
+        regressor = regressor[within | (not within.any())]
+    return _products(information, regressor)
 
 
 def task_products(information: MotionInformation, task: Any) -> Float[np.ndarray, "_ _"]:
     """Mean squared torque, over the noise's, of errors of coefficients on a motion."""
-    network, size = information.network, information.size
-    if task is None:
-        return np.zeros((network.size, network.size))
     if isinstance(task, Recording):
         task = Preparation().derivatives(task)
-    rows = np.asarray(network.regressor(*(jnp.asarray(x) for x in task))) * size
-    deviation = information.noise.torque_deviation(network.joint_count)
-    rows = (rows / deviation[:, None]).reshape(-1, network.size)
-    return rows.T @ rows / (len(rows))
+    return _products(information, regressor_of(information.network, *task))
+
+
+def _products(
+    information: MotionInformation, regressor: Float[np.ndarray, "samples joints coefficients"]
+) -> Float[np.ndarray, "_ _"]:
+    deviation = information.noise.torque_deviation(information.network.joint_count)
+    rows = regressor * information.size / deviation[:, None]
+    rows = rows.reshape(-1, information.network.size)
+    return rows.T @ rows / len(regressor)
 
 
 class BodyPrior(NamedTuple):

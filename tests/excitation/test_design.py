@@ -187,6 +187,32 @@ def test_a_design_for_bodies_is_better_than_its_start() -> None:
     assert design.value < 1.0
 
 
+def test_other_limits_compile_nothing_more(pendulum_planner: Planner) -> None:
+    """However many random states limits of torque leave, programs are those of all states."""
+    compiled: list[str] = []
+
+    def count(event: str, seconds: float, **_: Any) -> None:
+        if event.endswith("backend_compile_duration"):
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(count)
+    network = pendulum_planner.problem.information.network
+    tasks: list[np.ndarray] = []
+    for torque in (30.0, 12.0, 9.0):
+        compiled.clear()
+        limits = dataclasses.replace(pendulum_planner.limits, torque=np.array([torque]))
+        planner = Planner.of(
+            network,
+            limits,
+            pendulum_planner.noise,
+            pendulum_planner.family,
+            knowledge=pendulum_planner.knowledge,
+        )
+        tasks.append(np.asarray(planner.problem.task))
+    assert not compiled
+    assert not np.allclose(tasks[1], tasks[2])
+
+
 def test_an_infeasible_wish_names_the_limit() -> None:
     arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
     network = jc.derive(arm.with_friction("viscous"), lengths="numeric")

@@ -112,6 +112,7 @@ def random_arms(structure: int, count: int = ARMS_PER_STRUCTURE) -> dict[str, An
             continue
         worst.append(_most_used(design))
         scales.append(design.scale)
+    jax.clear_caches()  # compiled for this arm alone
     return {"worst": worst, "scales": scales, "infeasible": infeasible}
 
 
