@@ -1,7 +1,7 @@
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,16 +24,12 @@ from ..possible import (
 from ..prior import Known, Prior, with_knowledge
 from ..report import Report, compare, degree_of_excitation, fit_warnings
 from ..solver import Identification, torque_of
+from ._checks import EstimatorChoice, check_size
 
-
-EstimatorChoice = Literal["least-squares", "maximum-likelihood", "instrumental-variables", "auto"]
-"""An estimator, or whichever of the first two predicts motion that was not fitted better."""
 
 # Without a validation recording, estimators are judged on this part of each recording, its last;
 # in as many stretches, whose spread says what is chance.
 _HELD_OUT, _STRETCHES = 0.25, 8
-# Matrices of positions times coefficients that a fit keeps at a time.
-_MATRICES = 6
 # A recording of fewer samples is not divided.
 _FEWEST_SAMPLES = 400
 
@@ -70,7 +66,7 @@ def with_likelihood(
     - `ValueError`, `RuntimeError`: as `MaximumLikelihood.fit`, unless `"auto"`.
     """
     try:
-        _check_size(network, training, memory)
+        check_size(network, training, memory)
         judged = _Judged(
             report,
             network,
@@ -122,14 +118,16 @@ class _Judged:
         """The report of the estimator that is asked for, or better."""
         base = self.least_squares
         self.step("maximum likelihood")
-        likelihood = self._estimator.fit(
+        likelihood = self._with_bodies.fit(
             self.network, self._on_time(self.training.values()), self._first, self.step
         )
         unfitted = self._unfitted(likelihood)
         parts = Part.held_out(
             likelihood.network, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES
         )
-        fit = with_knowledge(likelihood.fit, self._known)
+        fit = likelihood.free
+        if fit is None:
+            fit = with_knowledge(likelihood.fit, self._known)
         bodies, _, sentences = judged_bodies(
             likelihood.network,
             fit,
@@ -138,6 +136,7 @@ class _Judged:
             choice=self.possible,
             prior=self.prior,
             source=unfitted.source,
+            parameters=likelihood.bodies,
             step=self.step,
         )
         self.step("judging estimators")
@@ -169,7 +168,7 @@ class _Judged:
         base = dataclasses.replace(base, estimators=comparison, notes=notes)
         if better == "least-squares":
             return base
-        fit = fit if bodies is None else bodies.fit
+        fit = fit if bodies is None else bodies.fit if likelihood.free is None else likelihood.fit
         judged = errors["maximum-likelihood"], mask, unfitted.source
         base = self._of_likelihood(base, likelihood, fit, bodies, judged)
         return dataclasses.replace(base, warnings=(*sentences, *base.warnings))
@@ -183,6 +182,18 @@ class _Judged:
             torque_sampling="sampled" if alignment == "sample" else "held",
             settings=settings.with_options(torque_lag=0.0),
         )
+
+    @property
+    def _with_bodies(self) -> MaximumLikelihood:
+        """The estimator of everything, whose search has possible bodies if they are used anyway."""
+        prior = self.prior or Prior()
+        bounds = any(
+            entry.value is None or entry.low > -np.inf or entry.high < np.inf
+            for entry in prior.coefficients.values()
+        )
+        if bounds or not (self.possible == "always" or prior.links):
+            return self._estimator
+        return dataclasses.replace(self._estimator, possible=True, prior=prior)
 
     @property
     def _first(self) -> Identification | None:
@@ -339,50 +350,6 @@ class _Judged:
         result = judged_errors(fitted, np.asarray(training.mask), error, mask, int(fit.rank))
         return dataclasses.replace(
             result, source=source, units=network.output_units, names=network.output_names
-        )
-
-
-def check_estimator(
-    estimator: str,
-    *,
-    previous: bool,
-    offsets: bool,
-    recordings: int,
-    possible: Choice,
-    likelihood: MaximumLikelihood | None,
-) -> None:
-    """**Raises** `ValueError` for an unknown estimator, and what only least squares can do."""
-    if estimator not in get_args(EstimatorChoice):
-        raise ValueError(
-            f"estimator: expected {', '.join(get_args(EstimatorChoice))}, got {estimator!r}"
-        )
-    if likelihood is not None and (likelihood.unknowns or likelihood.prior is not None):
-        raise ValueError(
-            "likelihood: unknowns of torque and a prior of its own are for MaximumLikelihood.fit;"
-            " expected neither"
-        )
-    if likelihood is not None and estimator not in ("maximum-likelihood", "auto"):
-        raise ValueError(f"estimator {estimator!r}: takes no options of maximum likelihood")
-    if estimator != "least-squares" and (previous or offsets):
-        option = "previous" if previous else "offsets"
-        raise ValueError(f"estimator {estimator!r}: not with {option}, which is of least-squares")
-    if estimator == "instrumental-variables":
-        if recordings > 1:
-            raise ValueError(f"estimator {estimator!r}: is for one recording, got {recordings}")
-        if possible == "always":
-            raise ValueError(f"estimator {estimator!r}: fits no possible bodies; got 'always'")
-
-
-def _check_size(network: CSLC, training: Mapping[str, Recording], memory: float) -> None:
-    """**Raises** `ValueError` if the matrices of a fit do not fit into memory [GB]."""
-    samples = sum(recording.samples for recording in training.values())
-    n = network.joint_count
-    numbers = samples * n * (network.size + 2 * n) * _MATRICES
-    if 8e-9 * numbers > memory:
-        most = int(memory / (8e-9 * numbers / samples))
-        raise ValueError(
-            f"maximum likelihood of {samples} samples needs {8e-9 * numbers:.2g} GB; expected at"
-            f" most {memory:g} GB, about {most} samples: thin the recording, or allow more memory"
         )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ...network import CSLC
+from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
 from .errors import CorrelatedErrors, eliminated_rows, independent_covariance, reported_errors
@@ -44,6 +45,9 @@ class LikelihoodFit(eqx.Module):
       encoder; 0 where readings count as normally distributed.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
+    - `bodies`: with `MaximumLikelihood.possible`, those whose coefficients `fit` has; its standard
+      errors are those of coefficients that nothing confines, an upper bound. `free`: the fit
+      without bodies. Both are None otherwise.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
@@ -74,6 +78,8 @@ class LikelihoodFit(eqx.Module):
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
+    bodies: PhysicalParameters | None = None
+    free: Identification | None = None
 
     @property
     def k(self) -> Float[Array, " coefficients"]:

@@ -9,12 +9,13 @@ from ..._environment import require_float64
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
-from ..prior import Known, Prior
+from ..prior import Prior
 from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._objective import Point
 from ._problem import Problem
 from ._start import starting_point
+from .knowledge import check_prior, possible_bodies
 from .search import search
 from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
 
@@ -71,10 +72,13 @@ class MaximumLikelihood:
       positions they were measured, the same for all joints; negative for demands that act later
       than they are recorded. `"torque_gains"`: torque of each joint over what was recorded.
       Gains and coefficients scale together, so that gains need a `prior`.
-    - `prior`: values of coefficients that are known beforehand, with their errors, or fixed.
+    - `prior`: values of coefficients that are known beforehand, with their errors, or fixed; with
+      `possible`, of links, too.
+    - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
+      recording says nothing (`physical_parameters`), with positions that belong to them.
 
     **Raises** `ValueError`: a `torque_sampling`, `errors` or `unknowns` that are none of these,
-    gains without a value that is known, bounds or links in a prior.
+    gains without a value that is known, bounds in a prior, or links without `possible`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -96,6 +100,7 @@ class MaximumLikelihood:
     noise_order: int = 0
     unknowns: tuple[TorqueUnknown, ...] = ()
     prior: Prior | None = None
+    possible: bool = False
 
     def __post_init__(self) -> None:
         if self.torque_sampling not in get_args(TorqueSampling):
@@ -112,7 +117,7 @@ class MaximumLikelihood:
             if name not in get_args(TorqueUnknown):
                 expected = " or ".join(get_args(TorqueUnknown))
                 raise ValueError(f"unknowns: expected {expected}, got {name!r}")
-        _check_prior(self.prior, "torque_gains" in self.unknowns)
+        check_prior(self.prior, gains="torque_gains" in self.unknowns, possible=self.possible)
 
     def fit(
         self,
@@ -139,7 +144,8 @@ class MaximumLikelihood:
 
         - `ValueError`: recording and network differ in joints, the recording is too short, or the
           network has a payload.
-        - `RuntimeError`: the regression that it starts from fails.
+        - `RuntimeError`: the regression that it starts from fails, or no bodies are possible.
+        - `ImportError`: with `possible`, without the conic solver (the extra `inertia`).
         """
         require_float64()
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
@@ -169,7 +175,20 @@ class MaximumLikelihood:
                 edge=near.edge,
                 noise_coefficients=near.noise_coefficients,
             )
-        return likelihood_fit(network, minimum, self.errors)
+        fit = likelihood_fit(network, minimum, self.errors)
+        if not self.possible:
+            return fit
+        levels = (torque_noise, position_noise) if near is None else None
+        return possible_bodies(
+            network,
+            problem,
+            minimum,
+            fit,
+            levels,
+            prior=self.prior,
+            errors=self.errors,
+            progress=report,
+        )
 
     def misfit(
         self,
@@ -239,7 +258,7 @@ class MaximumLikelihood:
             None if self.resolution is None else np.array(self.resolution),
             start,
             self.unknowns,
-            {} if self.prior is None else self.prior.coefficient_values(network),
+            self.prior,
             self.every,
         )
 
@@ -266,21 +285,6 @@ def _values(point: Point, fit: LikelihoodFit | None) -> Float[np.ndarray, " unkn
     if fit is None or not len(point.calibration):
         return point.calibration
     return np.append(fit.torque_lag, fit.torque_gain)
-
-
-def _check_prior(prior: Prior | None, gains: bool) -> None:
-    """**Raises** `ValueError` as `MaximumLikelihood`."""
-    entries: dict[str, Known] = {} if prior is None else dict(prior.coefficients)
-    if prior is not None and prior.links:
-        raise ValueError("prior: maximum likelihood takes coefficients, got links")
-    for name, entry in entries.items():
-        if entry.value is None or entry.low > -np.inf or entry.high < np.inf:
-            raise ValueError(f"prior, {name}: maximum likelihood takes values, got bounds")
-    if gains and not entries:
-        raise ValueError(
-            "torque gains and coefficients scale together; expected a prior that knows the value of"
-            " at least one coefficient, as from a link or payload that was weighed"
-        )
 
 
 def _check(network: CSLC, recordings: Sequence[Recording], every: int) -> None:

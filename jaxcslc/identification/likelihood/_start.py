@@ -1,5 +1,4 @@
 from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -7,7 +6,7 @@ from jaxtyping import Bool, Float
 from ...motion import Patterns, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
-from ..prior import Known
+from ..prior import Prior
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
 from ._objective import Point
@@ -15,6 +14,7 @@ from ._problem import Problem
 from ._readings import Readings
 from ._signs import rests
 from .equations import Stretches
+from .knowledge._prior_values import prior_values
 from .torque import TorqueCalibration, TorqueSampling, TorqueUnknown
 
 
@@ -42,14 +42,14 @@ def starting_point(
     resolution: Joints | None,
     start: Identification | None,
     unknowns: tuple[TorqueUnknown, ...] = (),
-    known_values: Mapping[int, Known] = MappingProxyType({}),
+    prior: Prior | None = None,
     every: int = 1,
 ) -> tuple[Problem, Point, Recordings, Recordings]:
     """The problem of recordings, and where its search starts: regression on smoothed motion.
 
     **Arguments** as attributes of `MaximumLikelihood`, and
 
-    - `known_values`: by index of a coefficient, values that are known beforehand.
+    - `prior`: values of coefficients that are known beforehand.
 
     **Returns** the problem, the point, and the noise of torque and of positions.
 
@@ -92,7 +92,7 @@ def starting_point(
     if start is None:
         k[static.indices] = _STATIC_SHARE * static.dry(k)[static.joints]
     calibration = TorqueCalibration(readings.torque, unknowns)
-    values, precision, fixed = _knowledge(known_values, p)
+    values, precision, fixed = prior_values(prior, network)
     k[fixed] = values[fixed]
 
     def known(point: Point) -> tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]:
@@ -139,18 +139,6 @@ def starting_point(
     )
     point = Point(k, slopes, calibration.start, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, point, np.array(residual), position_noise
-
-
-def _knowledge(
-    known: Mapping[int, Known], size: int
-) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, " coefficients"]]:
-    """Values, (p,) inverse variances that are 0 where nothing is known, and what is fixed."""
-    values, precision, fixed = np.zeros(size), np.zeros(size), np.zeros(size, bool)
-    for index, entry in known.items():
-        assert entry.value is not None
-        values[index], fixed[index] = entry.value, entry.fixed
-        precision[index] = 0.0 if entry.fixed else entry.error**-2.0
-    return values, precision, fixed
 
 
 def _regression(

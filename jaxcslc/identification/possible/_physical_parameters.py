@@ -1,5 +1,5 @@
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -260,6 +260,30 @@ def physical_parameters(
         problem.distance(k),
         _torque_distance(network, k - problem.k, patterns),
         code,
+    )
+
+
+def distances_from(
+    fit: Fitted,
+    network: CSLC,
+    parameters: PhysicalParameters,
+    patterns: Patterns,
+) -> PhysicalParameters:
+    """Parameters with their distances from another fit than they were computed from."""
+    problem = NearestBodies.from_fit(
+        network.algebra,
+        network.coefficients,
+        fit,
+        inertial=network.layout.inertial,
+        prior=None,
+        fixed=None,
+        weight=parameters.prior_weight,
+        motors=True,
+    )
+    return replace(
+        parameters,
+        distance=problem.distance(parameters.k),
+        torque_distance=_torque_distance(network, parameters.k - problem.k, patterns),
     )
 
 

@@ -18,6 +18,7 @@ from ..solver import FoldFit, Identification, LeastSquares, columns_in, regresso
 from ._movement import moved_bodies, movement_of
 from ._physical_parameters import (
     PhysicalParameters,
+    distances_from,
     fixed_bodies,
     physical_parameters,
     possible_coefficients,
@@ -203,6 +204,7 @@ def possible_fit(
     systematic: SystematicError | None = None,
     always: bool = False,
     knowledge: Sequence[LinkKnowledge] = (),
+    parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> PossibleFit:
     """The possible bodies nearest to a fit, and whether they predict torque better than it does.
@@ -221,6 +223,7 @@ def possible_fit(
     - `systematic`: of the fit: added to the standard errors that movements are counted in.
     - `always`: use the bodies, whatever their errors.
     - `knowledge`: what is known of single parameters of links.
+    - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
     - `step`: is called with a few words at the start of each step.
 
     **Returns** a `PossibleFit`.
@@ -231,9 +234,12 @@ def possible_fit(
     """
     step("fitting possible bodies")
     fixed = fixed_bodies(network.robot)
-    parameters = physical_parameters(
-        network, fit, fixed=fixed, patterns=training, knowledge=knowledge
-    )
+    if parameters is None:
+        parameters = physical_parameters(
+            network, fit, fixed=fixed, patterns=training, knowledge=knowledge
+        )
+    else:
+        parameters = distances_from(fit, network, parameters, training)
     step("judging possible bodies")
     free_errors = [part.errors(part.fit.k) for part in parts]
     # The weight of the whole fit's bodies, found once: searched for in each part, it would cost
@@ -273,6 +279,7 @@ def judged_bodies(
     prior: Prior | None,
     source: Source = "cross-validation",
     systematic: SystematicError | None = None,
+    parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:
     """Possible bodies as `identify` has them.
@@ -307,6 +314,7 @@ def judged_bodies(
                 systematic=systematic,
                 always=always,
                 knowledge=prior.link_values(network.robot),
+                parameters=parameters,
                 step=step,
             )
         except (ValueError, RuntimeError, MissingExtraError) as error:

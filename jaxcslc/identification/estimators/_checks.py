@@ -1,0 +1,60 @@
+from collections.abc import Mapping
+from typing import Literal, get_args
+
+from ...motion import Recording
+from ...network import CSLC
+from ..likelihood import MaximumLikelihood
+from ..possible import Choice
+
+
+EstimatorChoice = Literal["least-squares", "maximum-likelihood", "instrumental-variables", "auto"]
+"""An estimator, or whichever of the first two predicts motion that was not fitted better."""
+
+# Matrices of positions times coefficients that a fit keeps at a time.
+_MATRICES = 6
+
+
+def check_estimator(
+    estimator: str,
+    *,
+    previous: bool,
+    offsets: bool,
+    recordings: int,
+    possible: Choice,
+    likelihood: MaximumLikelihood | None,
+) -> None:
+    """**Raises** `ValueError` for an unknown estimator, and what only least squares can do."""
+    if estimator not in get_args(EstimatorChoice):
+        raise ValueError(
+            f"estimator: expected {', '.join(get_args(EstimatorChoice))}, got {estimator!r}"
+        )
+    if likelihood is not None and (likelihood.unknowns or likelihood.prior is not None):
+        raise ValueError(
+            "likelihood: unknowns of torque and a prior of its own are for MaximumLikelihood.fit;"
+            " expected neither"
+        )
+    if likelihood is not None and likelihood.possible:
+        raise ValueError("likelihood: possible bodies are asked for by possible='always'")
+    if likelihood is not None and estimator not in ("maximum-likelihood", "auto"):
+        raise ValueError(f"estimator {estimator!r}: takes no options of maximum likelihood")
+    if estimator != "least-squares" and (previous or offsets):
+        option = "previous" if previous else "offsets"
+        raise ValueError(f"estimator {estimator!r}: not with {option}, which is of least-squares")
+    if estimator == "instrumental-variables":
+        if recordings > 1:
+            raise ValueError(f"estimator {estimator!r}: is for one recording, got {recordings}")
+        if possible == "always":
+            raise ValueError(f"estimator {estimator!r}: fits no possible bodies; got 'always'")
+
+
+def check_size(network: CSLC, training: Mapping[str, Recording], memory: float) -> None:
+    """**Raises** `ValueError` if the matrices of a fit do not fit into memory [GB]."""
+    samples = sum(recording.samples for recording in training.values())
+    n = network.joint_count
+    numbers = samples * n * (network.size + 2 * n) * _MATRICES
+    if 8e-9 * numbers > memory:
+        most = int(memory / (8e-9 * numbers / samples))
+        raise ValueError(
+            f"maximum likelihood of {samples} samples needs {8e-9 * numbers:.2g} GB; expected at"
+            f" most {memory:g} GB, about {most} samples: thin the recording, or allow more memory"
+        )
