@@ -12,6 +12,7 @@ from jaxcslc.identification import Known, Prior
 
 POOR, RICH = (0.3, 300), (1.5, 1000)  # amplitude [rad] and samples
 NOISE, STEP = 0.2, 0.01
+COUNT = 5e-5  # of the encoders [rad]
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def recording(network: jc.CSLC, k: np.ndarray, size: float, samples: int) -> jc.
     rng = np.random.default_rng(11)
     t, q, qd, qdd = motion(size, samples)
     torque = np.asarray(network.torque(k, q, qd, qdd)) + NOISE * rng.normal(size=q.shape)
-    return jc.Recording(t, q + 1e-5 * rng.normal(size=q.shape), torque)
+    return jc.Recording(t, COUNT * np.round(q / COUNT), torque)
 
 
 ESTIMATOR = jc.MaximumLikelihood(torque_sampling="sampled", possible=True)
@@ -65,8 +66,9 @@ def test_poor_data_give_possible_bodies_nearer_to_the_truth(
         assert float(link.mass) > 0.0
         assert moments[0] > 0.0
         assert moments[2] < moments[0] + moments[1]
-    friction = {"viscous": poor.bodies.friction["viscous"]}
-    assert_allclose(network.coefficients_from(poor.bodies.links, **friction), poor.k, atol=1e-9)
+    viscous = poor.bodies.friction["viscous"]
+    implied = network.coefficients_from(poor.bodies.links, viscous=viscous)
+    assert_allclose(implied, poor.k, atol=1e-9)
     # Torque of other motion, several times as fast.
     _, *other = motion(1.2, 1000, (2.3, 3.1))
     free, possible = (
@@ -74,7 +76,6 @@ def test_poor_data_give_possible_bodies_nearer_to_the_truth(
         for fit in (np.asarray(poor.free.k), np.asarray(poor.k))
     )
     assert possible < 0.5 * free
-    assert_allclose(poor.fit.standard_error, poor.free.standard_error)
 
 
 def test_rich_data_leave_little_to_bodies(network: jc.CSLC, k: np.ndarray) -> None:
@@ -92,9 +93,7 @@ def test_bodies_follow_what_is_known_of_links(network: jc.CSLC, k: np.ndarray) -
     assert_allclose(float(result.bodies.links[1].mass), 1.5, rtol=1e-6)
 
 
-def test_identify_has_the_bodies_of_the_search(
-    network: jc.CSLC, k: np.ndarray, poor: jc.LikelihoodFit
-) -> None:
+def test_identify_has_the_bodies_of_the_search(network: jc.CSLC, k: np.ndarray) -> None:
     train = recording(network, k, *POOR)
     report = jc.identify(
         network,
@@ -110,7 +109,9 @@ def test_identify_has_the_bodies_of_the_search(
     assert report.estimators is not None
     assert report.estimators.likelihood.bodies is not None
     assert_allclose(report.fit.k, report.estimators.likelihood.k)
-    assert_allclose(report.possible.free.k, poor.free.k if poor.free else None, rtol=0.01)
+    free = report.estimators.likelihood.free
+    assert free is not None
+    assert_allclose(report.possible.free.k, free.k)
     assert np.all(np.isfinite(report.possible.parameters.torque_distance))
 
 

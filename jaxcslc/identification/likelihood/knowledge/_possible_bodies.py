@@ -71,7 +71,8 @@ def possible_bodies(
         problem, scale=np.where(coefficients, 0.0, problem.scale)
     )
     nearest, weight = bodies_nearest_to(free.fit, None), None
-    bodies, fit, steps, settled = nearest, free, free.steps, False
+    bodies, fit, unconfined = nearest, free, minimum
+    steps, settled = free.steps, False
     for number in range(1, _MOST_ROUNDS + 1):
         bodies = nearest
         anew = number == 1 and levels is not None
