@@ -12,6 +12,7 @@ _COARSER, _NOISIER = 1.5, 3.0
 # Intervals that differ from their mean by less than this part of it count as regular.
 _REGULAR = 0.01
 _ORDER = 6  # of the differences that noise is seen in
+_BINOMIAL = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])  # of even intervals
 # Third differences that see more than so many times as much as sixth ones have seen motion.
 _MOTION = 1.5
 
@@ -193,9 +194,14 @@ def sixth_differences(
     """
     if len(values) <= _ORDER:
         return np.zeros((0, values.shape[1]))
-    instants = np.arange(float(len(values))) if time is None else time
-    points = np.lib.stride_tricks.sliding_window_view(instants, _ORDER + 1)
-    apart = (points[:, :, None] - points[:, None, :]) / np.median(np.diff(instants))
+    if time is None:
+        count = len(values) - _ORDER
+        differences = np.zeros((count, values.shape[1]))
+        for first, weight in enumerate(_BINOMIAL / np.linalg.norm(_BINOMIAL)):
+            differences += weight * values[first : first + count]
+        return differences
+    points = np.lib.stride_tricks.sliding_window_view(time, _ORDER + 1)
+    apart = (points[:, :, None] - points[:, None, :]) / np.median(np.diff(time))
     weights = 1.0 / np.prod(np.where(np.eye(_ORDER + 1, dtype=bool), 1.0, apart), axis=2)
     weights = weights / np.linalg.norm(weights, axis=1, keepdims=True)
     windows = np.lib.stride_tricks.sliding_window_view(values, _ORDER + 1, axis=0)

@@ -1,3 +1,4 @@
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,6 +11,8 @@ from .._bounded_search import bounded_minima
 # Columns of a fit that are this much shorter than others, once those before are taken off, are
 # left to a decomposition that finds their rank.
 _DEPENDENT = 1e-10
+# Turns that are fitted at once: enough to make little of NumPy's calls, few enough for the cache.
+_AT_ONCE = 128
 
 
 class Reversal(NamedTuple):
@@ -71,18 +74,48 @@ def find_reversals(
     >>> [(round(turn.time, 3), turn.direction) for turn in turns]
     [(0.5, -1), (1.5, 1)]
     """
-    turns = _turns(position, tolerance)
-    # Cubics fitted across a neighbouring reversal would be fitted to another motion.
-    borders = [0, *(sample for sample, _ in turns), time.size - 1]
+    (reversals,) = reversals_of_joints(time, position[:, None], [tolerance], [window])
+    return reversals
+
+
+def reversals_of_joints(
+    time: Float[np.ndarray, " samples"],
+    position: Float[np.ndarray, "samples joints"],
+    tolerances: Sequence[float],
+    windows: Sequence[int],
+) -> list[tuple[Reversal, ...]]:
+    """Those of `find_reversals` for each joint: the instants of all are searched for at once.
+
+    **Arguments**
+
+    - `tolerances`, `windows`: of each joint.
+    """
+    columns = np.ascontiguousarray(position.T)
+    turns = [_turns(*of) for of in zip(columns, tolerances, strict=True)]
     stretches = [
-        _stretch(time, position, turn, slice(start, end + 1), tolerance, window)
-        for start, turn, end in zip(borders[:-2], borders[1:-1], borders[2:], strict=True)
+        _stretches(time, *of) for of in zip(columns, turns, tolerances, windows, strict=True)
     ]
-    moving = [stretch for stretch in stretches if isinstance(stretch, _Stretch)]
-    fitted = iter(_fitted(moving))
+    moving = [one for of_joint in stretches for one in of_joint if isinstance(one, _Stretch)]
+    parts = (moving[start : start + _AT_ONCE] for start in range(0, len(moving), _AT_ONCE))
+    fitted = itertools.chain.from_iterable(map(_fitted, parts))
+    return [
+        _reversals(
+            time,
+            [next(fitted) if isinstance(one, _Stretch) else one for one in of_joint],
+            [direction for _, direction in joint_turns],
+        )
+        for of_joint, joint_turns in zip(stretches, turns, strict=True)
+    ]
+
+
+def _reversals(
+    time: Float[np.ndarray, " samples"],
+    extremes: Sequence[tuple[float, float]],
+    directions: Sequence[int],
+) -> tuple[Reversal, ...]:
+    """Reversals within the record, of instants and positions in the order of turns."""
     reversals: list[Reversal] = []
-    for stretch, (_, direction) in zip(stretches, turns, strict=True):
-        instant, extreme = next(fitted) if isinstance(stretch, _Stretch) else stretch
+    for (instant, extreme), direction in zip(extremes, directions, strict=True):
         if not time[0] < instant < time[-1]:
             continue
         if not reversals or instant > reversals[-1].time:
@@ -135,6 +168,22 @@ class _Stretch(NamedTuple):
     high: float
 
 
+def _stretches(
+    time: Float[np.ndarray, " samples"],
+    position: Float[np.ndarray, " samples"],
+    turns: Sequence[tuple[int, int]],
+    tolerance: float,
+    window: int,
+) -> list[_Stretch | tuple[float, float]]:
+    """What the turns of a joint are fitted to; see `_stretch`."""
+    # Cubics fitted across a neighbouring reversal would be fitted to another motion.
+    borders = [0, *(sample for sample, _ in turns), time.size - 1]
+    return [
+        _stretch(time, position, turn, slice(start, end + 1), tolerance, window)
+        for start, turn, end in zip(borders[:-2], borders[1:-1], borders[2:], strict=True)
+    ]
+
+
 def _stretch(
     time: Float[np.ndarray, " samples"],
     position: Float[np.ndarray, " samples"],
@@ -166,8 +215,6 @@ def _stretch(
 
 def _fitted(stretches: Sequence[_Stretch]) -> list[tuple[float, float]]:
     """Instant and position of the turn in each stretch: all are searched for at once."""
-    if not stretches:
-        return []
     size = np.array([stretch.time.size for stretch in stretches])
     rows = max(int(np.max(size)), 6)  # a triangle of six columns has as many
     time, position = np.zeros((2, len(stretches), rows))

@@ -7,7 +7,7 @@ import scipy
 from jaxtyping import Float, Int
 
 from ._sampling import noise_level
-from ._sections import find_reversals
+from ._sections import Reversal, reversals_of_joints
 from ._smoothing import AbstractSmoothing, Derivatives, register_smoothing
 
 
@@ -83,11 +83,17 @@ class AveragedSplines(AbstractSmoothing):
     def smooth(
         self, time: Float[np.ndarray, " samples"], position: Float[np.ndarray, "samples joints"]
     ) -> Derivatives:
-        tolerances = self._tolerances(position)
+        spacings = self.spacings(position.shape[1])
+        windows = [3 * spacing // 2 for spacing in spacings]
+        reversals: list[tuple[Reversal, ...]] = [()] * len(windows)
+        if self.sections:
+            reversals = reversals_of_joints(
+                time, position, self._tolerances(position), [max(window, 6) for window in windows]
+            )
         smoothed = [
-            _smooth_joint(time, column, spacing, tolerance if self.sections else None)
-            for column, spacing, tolerance in zip(
-                position.T, self.spacings(position.shape[1]), tolerances, strict=True
+            _smooth_joint(time, column, spacing, window, turns)
+            for column, spacing, window, turns in zip(
+                np.ascontiguousarray(position.T), spacings, windows, reversals, strict=True
             )
         ]
         q, qd, qdd = np.stack(smoothed, axis=-1)
@@ -134,19 +140,18 @@ def _smooth_joint(
     time: Float[np.ndarray, " samples"],
     position: Float[np.ndarray, " samples"],
     spacing: int,
-    tolerance: float | None,
+    window: int,
+    reversals: Sequence[Reversal],
 ) -> Float[np.ndarray, "3 samples"]:
-    window = 3 * spacing // 2
+    """Positions and derivatives of a joint that turns round at these instants."""
     ends = [_open_end(time, position, window, first=True)]
-    directions: list[int] = []
-    if tolerance is not None:
-        reversals = find_reversals(time, position, tolerance=tolerance, window=max(window, 6))
-        numbers = np.arange(time.size)
-        ends += [
-            End(turn.time, turn.position, 0.0, float(np.interp(turn.time, time, numbers)))
-            for turn in reversals
-        ]
-        directions = [-turn.direction for turn in reversals[:1]] + [t.direction for t in reversals]
+    instants = np.array([turn.time for turn in reversals])
+    samples = np.interp(instants, time, np.arange(time.size)).tolist()
+    ends += [
+        End(turn.time, turn.position, 0.0, sample)
+        for turn, sample in zip(reversals, samples, strict=True)
+    ]
+    directions = [-turn.direction for turn in reversals[:1]] + [t.direction for t in reversals]
     ends.append(_open_end(time, position, window, first=False))
     return _average(time, position, spacing, ends, directions)
 
@@ -192,22 +197,26 @@ def _average(
     pieces = _hermite(steps, y, slopes)
 
     # Samples inside the sections, section by section.
-    inside = [
-        np.arange(int(np.ceil(start)), int(np.floor(stop)) + 1)
-        for start, stop in zip(starts[3], stops[3], strict=True)
-    ]
-    section = np.repeat(np.arange(len(inside)), list(map(len, inside)))
-    sample = np.concatenate(inside)
+    begin, end = np.ceil(starts[3]).astype(int), np.floor(stops[3]).astype(int) + 1
+    sample = np.concatenate([np.arange(*of) for of in zip(begin, end, strict=True)])
+    section = np.repeat(np.arange(len(begin)), end - begin)
     # A hair before its end a spline is itself.
     at = np.minimum(time[sample] - starts[0, section], duration[section] * (1.0 - 1e-12))
     average = np.zeros((3, sample.size))
     nodes = firsts.reshape(counts.shape)
-    quotient, remainder = np.divmod(sample, spacing)
+    table = np.concatenate([pieces, x[None, :-1]])
     for number in range(spacing):  # the remainder of all knots of this spline
-        knots_before = quotient - (first[:, number] // spacing)[section] + (remainder >= number)
-        passed = np.clip(knots_before, 0, counts[:, number][section])
-        node = nodes[:, number][section] + passed
-        average += _derivatives(pieces[:, node], at - x[node])
+        # A piece of it begins at each node but the last of a section, and has the samples from
+        # there to the next node: to repeat it is quicker than to look for the piece of each.
+        sizes = counts[:, number] + 1
+        stop = np.cumsum(sizes)
+        node = np.arange(stop[-1]) + np.repeat(nodes[:, number] - stop + sizes, sizes)
+        borders = np.append(knots[node], 0)
+        borders[stop - sizes] = begin
+        lengths = np.diff(borders)
+        lengths[stop - 1] = end - borders[stop - 1]
+        *cubic, origin = np.repeat(table[:, node], lengths, axis=1)
+        _add_derivatives(average, cubic, at - origin)
     average /= spacing
     if directions:
         # Rounding noise of a joint that hardly moves must not turn it round within a section.
@@ -228,13 +237,19 @@ def _hermite(
     return np.stack([bend / steps, (rises - slopes[:-1]) / steps - bend, slopes[:-1], y[:-1]])
 
 
-def _derivatives(
-    cubic: Float[np.ndarray, "4 samples"], x: Float[np.ndarray, " samples"]
-) -> Float[np.ndarray, "3 samples"]:
-    """Values and two derivatives of cubics."""
+def _add_derivatives(
+    total: Float[np.ndarray, "3 samples"],
+    cubic: Sequence[Float[np.ndarray, " samples"]],
+    x: Float[np.ndarray, " samples"],
+) -> None:
+    """Adds values and two derivatives of cubics to their sums."""
     a, b, c, d = cubic
-    third = 3.0 * a * x
-    return np.stack([((a * x + b) * x + c) * x + d, (third + 2.0 * b) * x + c, 2.0 * (third + b)])
+    highest = a * x
+    total[0] += ((highest + b) * x + c) * x + d
+    highest *= 3.0
+    highest += b
+    total[2] += highest + highest
+    total[1] += (highest + b) * x + c
 
 
 def _clamped_slopes(

@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -135,4 +136,7 @@ def _by_fold(
     fold: Int[np.ndarray, " samples"],
     folds: int,
 ) -> Float[np.ndarray, "folds joints"]:
-    return np.stack([values[fold == number].sum(axis=0, dtype=float) for number in range(folds)])
+    """Sums over the samples of each fold, which follow each other."""
+    ends = np.searchsorted(fold, np.arange(folds + 1))
+    parts = (values[start:end] for start, end in itertools.pairwise(ends))
+    return np.stack([part.sum(axis=0, dtype=float) for part in parts])
