@@ -67,6 +67,13 @@ GROUPS: dict[str, Group] = {
         " recursion runs in C++ on all threads, its regressor in a loop of Python, on one; it has"
         " no friction and no motor inertia, and factorises nothing.",
     ),
+    "Pinocchio in C++": Group(
+        "peers.pinocchio_regressor",
+        "Pinocchio's joint torque regressor in a C++ program on all cores, with the options of its"
+        " package, beside the streamed solve in the same run, which computes columns, their"
+        " products and the coefficients.",
+        long=True,
+    ),
     "Parquet file": Group(
         "parquet",
         "20 million patterns streamed from a Parquet file, a process of its own.",

@@ -1,0 +1,1 @@
+"""Rates of other libraries that are measured by programs in their own language."""
