@@ -111,6 +111,39 @@ def noise_levels(
     return new_torque, new_position
 
 
+def hidden_noise(
+    seen: Levels,
+    linear: Linear,
+    part: Int[np.ndarray, " samples"],
+    torque_noise: Levels,
+) -> Levels:
+    """The least noise of positions beside torque noise that would hide it.
+
+    Where noise of positions makes less of an equation's error than torque noise does, residuals say
+    little of its level, and a small one is as likely as none; with none, noise of accelerations
+    makes inertias too small. So there the level is at least what readings themselves scatter by. If
+    it is motion that they see, torque noise has made it: little is lost, for that is at the highest
+    frequencies, which say nothing of coefficients.
+
+    **Arguments**
+
+    - `seen`: (recordings, n) scatter of readings about a smooth motion [rad or m].
+    - `linear`: equations about the present point; `part` of the recording of each sample.
+    - `torque_noise`: the present levels.
+    """
+    count, n = seen.shape
+    stencil = linear.by_position.reshape(len(linear.by_position), n, -1, n)
+    size = np.sqrt(np.sum(stencil**2, axis=2))  # of the equation of one joint, by another's noise
+    result = np.zeros_like(seen)
+    for number in range(count):
+        rows = part[1:-1] == number
+        of_noise = np.median(size[rows], axis=0) / torque_noise[number][:, None]
+        result[number] = np.minimum(
+            seen[number], 1.0 / np.maximum(np.max(of_noise, axis=0), 1e-300)
+        )
+    return result
+
+
 def position_errors(
     draws: NoiseDraws,
     moving: Bool[np.ndarray, "samples joints"],

@@ -87,6 +87,7 @@ class Objective:
     - `whitening`: of torque residuals.
     - `intervals`: of readings that are intervals; None if all are normally distributed.
     - `sticking`: equations that bound friction at break-away; None if there are none.
+    - `truncation`: (equations, n) torque that is added to what equations predict [N m or N].
     """
 
     equations: Stretches
@@ -100,6 +101,7 @@ class Objective:
     whitening: Whitening
     intervals: Intervals | None = None
     sticking: Sticking | None = None
+    truncation: Float[np.ndarray, "equations joints"] | float = 0.0
 
     def residuals(self, point: Point) -> Residuals:
         """Recorded minus predicted."""
@@ -151,8 +153,9 @@ class Objective:
     ) -> Residuals:
         """Recorded minus predicted, with torque that has been predicted before."""
         recorded = self.torque.torque(point.calibration)
+        predicted = (predicted + self.truncation) / self.torque.gain(point.calibration)
         return Residuals(
-            self.whitening.applied(recorded - predicted / self.torque.gain(point.calibration)),
+            self.whitening.applied(recorded - predicted),
             self.position - point.q - point.offset[self.part],
             -np.diff(point.q, axis=0),
             self.signs.turn - point.turn,

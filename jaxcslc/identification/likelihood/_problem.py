@@ -33,6 +33,7 @@ class Problem:
     - `breakaway`: from a point, (n,) the greatest friction at standstill, as it is recorded.
     - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts.
     - `least_position_noise`: (recordings, n) [rad or m]; of counts, that of their steps.
+    - `scatter`: (recordings, n) of readings about smooth motion [rad or m]; 0 of counts.
     """
 
     equations: Stretches
@@ -45,6 +46,7 @@ class Problem:
     breakaway: Callable[[Point], Float[np.ndarray, " joints"]]
     encoder_step: Float[np.ndarray, "recordings joints"]
     least_position_noise: Float[np.ndarray, "recordings joints"]
+    scatter: Float[np.ndarray, "recordings joints"]
 
     @property
     def at_rest(self) -> Bool[np.ndarray, "equations joints"]:

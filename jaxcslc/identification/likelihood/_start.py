@@ -136,6 +136,7 @@ def starting_point(
         breakaway=breakaway,
         encoder_step=steps,
         least_position_noise=np.where(encoder, steps / np.sqrt(12.0), least),
+        scatter=np.where(encoder, 0.0, noise),
     )
     point = Point(k, slopes, calibration.start, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, point, np.array(residual), position_noise

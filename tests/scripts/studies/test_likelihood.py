@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scripts.studies.likelihood import study
+from scripts.studies.likelihood import gaussian, study
 
 
 def row(machine: object, samples: int, seed: int) -> dict[str, Any]:
@@ -65,3 +65,29 @@ def test_bad_options(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):
             study.main(option)
         assert "error: " in capsys.readouterr().err
+
+
+def test_table_of_normally_distributed_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def deviating(*arguments: Any) -> dict[str, Any]:
+        noise, seed = arguments[2:4]
+        values = {"torque": 100 * noise, "deviation": float(seed), "inside": 0.95}
+        return {**values, "converged": True}
+
+    monkeypatch.setattr(gaussian, "row_of", deviating)
+    monkeypatch.setattr(gaussian, "exact_error", lambda *_: (5e-7, True))
+    assert gaussian.main(["--seeds", "2", "--first", "3", "-o", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.split("\n")
+    worst = [line.split() for line in lines if line.startswith(("1e-05", "0.0001"))]
+    # Root mean square of 3 and 4.
+    assert worst[0][2:] == ["0.00100"] * 3 + ["3.54", "95.0", "%", "2", "of", "2"]
+    assert worst[1][2:5] == ["0.01000"] * 3
+    assert any(line.startswith("exact model") and "5.0e-07" in line for line in lines)
+
+
+def test_motion_and_its_derivatives() -> None:
+    motion = gaussian.random_motion(1, 400, 2)
+    for values, derivative in ((motion.q, motion.qd), (motion.qd, motion.qdd)):
+        slope = np.gradient(values, motion.time, axis=0)[1:-1]
+        np.testing.assert_allclose(slope, derivative[1:-1], atol=2e-3 * np.abs(derivative).max())

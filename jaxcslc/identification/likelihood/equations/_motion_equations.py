@@ -121,6 +121,33 @@ class MotionEquations(eqx.Module):
             f_turn,
         )
 
+    @eqx.filter_jit
+    def smooth(
+        self,
+        k: Float[Array | np.ndarray, " coefficients"],
+        q: Rows,
+        velocity: Rows,
+        acceleration: Rows,
+    ) -> Rows:
+        """Torque of all terms but friction, at instants of any motion, (equations, n)."""
+        return self._smooth(*map(jnp.asarray, (k, q, velocity, acceleration)))
+
+    @eqx.filter_jit
+    def friction(
+        self,
+        k: Float[Array | np.ndarray, " coefficients"],
+        slopes: Float[Array | np.ndarray, " joints"],
+        q: Samples,
+        turn: Rows,
+        direction: Rows,
+        shift: Rows,
+    ) -> Rows:
+        """Torque of friction as in `torque`, for velocities that are larger by `shift`."""
+        k, slopes, turn, direction = map(jnp.asarray, (k, slopes, turn, direction))
+        position, velocity, *others = self._motion(q)
+        motion = (position, velocity + jnp.asarray(shift), *others)
+        return self._friction(k, slopes, motion, turn, direction)[0]
+
     def _two_intervals(self) -> tuple[Array, Array]:
         return self.intervals[:-1, None], self.intervals[1:, None]
 

@@ -64,6 +64,35 @@ class Stretches:
         ]
         return Linearisation(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
+    def smooth(
+        self, k: Float[np.ndarray, " coefficients"], q: Rows, velocity: Rows, acceleration: Rows
+    ) -> Rows:
+        """Torque of all terms but friction at instants, (equations, n)."""
+        parts = []
+        for start in range(0, len(q), _EQUATIONS):
+            motion = [x[start : start + _EQUATIONS] for x in (q, velocity, acceleration)]
+            torque = self._equations[0].smooth(k, *(_filled(x, 0, 0.0) for x in motion))
+            parts.append(np.asarray(torque)[: len(motion[0])])
+        return np.concatenate(parts)
+
+    def friction(
+        self,
+        k: Float[np.ndarray, " coefficients"],
+        slopes: Float[np.ndarray, " joints"],
+        q: Samples,
+        turn: Rows,
+        direction: Rows,
+        shift: Rows,
+    ) -> Rows:
+        """As of `MotionEquations`, (equations, n)."""
+        parts = []
+        stretches = self._stretches(q, turn, direction)
+        for number, (equations, motion, count) in enumerate(stretches):
+            rows = slice(number * _EQUATIONS, (number + 1) * _EQUATIONS)
+            torque = equations.friction(k, slopes, *motion, _filled(shift[rows], 0, 0.0))
+            parts.append(np.asarray(torque)[:count])
+        return np.concatenate(parts)
+
     @cached_property
     def _equations(self) -> list[MotionEquations]:
         return [

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._band import Factored
-from .._levels import Levels, NoiseDraws, noise_levels, position_errors
+from .._levels import Levels, NoiseDraws, hidden_noise, noise_levels, position_errors
 from .._levenberg import LevenbergStep
 from .._linear import Linear
 from .._objective import Residuals
@@ -36,6 +36,8 @@ def with_levels(
         linear, step.factored, problem.readings.part, state.torque_noise, state.position_noise
     )
     torque_noise, position_noise = _levels_of(problem, state, step.residuals, draws, counted)
+    hidden = hidden_noise(problem.scatter, linear, problem.readings.part, torque_noise)
+    position_noise = np.maximum(position_noise, hidden)
     if number > _FREE_LEVEL_STEPS:
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
         position_noise = np.sqrt(position_noise * state.position_noise)

@@ -9,6 +9,7 @@ from .._objective import TURN, Objective, Point, Residuals
 from .._problem import Problem
 from .._signs import Signs
 from .._sticking import Sticking, sticking_equations
+from ..equations import truncation
 from ._state import Mask, State
 
 
@@ -51,8 +52,29 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
         problem.scale,
         state.whitening,
         state.intervals,
+        truncation=_truncation(problem, signs, point),
     )
     return objective, (extra == 0.0) & ~without
+
+
+def _truncation(
+    problem: Problem, signs: Signs, point: Point
+) -> Float[np.ndarray, "equations joints"] | float:
+    """What equations of sampled torque leave out at present positions."""
+    readings = problem.readings
+    if readings.torque.sampling == "held":
+        return 0.0
+    turns, direction = signs.turns(point.turn), signs.direction
+    return truncation(
+        problem.equations,
+        point.k,
+        point.slopes,
+        point.q,
+        readings.time,
+        readings.part,
+        turns,
+        direction,
+    )
 
 
 def with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:

@@ -68,7 +68,7 @@ class TorqueRecord:
                 return _integrated(time, torque, time[:: self.every], lag, 2)
             if lag != 0.0:
                 torque = _spline(time, torque)(_within(time, lag))
-            return _sampled(time, torque)
+            return triangle_mean(time, torque)
 
         return self._of_each(values)
 
@@ -80,7 +80,7 @@ class TorqueRecord:
                 return _held(time, torque, time[:: self.every], lag, _density)
             if self.every > 1:
                 return _integrated(time, torque, time[:: self.every], lag, 1)
-            return _sampled(time, _spline(time, torque)(_within(time, lag), 1))
+            return triangle_mean(time, _spline(time, torque)(_within(time, lag), 1))
 
         return self._of_each(values)
 
@@ -184,13 +184,13 @@ def _integrated(
     return 2.0 * np.diff(slopes, axis=0) / (h[:-1] + h[1:])
 
 
-def _sampled(
+def triangle_mean(
     time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
 ) -> Float[np.ndarray, "equations joints"]:
     """The mean of a parabola through three samples, from the triangle's mean and mean square.
 
     >>> import numpy as np
-    >>> _sampled(np.arange(5.0), np.arange(5.0)[:, None])[:, 0].tolist()
+    >>> triangle_mean(np.arange(5.0), np.arange(5.0)[:, None])[:, 0].tolist()
     [1.0, 2.0, 3.0]
     """
     h = np.diff(time)[:, None]
