@@ -72,7 +72,9 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
             moved = _bounded(problem, objective.moved(point, part), point)
             left = objective.residuals(moved)
             fall = value - objective.value(left)
-            if fall >= least - 1e-12 * abs(value):
+            # Where no more is promised, a rise by as much is of rounding too.
+            rounding = _ROUNDING if promise <= _ROUNDING else 0.0
+            if fall >= least - max(1e-12 * abs(value), rounding):
                 if whole:
                     damping = max(damping / _FACTOR, _LEAST_DAMPING)
                 fall = fall / value if value > 0.0 else 0.0
