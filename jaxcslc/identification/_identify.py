@@ -224,7 +224,7 @@ def _check_arguments(
 
 def _check_load(network: CSLC, estimator: str, recordings: int, horizon: bool) -> None:
     """**Raises** `ValueError` for what knows no friction that follows the load."""
-    if network.load_friction is None:
+    if not network.load_terms:
         return
     others = (
         (estimator != "least-squares", f"the estimator {estimator!r}"),

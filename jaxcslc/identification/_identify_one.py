@@ -97,7 +97,7 @@ def identify_one(
     step("preparing patterns")
     patterns, part_patterns = prepared.patterns()
     slopes, load = None, None
-    if previous is None and network.load_friction is not None:
+    if previous is None and network.load_terms:
         step("fitting friction that follows the load")
         load = fit_load(network, part_patterns, solver=prepared.of_training.solver)
         if load.slopes is not None and load.slopes.dropped and automatic_masks:
@@ -158,7 +158,7 @@ def identify_one(
         consequences += sentences
     if bodies is not None:
         fit, vectors = bodies.fit, bodies.other_coefficients
-    if network.load_friction is not None and previous is None:
+    if network.load_terms and previous is None:
         network = network.with_load(np.asarray(fit.k))
     step("computing errors")
     errors = {

@@ -15,6 +15,7 @@ FRICTION_TERMS = (
     "offset",
     "spring",
     "load",
+    "directional_load",
 )
 # Of joints whose slope is not known: static friction decays to 5 % at 0.3 rad/s [s/rad].
 STATIC_SLOPE = 10.0
@@ -23,6 +24,7 @@ _COLLINEAR = (
     ("viscous", "asymmetric_viscous", "asymmetric_viscous is viscous in either direction"),
     ("dry", "asymmetric_dry", "asymmetric_dry is dry in either direction"),
     ("offset", "asymmetric_dry", "asymmetric_dry is dry and offset together"),
+    ("load", "directional_load", "directional_load is load where it drives and where it brakes"),
 )
 
 

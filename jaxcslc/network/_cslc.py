@@ -189,7 +189,7 @@ class CSLC(AbstractTermSum):
             if term.kind != kind:
                 terms.append(term)
             elif isinstance(term, LoadFriction):
-                terms += LoadFriction.all_of(robot, term.rigid, term.load)
+                terms += LoadFriction.of(kind, robot, term.rigid, term.load)
             elif isinstance(term, JointTerm) and (fewer := JointTerm.of(term.law, robot)).size:
                 terms.append(fewer)
         return CSLC(algebra=dataclasses.replace(self.algebra, robot=robot), terms=tuple(terms))
@@ -225,12 +225,12 @@ class CSLC(AbstractTermSum):
         )
 
     @property
-    def load_friction(self) -> LoadFriction | None:
-        """The term of dry friction that grows with the load, if some joint has it."""
-        return next((term for term in self.terms if isinstance(term, LoadFriction)), None)
+    def load_terms(self) -> tuple[LoadFriction, ...]:
+        """The terms of dry friction that grows with the load, one for each of its two kinds."""
+        return tuple(term for term in self.terms if isinstance(term, LoadFriction))
 
     def with_load(self, k: Float[Array | np.ndarray, " coefficients"] | None) -> "CSLC":
-        """The same network, friction of kind `"load"` following the rigid torque of `k`, (p,).
+        """The same network, friction that grows with the load following that of `k`, (p,).
 
         With this, torque is linear in all coefficients. None: of no torque, as before a fit.
 
@@ -245,20 +245,20 @@ class CSLC(AbstractTermSum):
         >>> round(float((moving / load)[0]), 6)
         1.2
         """
-        term = self.load_friction
-        if term is None:
+        if not self.load_terms:
             raise ValueError(f"load: {self.robot.name!r} has no friction of kind 'load'")
+        load = None if k is None else k[self.layout.inertial]
         terms = (
-            *(other for other in self.terms if other is not term),
-            term.with_load(None if k is None else k[self.layout.inertial]),
+            term.with_load(load) if isinstance(term, LoadFriction) else term for term in self.terms
         )
-        return CSLC(algebra=self.algebra, terms=terms)
+        return CSLC(algebra=self.algebra, terms=tuple(terms))
 
     def without_load(self) -> "CSLC":
         """The same network without friction that follows the load, if it has such."""
-        if self.load_friction is None:
-            return self
-        return self.without_law("load", range(1, self.joint_count + 1))
+        network = self
+        for term in self.load_terms:
+            network = network.without_law(term.kind, range(1, self.joint_count + 1))
+        return network
 
     @property
     def _rigid_term(self) -> RigidBodyTables | RigidBodyRecursion | ProjectedTerm:
@@ -301,7 +301,7 @@ class CSLC(AbstractTermSum):
         """
         if self.payload is not None:
             raise ValueError(f"{self.robot.name!r} has a payload already")
-        if self.load_friction is not None:
+        if self.load_terms:
             raise ValueError(
                 "payload: friction of kind 'load' does not know it; expected an arm without"
             )

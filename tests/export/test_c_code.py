@@ -113,8 +113,11 @@ def test_a_tree(
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)
 
 
-def test_friction_that_follows_the_load(compiled: Compiled, rng: np.random.Generator) -> None:
-    network = jc.derive(_tree().with_friction("dry", "load"), lengths="numeric")
+@pytest.mark.parametrize("kind", ["load", "directional_load"])
+def test_friction_that_follows_the_load(
+    kind: str, compiled: Compiled, rng: np.random.Generator
+) -> None:
+    network = jc.derive(_tree().with_friction("dry", kind), lengths="numeric")
     k = rng.normal(size=network.size)
     network = network.with_load(k)
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)

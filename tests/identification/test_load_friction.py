@@ -84,6 +84,37 @@ def test_what_no_friction_can_be_is_dropped() -> None:
     assert "joint 2: friction of kind 'load' dropped, its coefficient -0." in result.warnings[0]
 
 
+def directional(joints: tuple[int, ...]) -> tuple[jc.CSLC, np.ndarray]:
+    """As `truth`, these joints with 0.25 where they drive their load and 0.1 where they brake."""
+    robot = ARM.with_friction("viscous", "dry")
+    for joint in joints:
+        robot = robot.with_friction("viscous", "dry", "directional_load", joint=joint)
+    network = jc.derive(robot, lengths="numeric")
+    bare, values = truth("viscous", "dry", "load")
+    known = dict(zip(bare.names, values, strict=True)) | {
+        f"{symbol}{joint}": value
+        for joint in joints
+        for symbol, value in (("kld", 0.25), ("klb", 0.1))
+    }
+    k = np.array([known[name] for name in network.names])
+    return network.with_load(k), k
+
+
+def test_directions_are_told_apart_where_joints_share_coefficients() -> None:
+    network, k = directional((2,))
+    result = fit_load(network.with_load(None), patterns(network, k, 0.0))
+    assert result.converged and not result.dropped
+    assert_allclose(result.fit.k, k, atol=1e-6)
+
+
+def test_directions_of_all_joints_are_a_multiple_of_rigid_torque() -> None:
+    """(1 + kld) R and (1 - klb) R are those of bodies twice as heavy with other coefficients."""
+    network, k = directional((1, 2))
+    result = fit_load(network.with_load(None), patterns(network, k, 0.0))
+    assert result.dropped == (1, 2)
+    assert "the motion does not tell it from a multiple of rigid torques" in result.warnings[0]
+
+
 @pytest.fixture(scope="module")
 def recording() -> jc.Recording:
     network, k = truth("viscous", "dry", "load")
@@ -95,6 +126,18 @@ def test_it_is_added_where_it_predicts_better(recording: jc.Recording) -> None:
     choice = choose_friction(network, recording, jc.Settings(), candidates=("offset", "load"))
     assert choice.network.friction_per_joint == (("viscous", "dry", "load"),) * 2
     assert "load -" in str(choice) and ", used" in str(choice)
+
+
+def test_directions_are_added_where_they_predict_better() -> None:
+    network, k = directional((2,))
+    pairs = patterns(network, k, NOISE)
+    choice = choose_friction(
+        jc.derive(ARM, lengths="numeric"),
+        jc.Recording(TIME[:, 0], motion()[0], pairs.torque),
+        jc.Settings(),
+        candidates=("load", "directional_load"),
+    )
+    assert choice.network.friction_per_joint[1] == ("viscous", "dry", "directional_load")
 
 
 def test_a_report_saves_and_loads_it(recording: jc.Recording, tmp_path: Path) -> None:

@@ -58,6 +58,47 @@ def test_torque_is_the_formula_on_mujocos_rigid_torque(arm: Arm, motion: Motion)
     assert_allclose(network.torque(k, *motion), rigid + friction, atol=1e-7)
 
 
+@pytest.fixture(scope="module")
+def directional() -> Arm:
+    """Joints 1 to 5 with a coefficient for each direction of power, joint 6 with one for both."""
+    robot = ROBOT
+    for joint in range(1, 6):
+        robot = robot.with_friction("viscous", "dry", "directional_load", joint=joint)
+    network = jc.derive(robot, lengths="numeric")
+    assert ROBOT.links is not None
+    last = np.arange(6) == 5
+    by_direction = np.where(last[:, None], 0.0, np.stack([1.5 * KL, 0.4 * KL], axis=1))
+    k = network.coefficients_from(
+        ROBOT.links,
+        load=np.where(last, KL, 0.0),
+        directional_load=by_direction,
+        viscous=np.array(ROBOT.viscous),
+        dry=np.array(ROBOT.dry),
+    )
+    return network.with_load(k), np.asarray(k)
+
+
+def test_directions_of_power_have_their_coefficients(
+    arm: Arm, directional: Arm, motion: Motion
+) -> None:
+    """On the rigid torque that is left when friction is taken off."""
+    q, qd, qdd = motion
+    network, k = directional
+    rigid = np.asarray(arm[0].torque(arm[0].without_friction(arm[1]), *motion))
+    factor = np.where(qd * rigid > 0.0, 1.5 * KL, 0.4 * KL)
+    factor[:, 5] = KL[5]
+    friction = ROBOT.viscous * qd + np.sign(qd) * (ROBOT.dry + factor * np.abs(rigid))
+    torque = network.torque(k, *motion)
+    assert_allclose(torque, rigid + friction, atol=AGREEMENT)
+    assert_allclose(network.regressor(*motion) @ k, torque, atol=AGREEMENT)
+    columns = network.columns(*(x.T for x in motion))
+    by_joint = [k[list(s)] @ rows for s, rows in zip(network.support, columns, strict=True)]
+    assert_allclose(np.stack(by_joint, axis=1), torque, atol=AGREEMENT)
+    assert_allclose(network.forward_dynamics(k, q, qd, torque), qdd, atol=AGREEMENT)
+    with pytest.raises(jc.RobotError, match="load and directional_load exclude"):
+        ROBOT.with_friction("load", "directional_load")
+
+
 def test_regressor_and_columns_agree_with_torque(arm: Arm, motion: Motion) -> None:
     network, k = arm
     torque = np.asarray(network.torque(k, *motion))

@@ -30,7 +30,7 @@ def network_with(kind: str) -> jc.CSLC:
         robot = robot.with_coupling((1, 2, -0.5))
     evaluator: Any = "recursive" if kind == "recursion" else "tables"
     network = jc.derive(robot, lengths="numeric", evaluator=evaluator)
-    if kind == "load":
+    if kind in ("load", "directional_load"):
         network = network.with_load(np.linspace(0.5, 1.0, network.size))
     return network.with_payload(1) if kind == "payload" else network
 

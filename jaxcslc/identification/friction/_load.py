@@ -1,12 +1,13 @@
 import dataclasses
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ...motion import Patterns
 from ...network import CSLC
-from ...network.terms import LOAD, LoadedRigidBody
+from ...network.terms import DIRECTIONAL_LOAD, LoadedRigidBody
 from ..solver import Identification, LeastSquares
 from ._slopes import SlopeFit, fit_slopes
 
@@ -81,7 +82,7 @@ def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None =
     >>> result.converged, np.round(np.asarray(result.fit.k), 6).tolist()
     (True, [0.5, 0.3, -0.1, 0.2, 0.15])
     """
-    if network.load_friction is None:
+    if not network.load_terms:
         raise ValueError(f"{network.name!r} has no friction of kind 'load' to be fitted")
     solver = LeastSquares() if solver is None else solver
     bare = network.without_load()
@@ -91,7 +92,7 @@ def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None =
     slopes: SlopeFit | None = None
     dropped: dict[int, str] = {}
     converged, steps = False, 0
-    while not converged and steps < _STEPS and network.load_friction is not None:
+    while not converged and steps < _STEPS and network.load_terms:
         steps += 1
         before = dict(zip(network.names, k.tolist(), strict=True))
         equations = linearised(network, k, patterns)
@@ -106,13 +107,14 @@ def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None =
         error = np.where(np.asarray(fit.determined), np.asarray(fit.standard_error), np.inf)
         enough = _TOLERANCE * error + _ROUNDING * np.max(np.abs(k))
         converged = steps > _FIRST_STEPS and bool(np.all(np.abs(k - last) <= enough))
-        if steps > _FIRST_STEPS and (lost := _out_of_range(network, k)):
-            dropped |= lost
+        if steps > _FIRST_STEPS and (lost := _lost(network, fit)):
             names = network.names
-            network = network.without_law(LOAD, tuple(lost))
+            for kind, sentences in lost.items():
+                dropped |= sentences
+                network = network.without_law(kind, tuple(sentences))
             k = np.array([k[names.index(name)] for name in network.names])
             converged = False
-    if network.load_friction is None:
+    if not network.load_terms:
         slopes, fit = _fitted(network, patterns, solver, slopes)
         network = network if slopes is None else slopes.network
         converged = True
@@ -133,21 +135,21 @@ def linearised(
 
     Both as they are for a network without friction that follows the load.
     """
-    term = network.load_friction
-    if term is None:
+    terms = network.load_terms
+    if not terms:
         return network, patterns
     k = np.asarray(k, float)
-    magnitudes = k[network.layout.of(term)]
     load = k[network.layout.inertial]
-    term = term.with_load(load)
-    motion = [np.asarray(x, float) for x in (patterns.q, patterns.qd, patterns.qdd)]
-    columns = term.columns(*(x.T for x in motion))
-    friction = np.zeros_like(motion[0])
-    for joint, factor in zip(term.joints, magnitudes, strict=True):
-        friction[:, joint] = factor * np.asarray(columns[joint])[0]
-    factors = np.zeros(network.joint_count)
-    factors[list(term.joints)] = magnitudes
-    rigid = LoadedRigidBody.of(term.rigid, load, factors)
+    motion = [np.asarray(x, float).T for x in (patterns.q, patterns.qd, patterns.qdd)]
+    friction = np.zeros_like(motion[0].T)
+    factors = np.zeros((2, network.joint_count))
+    for term in terms:
+        magnitudes = k[network.layout.of(term)]
+        factors += np.asarray(term.factors(jnp.asarray(magnitudes)))
+        columns = term.with_load(load).columns(*motion)
+        for joint in term.joints:
+            friction[:, joint] += magnitudes[list(term.support[joint])] @ np.asarray(columns[joint])
+    rigid = LoadedRigidBody.of(terms[0].rigid, load, factors)
     equations = CSLC(algebra=network.algebra, terms=(rigid, *network.with_load(k).terms[1:]))
     return equations, dataclasses.replace(patterns, torque=np.asarray(patterns.torque) + friction)
 
@@ -176,14 +178,23 @@ def _with_slopes_of(network: CSLC, slopes: SlopeFit) -> CSLC:
     return network.with_static_slopes(np.asarray(slopes.slopes))
 
 
-def _out_of_range(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> dict[int, str]:
-    """Joints, from 1, with a coefficient of the load that no friction has, and the sentence."""
-    term = network.load_friction
-    assert term is not None
-    return {
-        joint
-        + 1: f"{network.output_names[joint]}: friction of kind 'load' dropped, its coefficient"
-        f" {value:.3g} is not between 0 and 1"
-        for joint, value in zip(term.joints, k[network.layout.of(term)], strict=True)
-        if not 0.0 < value < 1.0
-    }
+def _lost(network: CSLC, fit: Identification) -> dict[str, dict[int, str]]:
+    """By kind: joints, from 1, with coefficients that no friction has, and the sentence."""
+    k, determined = np.asarray(fit.k), np.asarray(fit.determined)
+    lost: dict[str, dict[int, str]] = {}
+    for term in network.load_terms:
+        part = network.layout.of(term)
+        for joint in term.joints:
+            indices = part.start + np.array(term.support[joint])
+            name, values = network.output_names[joint], k[indices]
+            why = ""
+            if term.kind == DIRECTIONAL_LOAD and not determined[indices].all():
+                why = "the motion does not tell it from a multiple of rigid torques"
+            elif not np.all((values > 0.0) & (values < 1.0)):
+                listed = " and ".join(f"{value:.3g}" for value in values)
+                which = "its coefficient" if len(values) == 1 else "one of its coefficients"
+                why = f"{which} {listed} is not between 0 and 1"
+            if why:
+                sentences = lost.setdefault(term.kind, {})
+                sentences[joint + 1] = f"{name}: friction of kind {term.kind!r} dropped, {why}"
+    return lost

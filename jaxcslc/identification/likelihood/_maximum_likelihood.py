@@ -292,7 +292,7 @@ def _check(network: CSLC, recordings: Sequence[Recording], every: int) -> None:
     n = network.joint_count
     if network.payload is not None:
         raise ValueError(f"{network.name!r} has a payload; expected a network without one")
-    if network.load_friction is not None:
+    if network.load_terms:
         raise ValueError(
             f"{network.name!r} has friction of kind 'load'; expected a network without"
         )

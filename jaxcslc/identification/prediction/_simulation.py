@@ -71,7 +71,7 @@ def simulate(
 def held_step(network: CSLC, k: Array, interval: float) -> Callable[[State, Array], State]:
     """The motion of one interval of `simulate`: from positions and velocities (starts, n) and the
     torque that is held to positions and velocities at its end."""
-    if network.load_friction is not None:
+    if network.load_terms:
         raise ValueError("simulation: knows no friction of kind 'load'; remove it")
     steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
     h = interval / steps

@@ -85,7 +85,7 @@ def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
     fit = _fit(path)
     if difference := _difference(network, document, fit.names):
         raise ValueError(f"{path}: {difference}; expected an identification of this robot")
-    if network.load_friction is not None:  # it follows the torque of the identified bodies
+    if network.load_terms:  # it follows the torque of the identified bodies
         network = network.with_load(np.asarray(fit.k))
     return SavedReport(
         network,

@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from ...manipulator import RobotError
 from ...motion import Recording
 from ...network import CSLC
-from ...network.terms import LOAD
+from ...network.terms import DIRECTIONAL_LOAD, LOAD
 from .._held_out import RelativeError
 from .._settings import Settings
 from ..friction import fit_load, fit_slopes, linearised
@@ -15,7 +15,7 @@ from ._selection import choose_settings
 
 
 # In the order in which they are tried: a constant decides more, on real arms, than all others.
-FRICTION_CANDIDATES = ("offset", "static", "root", "quadratic", "spring", LOAD)
+FRICTION_CANDIDATES = ("offset", "static", "root", "quadratic", "spring", LOAD, DIRECTIONAL_LOAD)
 # Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
 _ROUNDS, _FOLDS = 3, 8
 
@@ -124,18 +124,16 @@ def choose_friction(
         before, _, _ = _held_out(network, recording, settings)
         tried: list[FrictionTrial] = []
         for kind in candidates:
-            richer, joints = _with(network, kind)
-            if not joints:
-                continue
-            progress(f"trying friction: {kind}")
-            try:
-                errors, mask, laws = _held_out(richer, recording, settings)
-            except (ValueError, RuntimeError):  # nothing in the motion determines it
-                continue
-            for joint in joints:
-                relative = _relative(errors, before, mask, joint)
-                possible = kind in laws[joint - 1]
-                tried.append(FrictionTrial(joint, kind, relative, used=False, possible=possible))
+            for richer, joints in _with(network, kind):
+                progress(f"trying friction: {kind}")
+                try:
+                    errors, mask, laws = _held_out(richer, recording, settings)
+                except (ValueError, RuntimeError):  # nothing in the motion determines it
+                    continue
+                for joint in joints:
+                    relative = _relative(errors, before, mask, joint)
+                    possible = kind in laws[joint - 1]
+                    tried.append(FrictionTrial(joint, kind, relative, False, possible))
         best = _best(tried, chance)
         trials += [dataclasses.replace(trial, used=trial in best.values()) for trial in tried]
         if not best:
@@ -149,8 +147,11 @@ def choose_friction(
     return FrictionChoice(network, tuple(trials))
 
 
-def _with(network: CSLC, kind: str) -> tuple[CSLC, list[int]]:
-    """With a kind of friction at all joints that may have it, and which these are, from 1."""
+def _with(network: CSLC, kind: str) -> Iterator[tuple[CSLC, list[int]]]:
+    """With a kind of friction at all joints that may have it, and which these are, from 1.
+
+    Of directional friction, joint by joint: at all of them, no motion would determine it.
+    """
     kinds_of_joints = list(network.friction_per_joint)
     joints: list[int] = []
     for joint, kinds in enumerate(kinds_of_joints, start=1):
@@ -162,7 +163,16 @@ def _with(network: CSLC, kind: str) -> tuple[CSLC, list[int]]:
             continue
         kinds_of_joints[joint - 1] = (*kinds, kind)
         joints.append(joint)
-    return (network.with_joint_friction(kinds_of_joints) if joints else network), joints
+    sets = [[joint] for joint in joints] if kind == DIRECTIONAL_LOAD else [joints]
+    for some in sets:
+        if some:
+            laws = [
+                kinds if joint in some else before
+                for joint, (kinds, before) in enumerate(
+                    zip(kinds_of_joints, network.friction_per_joint, strict=True), start=1
+                )
+            ]
+            yield network.with_joint_friction(laws), some
 
 
 def _held_out(
@@ -181,7 +191,7 @@ def _held_out(
     suited = settings.for_network(network)
     patterns = suited.patterns(recording)
     mask = np.asarray(patterns.mask)
-    if network.load_friction is not None:
+    if network.load_terms:
         load = fit_load(network, patterns, solver=suited.solver)
         network, patterns = linearised(load.network, load.fit.k, patterns)
     elif "static" in network.robot.friction_terms:

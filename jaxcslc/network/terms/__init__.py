@@ -14,6 +14,7 @@ from ._joint_term import (
     LawProperties as LawProperties,
 )
 from ._load_friction import (
+    DIRECTIONAL_LOAD as DIRECTIONAL_LOAD,
     LOAD as LOAD,
     LoadedRigidBody as LoadedRigidBody,
     LoadFriction as LoadFriction,

@@ -15,7 +15,7 @@ from ._friction_laws import (
 from ._input_term import AbstractInputTerm
 from ._joint_projection import ProjectedTerm
 from ._joint_term import AbstractJointLaw, JointTerm
-from ._load_friction import LOAD, LoadFriction
+from ._load_friction import DIRECTIONAL_LOAD, LOAD, LoadFriction
 from ._rigid_body_recursion import RigidBodyRecursion
 from ._rigid_body_tables import RigidBodyTables
 from ._static_friction import StaticFriction
@@ -40,6 +40,6 @@ def input_terms(
 ) -> tuple[AbstractInputTerm, ...]:
     """The terms of the robot's friction model, in its order, then those of coupled joints, and
     last the friction that follows the torque of `rigid`, links and motors."""
-    kinds = (kind for kind in robot.friction_terms if kind != LOAD)
+    kinds = (kind for kind in robot.friction_terms if kind not in (LOAD, DIRECTIONAL_LOAD))
     joint_terms = [JointTerm.of(_LAWS[kind](robot), robot) for kind in kinds]
     return (*joint_terms, *CoupledTerm.all_of(robot), *LoadFriction.all_of(robot, rigid))
