@@ -8,7 +8,15 @@ from jaxtyping import Float
 
 from ...motion import Butterworth, CubicSpline, Patterns, Preparation, Recording, zero_phase
 from ...network import CSLC
-from ..solver import Equations, LeastSquares, Unknowns, regressor_of
+from ..solver import (
+    Equations,
+    HostColumns,
+    LeastSquares,
+    Unknowns,
+    columns_of,
+    regressor_of,
+    torque_by,
+)
 from ._evidence import Evidence
 
 
@@ -170,22 +178,22 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
     trim = preparation.trimmed(recording)
     valid = evidence.valid[trim : recording.samples - trim]
     time = np.asarray(patterns.time)
-    regressor = _regressor(network, patterns)
+    motion = _columns(network, patterns)
     joints = network.joint_count
     unknowns = Unknowns(
         (*network.names, *(f"lag {joint + 1}" for joint in range(joints))),
         tuple((*support, network.size + joint) for joint, support in enumerate(network.support)),
     )
-    columns = np.concatenate([regressor, np.zeros((*regressor.shape[:2], joints))], axis=2)
+    columns = [np.concatenate([rows, np.zeros((1, patterns.samples))]) for rows in motion]
     estimate = _Combined(lag, np.inf, 1.0)
     solver = LeastSquares()
     for number in range(_ROUNDS):
         torque = dataclasses.replace(preparation, torque_lag=lag).aligned(
             recording.time, recording.torque
         )[trim : recording.samples - trim]
-        equations = Equations.of(
+        equations = Equations.of_columns(
             unknowns,
-            columns,
+            tuple(columns),
             torque,
             np.asarray(patterns.mask) & valid,
             time=time,
@@ -204,12 +212,12 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
         # noise in the third derivative of the positions is correlated with that in the first,
         # which viscous friction multiplies, and would pass for a lag.
         slope = zero_phase(
-            np.gradient(regressor @ k[: network.size], interval, axis=0),
+            np.gradient(torque_by(network.support, motion, k), interval, axis=0),
             interval,
             cutoff=evidence.cutoff / _SMOOTHER,
         )
         for joint in range(joints):
-            columns[:, joint, network.size + joint] = -_STEP * slope[:, joint]
+            columns[joint][-1] = -_STEP * slope[:, joint]
     error = np.hypot(estimate.error, _COMMON * interval)
     half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.975) * error)
     return TorqueLag(lag, lag - half, lag + half, gain)
@@ -251,10 +259,9 @@ class _Combined:
         return cls(mean, float(weights.sum() ** -0.5), degrees_of_freedom)
 
 
-def _regressor(network: CSLC, patterns: Patterns) -> Float[np.ndarray, "samples joints columns"]:
-    """The regressor, of pieces that share one compiled function."""
-    pieces: list[np.ndarray] = []
-    for start in range(0, patterns.samples, _PIECE):
-        part = slice(start, start + _PIECE)
-        pieces.append(np.asarray(regressor_of(network, jax.tree.map(itemgetter(part), patterns))))
-    return np.concatenate(pieces)
+def _columns(network: CSLC, patterns: Patterns) -> HostColumns:
+    """The regressor's columns, of pieces that share one compiled function."""
+    starts = range(0, patterns.samples, _PIECE)
+    parts = (jax.tree.map(itemgetter(slice(start, start + _PIECE)), patterns) for start in starts)
+    pieces = [columns_of(network, part) for part in parts]
+    return tuple(np.concatenate(of_joint, axis=1) for of_joint in zip(*pieces, strict=True))

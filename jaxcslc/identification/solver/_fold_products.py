@@ -55,11 +55,11 @@ class FoldProducts(NamedTuple):
         indices = [samples_of(fold, number) for number in range(folds)]
 
         def product(joint_columns: np.ndarray, joint: int, rows: Any) -> np.ndarray:
-            # Zeros in place of the pairs that do not count: to gather the others takes longer.
-            kept = mask[rows, joint]
-            sides = np.zeros((len(joint_columns) + 1, kept.size))
-            np.copyto(sides[:-1], joint_columns[:, rows], where=kept)
-            np.copyto(sides[-1], torque[rows, joint], where=kept)
+            kept = np.flatnonzero(mask[rows, joint])
+            sides = np.empty((len(joint_columns) + 1, kept.size))
+            # Indices that exist need no check, which takes NumPy twice as long as to copy the rows.
+            np.take(joint_columns[:, rows], kept, axis=1, out=sides[:-1], mode="clip")
+            np.take(torque[rows, joint], kept, out=sides[-1], mode="clip")
             return sides @ sides.T
 
         products = (
