@@ -1,5 +1,7 @@
+import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, get_args
 
 from ..motion import Recording
@@ -15,6 +17,11 @@ from .prediction import file_coefficients, prediction_error
 from .prior import Prior
 from .report import Report
 from .solver import Previous
+
+
+# From here on recordings are checked beside what follows: of shorter ones NumPy's operations take
+# so little that threads wait for the interpreter.
+_SAMPLES_OF_THREADS = 8192
 
 
 def identify(
@@ -127,51 +134,59 @@ def identify(
     if estimator == "instrumental-variables":
         possible, systematic = "never", False
     _check_load(network, estimator, len(by_name), horizon)
-    data_check = None
-    if checks:
-        lag = 0.0 if settings is None else settings.preparation.torque_lag
-        lag = (options or {}).get("torque_lag", lag)
-        data_check = _checked(network, by_name, validation, lag, step)
-    if len(by_name) > 1:
-        if previous is not None:
-            raise ValueError("identify: previous is for one recording, got several")
-        report = identify_several(
-            network,
-            by_name,
-            validation,
-            settings,
-            options=options or {},
-            folds=folds,
-            memory=memory,
-            offsets=offsets,
-            systematic=systematic,
-            possible=possible,
-            prior=prior,
-            data_check=data_check,
-            step=step,
-        )
-    else:
-        if offsets:
-            raise ValueError(
-                "identify: offsets are of several recordings; for one use the friction term"
-                " 'offset'"
+    lag = 0.0 if settings is None else settings.preparation.torque_lag
+    lag = (options or {}).get("torque_lag", lag)
+    together = len(by_name) > 1
+    longest = max(by_name.values(), key=lambda recording: recording.samples)
+    beside = not together and longest.samples >= _SAMPLES_OF_THREADS
+    with _computed(
+        lambda: (
+            _checked(network, by_name, validation, lag, without_progress if beside else step)
+            if checks
+            else None
+        ),
+        beside,
+    ) as data_check:
+        if together:
+            if previous is not None:
+                raise ValueError("identify: previous is for one recording, got several")
+            report = identify_several(
+                network,
+                by_name,
+                validation,
+                settings,
+                options=options or {},
+                folds=folds,
+                memory=memory,
+                offsets=offsets,
+                systematic=systematic,
+                possible=possible,
+                prior=prior,
+                data_check=data_check(),
+                step=step,
             )
-        report = identify_one(
-            network,
-            next(iter(by_name.values())),
-            validation,
-            settings,
-            previous=previous,
-            groups=groups,
-            options=options or {},
-            folds=folds,
-            systematic=systematic,
-            possible=possible,
-            prior=prior,
-            memory=memory,
-            data_check=data_check,
-            step=step,
-        )
+        else:
+            if offsets:
+                raise ValueError(
+                    "identify: offsets are of several recordings; for one use the friction term"
+                    " 'offset'"
+                )
+            report = identify_one(
+                network,
+                next(iter(by_name.values())),
+                validation,
+                settings,
+                previous=previous,
+                groups=groups,
+                options=options or {},
+                folds=folds,
+                systematic=systematic,
+                possible=possible,
+                prior=prior,
+                memory=memory,
+                data_check=data_check,
+                step=step,
+            )
     if estimator == "instrumental-variables":
         recording = next(iter(by_name.values()))
         report = with_instruments(report, recording, prior=prior, step=step)
@@ -190,7 +205,6 @@ def identify(
         )
     if horizon:
         step("simulating")
-        longest = max(by_name.values(), key=lambda recording: recording.samples)
         coefficients = {"fit": report.k, **file_coefficients(report.network)}
         error = prediction_error(
             report.network, coefficients, validation or longest, report.settings
@@ -251,6 +265,19 @@ def _checked(
     # Nothing is fitted to the validation recording: it need not move much.
     judged = [f for f in page.findings if f.kind != "tame motion" or f.recording != name]
     return dataclasses.replace(page, findings=tuple(judged))
+
+
+@contextlib.contextmanager
+def _computed(
+    compute: Callable[[], DataCheck | None], beside: bool
+) -> Generator[Callable[[], DataCheck | None]]:
+    """A function that returns what `compute` does: at once, or in a thread beside other work."""
+    if not beside:
+        value = compute()
+        yield lambda: value
+        return
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(compute).result
 
 
 def _by_name(training: Sequence[Recording] | Mapping[str, Recording]) -> dict[str, Recording]:

@@ -87,10 +87,13 @@ def identify_one(
     possible: Choice,
     prior: Prior | None,
     memory: float,
-    data_check: DataCheck | None,
+    data_check: Callable[[], DataCheck | None],
     step: Callable[[str], None],
 ) -> Report:
-    """What `identify` does with one recording; arguments as there."""
+    """What `identify` does with one recording; arguments as there.
+
+    - `data_check`: waits for the check of all recordings, if they are checked.
+    """
     automatic_masks = settings is None or settings.preparation.threshold_fraction is None
     step("choosing settings")
     prepared = _prepared(network, training, validation, settings, options, folds, memory)
@@ -172,11 +175,12 @@ def identify_one(
         held_out = cross_validated_error(network, part_patterns, settings, fit=fit)
     consequences += () if held_out is None else held_out.warnings
     consequences += fit_warnings(network, training, fit, errors["training"])
+    checked = data_check()
     warnings = [
         *prepared.warnings,
         *(() if slopes is None else slopes.warnings),
         *(() if load is None else load.warnings),
-        *(consequences if data_check is None else data_check.unexplained(consequences)),
+        *(consequences if checked is None else checked.unexplained(consequences)),
     ]
     return Report(
         network,
@@ -194,7 +198,7 @@ def identify_one(
         bodies=None if bodies is None else bodies.parameters,
         possible=bodies,
         prior=prior,
-        data_check=data_check,
+        data_check=checked,
         judged_part=None if prepared.section is None else prepared.section.description,
         notes=prepared.notes,
     )
