@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scripts.studies.likelihood import gaussian, study
+import sim
+from scripts.studies.likelihood import gaussian, slow_reversals, study
 
 
 def row(machine: object, samples: int, seed: int) -> dict[str, Any]:
@@ -91,3 +92,35 @@ def test_motion_and_its_derivatives() -> None:
     for values, derivative in ((motion.q, motion.qd), (motion.qd, motion.qdd)):
         slope = np.gradient(values, motion.time, axis=0)[1:-1]
         np.testing.assert_allclose(slope, derivative[1:-1], atol=2e-3 * np.abs(derivative).max())
+
+
+def test_table_of_slow_reversals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def deviating(*arguments: Any) -> dict[str, Any]:
+        machine, samples, _, seed = arguments
+        values = {
+            name: value for name, value in row(machine, samples, seed).items() if "st" in name
+        }
+        inside = {"magnitudes inside": [seed < 1] * 6, "slopes inside": [True] * 6}
+        slopes = {"slope": [0.9] * 6, "slope error": [0.2] * 6}
+        return {**values, **slopes, **inside, "all inside": 0.95, "converged": True}
+
+    monkeypatch.setattr(slow_reversals, "row_of", deviating)
+    assert slow_reversals.main(["--seeds", "2", "-o", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "magnitudes: 50.0 % of 95 % intervals hold the truth" in printed
+    assert "slopes: 100.0 %" in printed and "converged: 2 of 2" in printed
+
+
+def test_swings_are_slow_and_smooth() -> None:
+    """Each joint reverses at rest, and its greatest speed is a few of static friction's."""
+    machine = sim.puma560()
+    trajectory = slow_reversals.swings(machine, 2000)
+    path = trajectory.path
+    assert isinstance(path, sim.SampledPath)
+    slope = np.gradient(path.q, path.interval, axis=0)[1:-1]
+    np.testing.assert_allclose(slope, path.qd[1:-1], atol=1e-4)
+    fastest = np.abs(path.qd).max(axis=0) / np.array(machine.static_velocity)
+    np.testing.assert_allclose(fastest, slow_reversals.FASTEST, rtol=1e-3)
+    np.testing.assert_allclose(path.q[0], trajectory.start)
