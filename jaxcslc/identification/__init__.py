@@ -48,9 +48,12 @@ from .cluster import (
 from .estimators import EstimatorChoice as EstimatorChoice
 from .friction import (
     LoadFit as LoadFit,
+    PreSlidingFit as PreSlidingFit,
     SlopeFit as SlopeFit,
     fit_load as fit_load,
+    fit_pre_sliding as fit_pre_sliding,
     fit_slopes as fit_slopes,
+    pre_sliding as pre_sliding,
 )
 from .instruments import (
     AbstractSimulatedMotion as AbstractSimulatedMotion,

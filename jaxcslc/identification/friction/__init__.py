@@ -1,2 +1,7 @@
 from ._load import LoadFit as LoadFit, fit_load as fit_load, linearised as linearised
+from ._pre_sliding import (
+    PreSlidingFit as PreSlidingFit,
+    fit_pre_sliding as fit_pre_sliding,
+    pre_sliding as pre_sliding,
+)
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
