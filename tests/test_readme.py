@@ -60,7 +60,8 @@ def test_each_example_of_friction_runs_by_itself(
     for example in examples_of("docs/friction.md"):
         exec(compile(example, "docs/friction.md", "exec"), {})
         printed.append(capsys.readouterr().out)
-    names, load, slopes, reidentified = printed
+    names, load, pre_sliding, slopes, reidentified = printed
+    assert 0.018 < float(pre_sliding[1:].split("]")[0]) < 0.022
     assert names == "('ks6', 'kvp3', 'kvn3')\n"
     assert load.startswith("[ 0.5") and "0.15" in load
     assert slopes.startswith("[5.")
