@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -12,9 +12,10 @@ from ._signs import LATEST_TURN
 
 
 _MOST_TRIALS, _MOST_HALVINGS = 8, 4
-# Up to so many whole steps are tried, the later ones corrected for what is not linear, until the
-# sum of squares falls by this part of what linear equations promise.
-_MOST_CORRECTIONS, _GOOD = 3, 0.5
+# A whole step is corrected for what is not linear up to so many times, until the sum of squares
+# falls by this part of what linear equations promise, and as long as what is missing of that falls
+# below this part of what was missing before.
+_MOST_CORRECTIONS, _GOOD, _NEARER = 6, 0.5, 0.3
 # A promise below this is of rounding.
 _ROUNDING = 1e-5
 # The damping: at first, least, its factor after good and bad steps, and the most with which a
@@ -55,9 +56,7 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
 
     **Raises** `RuntimeError` if rounding has made the equations indefinite.
     """
-    objective = linear.objective
-    residuals = objective.residuals(point)
-    value, promise, size, factored = objective.value(residuals), np.inf, np.inf, None
+    value, promise, size, factored = linear.objective.value(linear.present), np.inf, np.inf, None
     for _ in range(_MOST_TRIALS):
         try:
             factored = linear.factored(damping)
@@ -68,47 +67,88 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
         if promise == np.inf:  # before damping grows
             promise = linear.promise(change)
             size = float(np.sqrt(max(change.border @ factored.information @ change.border, 0.0)))
-        for part, whole, least in _trials(linear, factored, change, damping, point, promise):
-            moved = _bounded(problem, objective.moved(point, part), point)
-            left = objective.residuals(moved)
-            fall = value - objective.value(left)
-            # Where no more is promised, a rise by as much is of rounding too.
-            rounding = _ROUNDING if promise <= _ROUNDING else 0.0
-            if fall >= least - max(1e-12 * abs(value), rounding):
-                if whole:
-                    damping = max(damping / _FACTOR, _LEAST_DAMPING)
-                fall = fall / value if value > 0.0 else 0.0
-                return LevenbergStep(moved, left, factored, damping, size, promise, fall)
+        # Where no more is promised, a rise by as much is of rounding too.
+        rounding = max(1e-12 * abs(value), _ROUNDING if promise <= _ROUNDING else 0.0)
+        trials = _Trials(problem, linear, factored, damping, point, value, rounding)
+        trial = trials.best(change, promise)
+        if trial.fall >= -rounding:
+            if trial.whole:
+                damping = max(damping / _FACTOR, _LEAST_DAMPING)
+            fall = trial.fall / value if value > 0.0 else 0.0
+            return LevenbergStep(
+                trial.point, trial.residuals, factored, damping, size, promise, fall
+            )
         damping = _FACTOR * max(damping, 1e-5)
     if factored is None:
         raise RuntimeError("maximum likelihood: rounding has made the normal equations indefinite")
     # A minimum up to rounding, if nothing was to be expected.
     damping = SMALL_DAMPING if promise <= PROMISE else DAMPING
-    return LevenbergStep(point, residuals, factored, damping, size, promise, 0.0)
+    return LevenbergStep(point, linear.present, factored, damping, size, promise, 0.0)
 
 
-def _trials(
-    linear: Linear,
-    factored: Factored,
-    change: Step,
-    damping: float,
-    point: Point,
-    promise: float,
-) -> Iterator[tuple[Step, bool, float]]:
-    """Steps to try, whether each is a whole one, and how far the sum of squares is to fall in it.
+class _Trial(NamedTuple):
+    """A point that was tried: residuals there, how far the sum of squares fell, and whether the
+    step to it was a whole one."""
 
-    First the step and its corrections for the torque that linear equations missed, then parts.
+    point: Point
+    residuals: Residuals
+    fall: float
+    whole: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class _Trials:
+    """Steps from a point with one factorisation.
+
+    - `value`: the sum of squares there; `rounding`: how far it may rise.
     """
-    objective, residuals = linear.objective, linear.residuals
-    part = change
-    for _ in range(_MOST_CORRECTIONS if promise > _ROUNDING else 0):
-        yield part, True, _GOOD * promise
-        left = objective.residuals(objective.moved(point, part)).torque
-        missed = left - linear.after(part, residuals).torque
-        corrected = dataclasses.replace(residuals, torque=residuals.torque + missed)
-        part = linear.step(factored, corrected, damping)
-    for number in range(_MOST_HALVINGS):
-        yield change.scaled(0.5**number), number == 0, 0.0
+
+    problem: Problem
+    linear: Linear
+    factored: Factored
+    damping: float
+    start: Point
+    value: float
+    rounding: float
+
+    def best(self, change: Step, promise: float) -> _Trial:
+        """The step with its corrections or, where none is good, the first part of it that is.
+
+        The sum of squares need not fall in it.
+        """
+        trial = self._corrected(change, promise)
+        for number in range(1, _MOST_HALVINGS):
+            if trial.fall >= -self.rounding:
+                break
+            trial = self._trial(change.scaled(0.5**number), whole=False)
+        return trial
+
+    def _corrected(self, change: Step, promise: float) -> _Trial:
+        """As long as corrections come much nearer to what linear equations promise."""
+        linear, part, last = self.linear, change, None
+        best = trial = self._trial(change, whole=True)
+        for _ in range(_MOST_CORRECTIONS if promise > _ROUNDING else 0):
+            if trial.fall > best.fall:
+                best = trial
+            missing = promise - trial.fall
+            if missing <= (1.0 - _GOOD) * promise or (last and missing > _NEARER * last):
+                break
+            moved, left = linear.objective.moved(self.start, part), trial.residuals
+            if not np.array_equal(moved.border, trial.point.border):  # it went to a bound
+                left = linear.objective.residuals(moved)
+            missed = left.torque - linear.after(part, linear.residuals).torque
+            corrected = dataclasses.replace(
+                linear.residuals, torque=linear.residuals.torque + missed
+            )
+            part, last = linear.step(self.factored, corrected, self.damping), missing
+            trial = self._trial(part, whole=True)
+        return trial if trial.fall > best.fall else best
+
+    def _trial(self, part: Step, *, whole: bool) -> _Trial:
+        objective = self.linear.objective
+        point = _bounded(self.problem, objective.moved(self.start, part), self.start)
+        residuals = objective.residuals(point)
+        return _Trial(point, residuals, self.value - objective.value(residuals), whole)
 
 
 def _bounded(problem: Problem, point: Point, before: Point) -> Point:

@@ -16,6 +16,7 @@ class Linear:
     - `objective`.
     - `weights`, `residuals`: squares that have the objective's derivatives; those of intervals and
       of joints that stick are not the readings' and the equations' residuals.
+    - `present`: the objective's own residuals at the point.
     - `order`: of the unknowns.
     - `by_position`: (equations, n, (3 + order) n) of torque made white, by the positions at three
       samples and at as many before as the order of the filter.
@@ -26,6 +27,7 @@ class Linear:
     objective: Objective
     weights: Residuals
     residuals: Residuals
+    present: Residuals
     order: Order
     by_position: Float[np.ndarray, "equations joints positions"]
     by_border: Float[np.ndarray, "equations joints border"]
@@ -61,6 +63,7 @@ class Linear:
             objective,
             dataclasses.replace(objective.weights, position=readings.weight, torque=torques.weight),
             dataclasses.replace(residuals, position=readings.residual, torque=torques.residual),
+            residuals,
             Order.of(samples, n, signs.samples),
             whitening.stencil(np.asarray(derivatives.by_position) / gain[:, None]),
             whitening.applied(by_border),

@@ -5,7 +5,7 @@ from jaxtyping import Int
 
 from .._band import Factored
 from .._levels import Levels, NoiseDraws, hidden_noise, noise_levels, position_errors
-from .._levenberg import LevenbergStep
+from .._levenberg import DAMPING, LevenbergStep
 from .._linear import Linear
 from .._objective import Residuals
 from .._problem import Problem
@@ -17,6 +17,9 @@ from ._weighting import outlier_weights
 # Noise levels go all the way to where residuals would have them in so many steps, then half of it;
 # they are fixed when they change by less than this part in a step, or after so many steps.
 _FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS = 6, 0.05, 14
+# Counts become intervals when a step moves no coefficient by more than this part of its standard
+# error. Where all of them will, the level of torque noise need not be settled: it follows later.
+NEAR = 0.3
 # Beside intervals, edges and the level of torque noise follow so many steps. The level goes all the
 # way, and in later ones half of it.
 _REFINEMENTS, _FREE_REFINEMENTS = 5, 3
@@ -57,6 +60,7 @@ def with_levels(
         moved = whitening.coefficients - state.whitening.coefficients
         change = max(change, float(np.abs(moved).max()))
     final = number >= _MOST_LEVEL_STEPS or (modelled and bool(change <= _LEVEL_TOLERANCE))
+    final |= modelled and step.change <= NEAR and _all_sharp(problem, draws, position_noise)
     if final:
         least = problem.least_position_noise
         counted_steps = (problem.encoder_step > 0.0) & (position_noise <= _MORE_THAN_STEPS * least)
@@ -111,13 +115,25 @@ def _coloured(
     return Whitening.fitted(covariance(residuals.torque) + missing)
 
 
+def _all_sharp(problem: Problem, draws: NoiseDraws, position_noise: Levels) -> bool:
+    """Whether positions of all joints that move are known much better than steps of encoders."""
+    errors = _in_steps(problem, draws)
+    steps = position_noise <= _MORE_THAN_STEPS * problem.least_position_noise
+    return bool(np.all(np.isinf(errors) | (steps & (errors <= _SHARP))))
+
+
 def with_intervals(problem: Problem, state: State, linear: Linear, factored: Factored) -> State:
     """Counts as intervals, where positions are known much better than a step."""
-    errors, _ = _position_errors(problem, state, linear, factored)
+    part = problem.readings.part
+    draws = NoiseDraws.of(linear, factored, part, state.torque_noise, state.position_noise)
+    errors = _in_steps(problem, draws)
     counts = state.position_noise <= problem.least_position_noise
     edge = np.where(counts & (errors <= _SHARP), np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
     intervals = intervals_of(problem, edge)
-    return dataclasses.replace(state, intervals=intervals, final=intervals is None)
+    # What linear equations say of intervals holds near only.
+    damping = state.damping if intervals is None else max(state.damping, DAMPING)
+    final = intervals is None
+    return dataclasses.replace(state, intervals=intervals, final=final, damping=damping)
 
 
 def with_refined_intervals(
@@ -130,7 +146,8 @@ def with_refined_intervals(
     """
     part, intervals = problem.readings.part, state.intervals
     assert intervals is not None
-    errors, draws = _position_errors(problem, state, linear, step.factored)
+    draws = NoiseDraws.of(linear, step.factored, part, state.torque_noise, state.position_noise)
+    errors = _in_steps(problem, draws)
     torque_noise, _ = _levels_of(problem, state, step.residuals, draws, counted)
     if state.refinements >= _FREE_REFINEMENTS:
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
@@ -144,11 +161,8 @@ def with_refined_intervals(
     )
 
 
-def _position_errors(
-    problem: Problem, state: State, linear: Linear, factored: Factored
-) -> tuple[Levels, NoiseDraws]:
-    """Of estimated positions in steps of encoders, (recordings, n), and the draws that say so."""
-    part, step = problem.readings.part, problem.encoder_step
-    draws = NoiseDraws.of(linear, factored, part, state.torque_noise, state.position_noise)
-    errors = position_errors(draws, problem.moving, part, len(step))
-    return errors / np.where(step > 0.0, step, 1e-300), draws
+def _in_steps(problem: Problem, draws: NoiseDraws) -> Levels:
+    """Errors of estimated positions in steps of encoders; infinite where there are none."""
+    step = problem.encoder_step
+    errors = position_errors(draws, problem.moving, problem.readings.part, len(step))
+    return errors / np.where(step > 0.0, step, 1e-300)

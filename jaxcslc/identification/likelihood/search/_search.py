@@ -10,7 +10,7 @@ from .._levenberg import PROMISE, SMALL_DAMPING, levenberg_step
 from .._linear import Linear
 from .._objective import Objective, Point
 from .._problem import Problem
-from ._noise import with_intervals, with_levels, with_refined_intervals
+from ._noise import NEAR, with_intervals, with_levels, with_refined_intervals
 from ._state import MARGINS, Mask, State, with_signs
 from ._weighting import objective_of, outlier_weights, with_sticking
 
@@ -18,10 +18,9 @@ from ._weighting import objective_of, outlier_weights, with_sticking
 _MOST_STEPS = 60
 # It has converged when a step moves no coefficient by more than this part of a standard error, and
 # linear equations promise less than this of the sum of squares, in units of variances.
-_SETTLED = 1e-3
-# Counts become intervals when a step moves no coefficient by more than this part of one; then the
-# width of edges and the level of torque noise follow steps of less than this.
-_NEAR, _NEARER = 0.3, 1.0
+_SETTLED = 1e-2
+# Beside intervals, edges and the level of torque noise follow steps of less than this part of one.
+_NEARER = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,5 +115,6 @@ def search(
             state = with_levels(problem, state, linear, step, counted, number)
         elif state.intervals is not None and not state.final and step.change <= _NEARER:
             state = with_refined_intervals(problem, state, linear, step, counted)
-        elif not state.final and quiet and step.change <= _NEAR:
+        waiting = state.levels_fixed and state.intervals is None and not state.final
+        if waiting and quiet and step.change <= NEAR:
             state = with_intervals(problem, state, linear, step.factored)
