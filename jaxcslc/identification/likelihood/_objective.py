@@ -138,11 +138,12 @@ class Objective:
         """The point after a step."""
         border = point.border + self.scale * step.border
         p, n = len(point.k), point.q.shape[1]
-        first = p + n + len(point.calibration)
+        last = p + len(point.slopes)
+        first = last + len(point.calibration)
         return Point(
             border[:p],
-            border[p : p + n],
-            border[p + n : first],
+            border[p:last],
+            border[last:first],
             border[first:].reshape(-1, n),
             point.q + step.position,
             point.turn + step.turn,
