@@ -8,6 +8,7 @@ import typer
 from ..identification import (
     EstimatorChoice,
     MaximumLikelihood,
+    Prior,
     Report,
     Settings,
     choose_friction,
@@ -55,6 +56,7 @@ from ._identify_options import (
     FoldsOption,
     HorizonOption,
     LikelihoodEveryOption,
+    LikelihoodUnknownsOption,
     LossOption,
     MemoryOption,
     NoiseOrderOption,
@@ -101,6 +103,7 @@ def identify_command(
     estimator: EstimatorOption = "least-squares",
     likelihood_every: LikelihoodEveryOption = None,
     noise_order: NoiseOrderOption = None,
+    likelihood_unknowns: LikelihoodUnknownsOption = None,
     offsets: OffsetsOption = False,
     between: BetweenOption = None,
     every: EveryOption = None,
@@ -136,10 +139,14 @@ def identify_command(
         else:
             arm = robot_named(robot, base, tip, fix, mimic)
             saved = _previous_report(context, arm, previous)
+            choices = _choices(estimator, possible, prior)
+            likelihood = _likelihood(
+                likelihood_every, noise_order, likelihood_unknowns, choices["prior"]
+            )
             options = {
                 **_refitted(saved, reidentify),
-                **_choices(estimator, possible, prior),
-                "likelihood": _likelihood(likelihood_every, noise_order),
+                **choices,
+                "likelihood": likelihood,
                 "options": without_none(torque_lag=torque_lag, loss=loss),
             }
             preparation = _settings(settings, saved)
@@ -241,9 +248,15 @@ def _choices(estimator: str, possible: str, prior: Path | None) -> dict[str, Any
     }
 
 
-def _likelihood(every: int | None, noise_order: int | None) -> MaximumLikelihood | None:
+def _likelihood(
+    every: int | None, noise_order: int | None, unknowns: str | None, prior: Prior | None
+) -> MaximumLikelihood | None:
     """How maximum likelihood is fitted, if anything is said of it."""
     options: dict[str, Any] = dict(without_none(every=every, noise_order=noise_order))
+    if unknowns is not None:
+        options["unknowns"] = tuple(names_in(unknowns))
+        if "torque_gains" in options["unknowns"] and prior is not None:
+            options["prior"] = Prior(prior.coefficients)
     return MaximumLikelihood(**options) if options else None
 
 

@@ -31,6 +31,13 @@ NoiseOrderOption = Annotated[
     int | None,
     typer.Option(help="Maximum likelihood: order of the autoregression of torque noise, 0 to 2."),
 ]
+LikelihoodUnknownsOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Maximum likelihood: what of torques is estimated too, torque_lag or torque_gains or"
+        " both with a comma; gains need a coefficient's value in --prior.",
+    ),
+]
 OffsetsOption = Annotated[
     bool,
     typer.Option("--offsets", help="Fit a constant torque of each joint in each recording along."),

@@ -67,8 +67,9 @@ def identify(
       smoothing (`MaximumLikelihood`); `"auto"` fits both, and uses the latter where it predicts
       motion that was not fitted better by more than chance: the validation recording or, without
       one, the last quarter of each training recording. `report.estimators` compares them.
-    - `likelihood`: how the latter is fitted (`every`, `noise_order`, `resolution`, `errors`); its
-      torque sampling and settings are those of the report.
+    - `likelihood`: how the latter is fitted; its torque sampling and settings are those of the
+      report. With `unknowns`, lag and gains of torque are estimated on the training recordings, and
+      coefficients, errors and the validation recording are of torques as they then were.
       `"instrumental-variables"` is of one recording, without possible bodies and systematic errors
       (`InstrumentalVariables`); a note says whether least squares is biased.
     - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
@@ -129,6 +130,7 @@ def identify(
         offsets=offsets,
         recordings=len(by_name),
         possible=possible,
+        horizon=horizon,
         likelihood=likelihood,
     )
     if estimator == "instrumental-variables":

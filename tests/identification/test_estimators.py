@@ -165,9 +165,11 @@ class TestBadInput:
         options = jc.MaximumLikelihood(every=2)
         with pytest.raises(ValueError, match="takes no options of maximum likelihood"):
             jc.identify(network, swing(network, 0), likelihood=options, **QUICK)
-        options = jc.MaximumLikelihood(unknowns=("torque_lag",))
-        with pytest.raises(ValueError, match=r"are for MaximumLikelihood\.fit; expected neither"):
-            jc.identify(network, swing(network, 0), estimator="auto", likelihood=options, **QUICK)
+        prior = Prior({"kv1": Known(0.2, 0.01)})
+        options = jc.MaximumLikelihood(unknowns=("torque_gains",), prior=prior)
+        recording = swing(network, 0)
+        with pytest.raises(ValueError, match="horizon: is of recorded torques, not with torque"):
+            jc.identify(network, recording, estimator="auto", likelihood=options, horizon=True)
 
     def test_a_re_identification(self, network: jc.CSLC) -> None:
         with pytest.raises(ValueError, match="'auto': not with previous, which is of least-squ"):

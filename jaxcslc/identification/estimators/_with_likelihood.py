@@ -24,6 +24,7 @@ from ..possible import (
 from ..prior import Known, Prior, with_knowledge
 from ..report import Report, compare, degree_of_excitation, fit_warnings
 from ..solver import Identification, torque_of
+from ._calibration import calibrated, calibrated_report
 from ._checks import EstimatorChoice, check_size
 
 
@@ -116,18 +117,32 @@ class _Judged:
 
     def report(self, estimator: EstimatorChoice) -> Report:
         """The report of the estimator that is asked for, or better."""
-        base = self.least_squares
         self.step("maximum likelihood")
-        likelihood = self._with_bodies.fit(
-            self.network, self._on_time(self.training.values()), self._first, self.step
-        )
+        training = self._on_time(self.training.values())
+        likelihood = self._with_bodies.fit(self.network, training, self._first, self.step)
+        if not likelihood.unknowns:
+            return self._beside(likelihood, estimator)
+        base = self.least_squares
+        validation = [] if self.validation is None else self._on_time([self.validation])
+        right = calibrated_report(base, likelihood, training, validation)
+        report = dataclasses.replace(self, least_squares=right)._beside(likelihood, estimator)
+        comparison = report.estimators
+        assert comparison is not None
+        if comparison.used == "least-squares":
+            return dataclasses.replace(base, estimators=comparison, notes=report.notes)
+        lag = base.settings.preparation.torque_lag + likelihood.torque_lag
+        return dataclasses.replace(report, settings=base.settings.with_options(torque_lag=lag))
+
+    def _beside(self, likelihood: LikelihoodFit, estimator: EstimatorChoice) -> Report:
+        """The same from the fit to everything, with patterns of torques as it says they were."""
+        base = self.least_squares
         unfitted = self._unfitted(likelihood)
         parts = Part.held_out(
             likelihood.network, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES
         )
         fit = likelihood.free
         if fit is None:
-            fit = with_knowledge(likelihood.fit, self._known)
+            fit = self._informed(likelihood.fit)
         bodies, _, sentences = judged_bodies(
             likelihood.network,
             fit,
@@ -186,7 +201,7 @@ class _Judged:
     @property
     def _with_bodies(self) -> MaximumLikelihood:
         """The estimator of everything, whose search has possible bodies if they are used anyway."""
-        prior = self.prior or Prior()
+        prior = self.prior or self.options.prior or Prior()
         bounds = any(
             entry.value is None or entry.low > -np.inf or entry.high < np.inf
             for entry in prior.coefficients.values()
@@ -234,7 +249,7 @@ class _Judged:
             samples = np.arange(0, recording.samples, self._estimator.every)
             rows.append(samples < early[-1].samples)
             late.append(recording.between(split - start, end - start))
-            patterns = on_time.patterns(recording)
+            patterns = on_time.patterns(calibrated(recording, likelihood))
             fitted.append(patterns.between(start, split))
             unfitted.append(patterns.between(split, end))
         fit = report.settings.solver.fit(report.network, joined_patterns(fitted))
@@ -248,9 +263,13 @@ class _Judged:
         shorter = self._estimator.fit(self.network, early, near, self.step)
         return _Unfitted("held-out stretch", late, joined_patterns(unfitted), k, shorter)
 
+    def _informed(self, fit: Identification) -> Identification:
+        """A fit of maximum likelihood with what is known, unless its search knew it."""
+        return fit if self.options.prior is not None else with_knowledge(fit, self._known)
+
     def _predicted(self, fit: Identification, bodies: PossibleFit | None) -> np.ndarray:
         """The coefficients of maximum likelihood that unfitted motion is predicted by."""
-        fit = with_knowledge(fit, self._known)
+        fit = self._informed(fit)
         if bodies is None or not bodies.used:
             return np.asarray(fit.k)
         return self._possible(self.network, fit, bodies.parameters)
@@ -280,7 +299,7 @@ class _Judged:
             likelihood.network, self.least_squares.network, unfitted.least_squares
         )
         ours, theirs = (
-            self._estimator.misfit(network, unfitted.recordings, k, *levels)
+            self._estimator.misfit(network, unfitted.recordings, k, *levels, likelihood)
             for network, k in ((likelihood.network, predicted), other)
         )
         stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)

@@ -1,4 +1,8 @@
-from ._comparison import Estimator as Estimator, EstimatorComparison as EstimatorComparison
+from ._comparison import (
+    Estimator as Estimator,
+    EstimatorComparison as EstimatorComparison,
+    calibration_lines as calibration_lines,
+)
 from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._signs import runs as runs

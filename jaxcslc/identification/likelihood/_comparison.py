@@ -54,6 +54,8 @@ class EstimatorComparison:
 
     def document(self) -> dict[str, Any]:
         """What a report's file says of it, as plain data."""
+        likelihood = self.likelihood
+        unknowns = likelihood.unknowns
         return {
             "used": self.used,
             "held_out": self.source,
@@ -65,6 +67,14 @@ class EstimatorComparison:
             "change_error": self.relative.change_error,
             "torque_noise": self.likelihood.torque_noise.tolist(),
             "position_noise": self.likelihood.position_noise.tolist(),
+            "torque_lag": _pair(
+                "torque_lag" in unknowns, likelihood.torque_lag, likelihood.torque_lag_error
+            ),
+            "torque_gains": _pair(
+                "torque_gains" in unknowns,
+                likelihood.torque_gain.tolist(),
+                likelihood.torque_gain_error.tolist(),
+            ),
             "steps": self.likelihood.steps,
             "converged": self.likelihood.converged,
         }
@@ -81,4 +91,30 @@ class EstimatorComparison:
             f" {self.relative} beside that of least squares; the coefficients are those of"
             f" {self.used}"
         )
+        lines += [f"    {line}" for line in calibration_lines(self.document())]
         return "\n".join(lines)
+
+
+def calibration_lines(comparison: Mapping[str, Any]) -> list[str]:
+    """Lag and gains of torque in words, with standard errors; nothing of what was not asked for.
+
+    **Arguments**
+
+    - `comparison`: an `EstimatorComparison.document`.
+
+    >>> entry = {"value": 0.0007, "error": 2e-6}
+    >>> calibration_lines({"torque_lag": entry, "torque_gains": None})
+    ['torque lag: 0.7 ms ± 0.002 ms']
+    """
+    lines: list[str] = []
+    if lag := comparison.get("torque_lag"):
+        lines.append(f"torque lag: {1e3 * lag['value']:.4g} ms ± {1e3 * lag['error']:.2g} ms")
+    if gains := comparison.get("torque_gains"):
+        pairs = zip(gains["value"], gains["error"], strict=True)
+        values = ", ".join(f"{value:.4g} ± {error:.2g}" for value, error in pairs)
+        lines.append(f"torque over what was recorded, joint by joint: {values}")
+    return lines
+
+
+def _pair(asked: bool, value: Any, error: Any) -> dict[str, Any] | None:
+    return {"value": value, "error": error} if asked else None

@@ -11,7 +11,7 @@ from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
 from .errors import CorrelatedErrors, eliminated_rows, independent_covariance, reported_errors
 from .search import Minimum
-from .torque import Whitening
+from .torque import TorqueUnknown, Whitening
 
 
 # A coefficient that shares this part of a unit null vector is not determined by itself.
@@ -43,6 +43,7 @@ class LikelihoodFit(eqx.Module):
       r(t) + a₁ r(t-1) + ... = w(t), whose white noise w has the level `torque_noise`.
     - `edge`: (recordings, n) widths of the edges of counts that are intervals, in steps of the
       encoder; 0 where readings count as normally distributed.
+    - `unknowns`: which of lag and gains were asked for.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
     - `bodies`: with `MaximumLikelihood.possible`, those whose coefficients `fit` has; its standard
@@ -75,6 +76,7 @@ class LikelihoodFit(eqx.Module):
     position_noise: Float[np.ndarray, "recordings joints"]
     noise_coefficients: Float[np.ndarray, "order joints"]
     edge: Float[np.ndarray, "recordings joints"]
+    unknowns: tuple[TorqueUnknown, ...] = eqx.field(static=True)
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
@@ -182,6 +184,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         position_noise=minimum.position_noise,
         noise_coefficients=minimum.objective.whitening.coefficients,
         edge=np.zeros_like(point.offset) if intervals is None else intervals.edges(part),
+        unknowns=calibration.unknowns,
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,

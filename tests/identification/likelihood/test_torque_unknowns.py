@@ -1,5 +1,8 @@
 """Lag and gains of recorded torques: averages against sums, estimates against a closed form."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy
@@ -161,3 +164,46 @@ class TestBadInput:
         # A type checker at run time speaks first.
         with pytest.raises((ValueError, TypeError), match="delay"):
             jc.MaximumLikelihood(unknowns=("delay",))  # type: ignore[arg-type]
+
+
+LAG, GAIN = -2.625 * STEP, 1.7
+
+
+@pytest.fixture(scope="module")
+def report(disc: jc.CSLC) -> jc.Report:
+    prior = Prior({"kB1": Known(INERTIA, 0.01 * INERTIA)})
+    return jc.identify(
+        disc,
+        rotor(-LAG, GAIN),
+        settings=jc.Settings(jc.Preparation(torque_alignment="mean")),
+        estimator="maximum-likelihood",
+        likelihood=jc.MaximumLikelihood(unknowns=("torque_lag", "torque_gains"), prior=prior),
+        prior=prior,
+        checks=False,
+        possible="never",
+    )
+
+
+class TestIdentify:
+    def test_coefficients_are_of_torques_as_they_were(self, report: jc.Report) -> None:
+        assert report.estimators is not None
+        likelihood = report.estimators.likelihood
+        assert_allclose(likelihood.torque_lag, LAG, atol=2e-3 * STEP)
+        assert_allclose(likelihood.torque_gain, GAIN, rtol=2e-3)
+        assert_allclose(report.k, [INERTIA, VISCOUS], rtol=1e-2)
+        # What the prior says of the inertia is not counted twice.
+        assert_allclose(report.fit.standard_error[0], 0.01 * INERTIA, rtol=0.1)
+        # Least squares, whose torques have been corrected, is right too.
+        assert report.estimators.rms["least-squares"][0] < 0.1
+        assert_allclose(report.settings.preparation.torque_lag, likelihood.torque_lag)
+        late = report.patterns["training"].torque
+        assert_allclose(np.abs(late).max(), GAIN * 3.5, rtol=0.1)
+
+    def test_they_are_reported(self, report: jc.Report, tmp_path: Path) -> None:
+        assert "torque lag: -13.1" in str(report)
+        assert "torque over what was recorded, joint by joint: 1.7 ±" in str(report)
+        report.save(tmp_path, pictures=False)
+        assert "torque lag: -13.1" in (tmp_path / "index.html").read_text("utf-8")
+        estimators = json.loads((tmp_path / "identification.json").read_text("utf-8"))["estimators"]
+        assert_allclose(estimators["torque_lag"]["value"], LAG, atol=2e-3 * STEP)
+        assert_allclose(estimators["torque_gains"]["value"], [GAIN], rtol=2e-3)

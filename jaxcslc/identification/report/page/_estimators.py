@@ -3,6 +3,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ....page import AbstractBlock, Column, Paragraph, Section, Table
+from ...likelihood import calibration_lines
 
 
 def estimators_section(data: Mapping[str, Any]) -> Section:
@@ -25,6 +26,8 @@ def estimators_section(data: Mapping[str, Any]) -> Section:
         )
     ended = "converged" if estimators["converged"] else "did not converge"
     text += f" Maximum likelihood {ended} after {estimators['steps']} steps."
+    if lines := calibration_lines(estimators):
+        text += f" Estimated along: {'; '.join(lines)}. Torques of this page are as they then were."
     columns = [Column(data["kind"], numeric=False)]
     values: list[list[Any]] = [data["joints"]]
     for kind, name in (("rms", "judged"), ("rms_all_samples", "all")):
