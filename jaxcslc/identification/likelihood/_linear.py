@@ -3,8 +3,12 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._band import BandedEquations, Factored, Order
+from ._band import BandedEquations, Factored, Order, gram
 from ._objective import Objective, Point, Residuals, Step
+
+
+# Equations whose products are formed at a time.
+_BLOCK = 256
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,17 +81,8 @@ class Linear:
         """
         weights, order = self.weights, self.order
         scale = self.objective.scale
-        samples, n = weights.position.shape
         result = BandedEquations(order.size, len(scale))
-        heavy = np.swapaxes(self.by_position * weights.torque[:, :, None], 1, 2)
-        result.add(self._stencil, heavy @ self.by_position)
-        mixed = heavy @ self.by_border
-        of_sample = np.zeros((samples, n, len(scale)))
-        for i, equations, of_equation in self.stencil_parts:
-            of_sample[of_equation] += mixed[equations, i * n : (i + 1) * n]
-        result.mixed[order.position] = of_sample
-        flat = self.by_border.reshape(-1, len(scale))
-        result.border += flat.T @ (flat * weights.torque.reshape(-1, 1))
+        self._add_equations(result)
         result.border += np.diag(scale**2 * weights.border)
 
         index = order.position
@@ -211,6 +206,38 @@ class Linear:
         np.add.at(border, self.offset, reading * scale[self.offset])
         border += scale * weights.border * residuals.border
         return inner, border
+
+    def _add_equations(self, result: BandedEquations) -> None:
+        """A block of equations at a time: products of all of them would be several times as large
+        as what is kept, and out of reach of a processor's cache."""
+        position, weight = self.order.position, self.weights.torque
+        samples, n = position.shape
+        slots, order = self.by_position.shape[2] // n, self.objective.whitening.order
+        lower = np.zeros((slots, samples, n, n))
+        for start in range(0, len(weight), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            root = np.sqrt(weight[rows])[:, :, None]
+            by_position, by_border = root * self.by_position[rows], root * self.by_border[rows]
+            transposed = np.swapaxes(by_position, 1, 2)
+            products, mixed = transposed @ by_position, transposed @ by_border
+            result.border += gram(by_border.reshape(-1, by_border.shape[2]))
+            # Samples of these equations' stencils; none is before the first.
+            end, missing = start + len(root) - 1 + slots - order, max(order - start, 0)
+            of_samples = np.zeros((end - start + order, n, by_border.shape[2]))
+            for i in range(slots):
+                of_samples[i : i + len(root)] += mixed[:, i * n : (i + 1) * n]
+                skip = max(missing - i, 0)
+                first = start - order + i
+                for later in range(i, slots):
+                    block = products[skip:, later * n : (later + 1) * n, i * n : (i + 1) * n]
+                    lower[later - i, first + skip : first + len(root)] += block
+            result.mixed[position[start - order + missing : end]] += of_samples[missing:]
+        for apart, blocks in enumerate(lower):
+            later, earlier = np.broadcast_arrays(
+                position[apart:, :, None], position[: samples - apart, None, :]
+            )
+            below = later >= earlier
+            result.add_entries(later[below], earlier[below], blocks[: samples - apart][below])
 
     def _add_turns(self, result: BandedEquations) -> None:
         order, torque, stencil = self.order, self.weights.torque, self._stencil
