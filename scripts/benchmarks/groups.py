@@ -54,6 +54,18 @@ GROUPS: dict[str, Group] = {
         "`jaxcslc identify` on 600,000 samples of 7 joints, settings selected, the whole process.",
         long=True,
     ),
+    "maximum likelihood": Group(
+        "likelihood",
+        "`jaxcslc identify --estimator maximum-likelihood` on 3,300 samples of a simulated PUMA 560"
+        " with static friction and encoders, the whole process; settings selected, least squares"
+        " beside it.",
+    ),
+    "long maximum likelihood": Group(
+        "likelihood",
+        "The same on 60,000 samples, two minutes of motion.",
+        "long_metrics",
+        long=True,
+    ),
     "derivation": Group(
         "direct_solve", "Exact tables and the network, each in a fresh process.", "derivation"
     ),

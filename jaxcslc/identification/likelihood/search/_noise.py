@@ -60,7 +60,8 @@ def with_levels(
         moved = whitening.coefficients - state.whitening.coefficients
         change = max(change, float(np.abs(moved).max()))
     final = number >= _MOST_LEVEL_STEPS or (modelled and bool(change <= _LEVEL_TOLERANCE))
-    final |= modelled and step.change <= NEAR and _all_sharp(problem, draws, position_noise)
+    if modelled and not whitening.order and step.change <= NEAR:
+        final |= _all_sharp(problem, draws, position_noise)
     if final:
         least = problem.least_position_noise
         counted_steps = (problem.encoder_step > 0.0) & (position_noise <= _MORE_THAN_STEPS * least)
