@@ -55,13 +55,13 @@ GROUPS: dict[str, Group] = {
         long=True,
     ),
     "maximum likelihood": Group(
-        "likelihood",
+        "estimators.likelihood",
         "`jaxcslc identify --estimator maximum-likelihood` on 3,300 samples of a simulated PUMA 560"
         " with static friction and encoders, the whole process; settings selected, least squares"
         " beside it.",
     ),
     "long maximum likelihood": Group(
-        "likelihood",
+        "estimators.likelihood",
         "The same on 60,000 samples, two minutes of motion.",
         "long_metrics",
         long=True,

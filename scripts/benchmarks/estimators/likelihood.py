@@ -1,6 +1,6 @@
 """Time and memory of `jaxcslc identify --estimator maximum-likelihood`, the whole process.
 
-    python -m scripts.benchmarks.likelihood [--samples 3300] [--runs 2]
+    python -m scripts.benchmarks.estimators.likelihood [--samples 3300] [--runs 2]
 
 A PUMA 560 with static friction and encoders is simulated at 500 Hz. The first run has no compiled
 program of an earlier one.
