@@ -139,14 +139,9 @@ def identify_command(
         else:
             arm = robot_named(robot, base, tip, fix, mimic)
             saved = _previous_report(context, arm, previous)
-            choices = _choices(estimator, possible, prior)
-            likelihood = _likelihood(
-                likelihood_every, noise_order, likelihood_unknowns, choices["prior"]
-            )
             options = {
                 **_refitted(saved, reidentify),
-                **choices,
-                "likelihood": likelihood,
+                **_choices(context.params),
                 "options": without_none(torque_lag=torque_lag, loss=loss),
             }
             preparation = _settings(settings, saved)
@@ -239,22 +234,24 @@ def _as_they_are(options: Mapping[str, Any]) -> dict[str, Any]:
     return {argument: options[name] for argument, name in {**names, "checks": "check"}.items()}
 
 
-def _choices(estimator: str, possible: str, prior: Path | None) -> dict[str, Any]:
+def _choices(options: Mapping[str, Any]) -> dict[str, Any]:
     """The estimator, and what is asked and known of bodies, as arguments of `identify`."""
+    prior = None if options["prior"] is None else load_prior(options["prior"])
     return {
-        "estimator": choice_of("--estimator", estimator, get_args(EstimatorChoice)),
-        "possible": choice_of("--possible", possible, get_args(Choice)),
-        "prior": None if prior is None else load_prior(prior),
+        "estimator": choice_of("--estimator", options["estimator"], get_args(EstimatorChoice)),
+        "possible": choice_of("--possible", options["possible"], get_args(Choice)),
+        "prior": prior,
+        "likelihood": _likelihood(options, prior),
     }
 
 
-def _likelihood(
-    every: int | None, noise_order: int | None, unknowns: str | None, prior: Prior | None
-) -> MaximumLikelihood | None:
+def _likelihood(typed: Mapping[str, Any], prior: Prior | None) -> MaximumLikelihood | None:
     """How maximum likelihood is fitted, if anything is said of it."""
-    options: dict[str, Any] = dict(without_none(every=every, noise_order=noise_order))
-    if unknowns is not None:
-        options["unknowns"] = tuple(names_in(unknowns))
+    options: dict[str, Any] = dict(
+        without_none(every=typed["likelihood_every"], noise_order=typed["noise_order"])
+    )
+    if typed["likelihood_unknowns"] is not None:
+        options["unknowns"] = tuple(names_in(typed["likelihood_unknowns"]))
         if "torque_gains" in options["unknowns"] and prior is not None:
             options["prior"] = Prior(prior.coefficients)
     return MaximumLikelihood(**options) if options else None
