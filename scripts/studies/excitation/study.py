@@ -6,6 +6,8 @@ A simulated PUMA 560 performs motions of 6.6 s, and is identified from the recor
 - **compare**: all disturbances; the designs in turns, a random feasible Fourier series a seed, and
   the thesis's training trajectory; ε on the comparison trajectory, errors and standard errors of
   coefficients, means of them: over sizes as designs have them, and over values.
+- **directions**, **auto**: the same, friction of each joint larger forwards or backwards by chance,
+  the same chances for all motions; **auto**: with the terms of friction that the data ask for.
 - **regression**, **likelihood**: encoders and white torque noise alone; predicted standard errors
   over those obtained, coefficient by coefficient.
 - **arms**: designs of random arms of two to four joints under random limits, looked at on a grid of
@@ -40,7 +42,8 @@ from .pictures import figure
 
 jax.config.update("jax_enable_x64", True)
 
-PARTS = ("design", "compare", "regression", "likelihood", "arms", "sequence", "panda")
+COMPARED = ("compare", "directions", "auto")
+PARTS = ("design", *COMPARED, "regression", "likelihood", "arms", "sequence", "panda")
 Task = tuple[str, str, int]
 QUANTITIES = {
     "epsilon": "ε [N m]",
@@ -84,8 +87,8 @@ def row_of(task: Task, urdf: str, steps: int, quick: bool) -> dict[str, Any]:
         row = tasks.designed(name, number, quick)
     elif part == "sequence":
         row = tasks.sequence(number, steps)
-    elif part == "compare":
-        row = tasks.compared(name, number, _designs)
+    elif part in COMPARED:
+        row = tasks.compared(part, name, number, _designs)
     elif part in ("regression", "likelihood"):
         row = tasks.repeated(part, number, _designs)
     elif part == "arms":
@@ -157,8 +160,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
     parts: dict[str, list[dict[str, Any]]] = {part: [] for part in PARTS}
     for row in rows:
         parts[row["part"]].append(row)
-    if parts["compare"]:
-        texts.append(compare_text(parts["compare"]))
+    texts += [f"{part}\n{compare_text(parts[part])}" for part in COMPARED if parts[part]]
     for part in ("regression", "likelihood"):
         if len(parts[part]) > 1:
             texts.append(repeated_text(parts[part], part))
@@ -193,9 +195,9 @@ def study(options: argparse.Namespace) -> int:
     digest = made_of({"quick": options.quick}, files)
     finished = Rows(options.output / "rows.jsonl", ("part", "name", "number"), digest)
     end = time.monotonic() + 60.0 * options.minutes
-    compared = options.seeds or options.repeats or options.fits
+    compared = options.seeds + options.directions + options.auto + options.repeats + options.fits
     draws = range(options.designs if compared else 0)
-    designs: list[Task] = [("design", name, i) for i in draws for name in DESIGNED]
+    designs: list[Task] = [("design", name, i) for i in draws for name in _designed(options)]
     _run(designs, finished, {}, str(urdf or ""), options, end)
     parameters: dict[str, list[Any]] = {}
     for task in designs:
@@ -211,12 +213,21 @@ def study(options: argparse.Namespace) -> int:
     return 0
 
 
+def _designed(options: argparse.Namespace) -> tuple[str, ...]:
+    """Names of the designs; of a trial run one, as each criterion compiles for half a minute."""
+    return ("overall",) if options.quick else tuple(DESIGNED)
+
+
 def _tasks(options: argparse.Namespace, with_panda: bool) -> list[Task]:
     """What is made of designs, or needs none."""
     tasks: list[Task] = [("arms", "", i) for i in range(options.arms)]
     tasks += [("sequence", "", i) for i in range(options.sequences)]
     tasks += [("regression", "", i) for i in range(options.repeats)]
-    tasks += [("compare", name, i) for i in range(options.seeds) for name in MOTIONS]
+    motions = [*_designed(options), *(name for name in MOTIONS if name not in DESIGNED)]
+    for part, seeds in zip(
+        COMPARED, (options.seeds, options.directions, options.auto), strict=True
+    ):
+        tasks += [(part, name, i) for i in range(seeds) for name in motions]
     others: list[Task] = [("panda", "", i) for i in range(options.pandas if with_panda else 0)]
     fits: list[Task] = [("likelihood", "", i) for i in range(options.fits)]
     # In turns, so that a run that is stopped has some of both.
@@ -257,6 +268,8 @@ def _run(
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "excitation")
     parser.add_argument("--seeds", type=int, default=50, help="of compare")
+    parser.add_argument("--directions", type=int, default=20, help="seeds of directions")
+    parser.add_argument("--auto", type=int, default=10, help="seeds of auto")
     parser.add_argument("--repeats", type=int, default=200, help="of regression")
     parser.add_argument("--fits", type=int, default=200, help="of likelihood")
     parser.add_argument("--arms", type=int, default=50, help="random arms, of 20 designs each")
@@ -269,18 +282,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=1e4, help="at most")
     parser.add_argument("--cache", default=".cache/jax", help="of compiled programs")
     quick = {"designs": 1, "seeds": 1, "repeats": 3, "fits": 0, "arms": 0, "pandas": 0, "jobs": 1}
-    quick["sequences"] = 0
+    quick |= {"sequences": 0, "directions": 0, "auto": 0}
     options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=0, repeats=0, fits=0, arms=0, pandas=0, jobs=1)
-    command.require_least(parser, options, designs=1, sequences=0)
+    command.require_least(parser, options, designs=1, sequences=0, directions=0, auto=0)
     seconds = (
         150 * options.designs
         + 120 * options.sequences
-        + 25 * options.seeds
+        + 25 * (options.seeds + options.directions + 2 * options.auto)
         + options.repeats
         + 10 * options.fits
     )
     seconds += 60 * options.arms + 60 * options.pandas
+    if options.quick:
+        seconds /= 2  # one criterion of four
     return command.run(
         parser, lambda: study(options), options.output / "rows.jsonl", seconds=seconds
     )

@@ -20,6 +20,8 @@ from jaxcslc.excitation import (
     Planner,
     Surroundings,
 )
+from jaxcslc.identification import choose_friction
+from jaxcslc.identification.selection import FRICTION_CANDIDATES
 from scripts.studies.static_friction.study import epsilon
 from scripts.studies.truth import moving_patterns, true_coefficients
 
@@ -58,19 +60,39 @@ def sequence(seed: int, steps: int) -> dict[str, Any]:
     return seconds_to_goal(seed, steps, lambda _: None)
 
 
-def compared(name: str, seed: int, designs: Designs) -> dict[str, Any]:
-    """A motion with all disturbances: ε on the comparison trajectory, errors of coefficients."""
+def compared(part: str, name: str, seed: int, designs: Designs) -> dict[str, Any]:
+    """A motion with all disturbances: ε on the comparison trajectory, errors of coefficients.
+
+    **Arguments**
+
+    - `part`: `"compare"`; `"directions"` and `"auto"`, in which friction of each joint is larger
+      forwards or backwards by chance; `"auto"` with the friction terms that the data ask for.
+    """
     machine = sim.disturbed(sim.puma560())
+    if part != "compare":
+        signs = np.random.default_rng([seed, len(machine.asymmetry)]).choice([-1.0, 1.0], 6)
+        asymmetry = tuple((signs * machine.asymmetry).tolist())
+        machine = dataclasses.replace(machine, asymmetry=asymmetry)
     recording, _ = performed(machine, name, designs, seed)
     # Static and asymmetric friction, which no coefficient describes, leave 0.53 N m of ε on any.
     undisturbed = sim.undisturbed(machine)
     judged = moving_patterns(sim.simulate(undisturbed, sim.comparison(), seed=10_000 + seed))
-    fit = SETTINGS.fit(network(), SETTINGS.patterns(recording))
+    net = network()
+    if part == "auto":
+        candidates = [kind for kind in FRICTION_CANDIDATES if kind != "load"]  # linear terms
+        net = choose_friction(net, recording, SETTINGS, candidates=candidates).network
+    fit = SETTINGS.fit(net, SETTINGS.patterns(recording))
+    common = [net.names.index(coefficient) for coefficient in network().names]
     k, true = np.asarray(fit.k), np.asarray(true_coefficients(network(), machine))
-    reported, error = np.asarray(fit.standard_error), np.abs(k - true)
+    reported, error = np.asarray(fit.standard_error)[common], np.abs(k[common] - true)
     size, absolute = fourier_planner().problem.information.size, np.abs(true)
+    # The judged motion is without what these terms are for.
+    disturbances = {"offset", "static"} & set(net.layout.kinds)
+    without = np.concatenate([np.r_[net.layout.of(kind)] for kind in disturbances] or [[]])
+    judged_k = np.where(np.isin(np.arange(net.size), without), 0.0, k)
     return {
-        "epsilon": epsilon(network(), k, judged),
+        "epsilon": epsilon(net, judged_k, judged),
+        "added": [coefficient for coefficient in net.names if coefficient not in network().names],
         "standard error": float(np.mean(reported / size)),
         "error": float(np.mean(error / size)),
         "median error": float(np.median(error / absolute)),

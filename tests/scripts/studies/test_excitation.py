@@ -1,8 +1,15 @@
 """The study of designs: its tables, on rows that are made up."""
 
+import argparse
 from typing import Any
 
-from scripts.studies.excitation.study import QUANTITIES, compare_text, sequence_text, tables
+from scripts.studies.excitation.study import (
+    QUANTITIES,
+    _tasks,
+    compare_text,
+    sequence_text,
+    tables,
+)
 
 
 def compared(name: str, number: int, value: float) -> dict[str, Any]:
@@ -16,6 +23,16 @@ def test_ratios_are_seed_by_seed() -> None:
     lines = compare_text(rows).splitlines()
     assert [line.split()[0] for line in lines[1:]] == ["overall", "thesis"]
     assert lines[2].count("2.00 (2.00 to 2.00)") == len(QUANTITIES)
+
+
+def test_a_trial_run_compares_one_design_with_motions_that_need_none() -> None:
+    counts = {"arms": 0, "sequences": 0, "repeats": 0, "pandas": 0, "fits": 0, "auto": 0}
+    options = argparse.Namespace(quick=True, seeds=1, directions=1, **counts)
+    tasks = _tasks(options, with_panda=False)
+    names = ("overall", "random Fourier", "thesis")
+    assert tasks == [(part, name, 0) for part in ("compare", "directions") for name in names]
+    options.quick = False
+    assert len(_tasks(options, with_panda=False)) == 12
 
 
 def test_arms_beyond_a_limit_are_counted() -> None:
