@@ -38,6 +38,8 @@ _STEPS = """
 import time
 marks = [("interpreter", time.process_time())]
 import sys, json
+from jaxcslc.cli._process import collect_garbage, prepare_process
+prepare_process()
 import jax
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
@@ -46,6 +48,7 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 marks.append(("import of JAX", time.process_time()))
 import jaxcslc.cli._identify
 import jaxcslc as jc
+collect_garbage()
 marks.append(("other imports", time.process_time()))
 robot = jc.puma560() if sys.argv[2] == "puma560" else jc.load_robot(sys.argv[2], tip="panda_hand")
 network = jc.derive(robot, lengths="auto")

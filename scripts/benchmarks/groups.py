@@ -91,6 +91,14 @@ GROUPS: dict[str, Group] = {
         "20 million patterns streamed from a Parquet file, a process of its own.",
         long=True,
     ),
+    "cluster": Group(
+        "cluster",
+        "One fit of 4 million patterns in 20 Parquet files on a Dask cluster of this machine:"
+        " workers of one thread each, that have compiled before. A toy size: 20 million by"
+        " `python -m scripts.benchmarks.cluster`. Differences of coefficients are to those of one"
+        " worker; one of two is killed when the first file is done.",
+        long=True,
+    ),
     "evaluation": Group(
         "evaluation",
         "Torque, regressor columns and forward dynamics by every evaluator, random states on JAX's"

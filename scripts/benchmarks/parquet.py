@@ -27,12 +27,14 @@ jax.config.update("jax_enable_x64", True)
 
 def metrics(rows: int = 20_000_000) -> Iterator[Metric]:
     """Peak memory of a process that solves from a Parquet file of `rows` patterns."""
-    with tempfile.TemporaryDirectory(dir=Path.cwd() / "build") as name:
+    build = Path.cwd() / "build"  # on a disk: a folder of temporary files may be in memory
+    build.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=build) as name:
         path = Path(name) / "long.parquet"
         write_long_recording(path, rows)
         start = time.perf_counter()
         result = subprocess.run(
-            [sys.executable, __file__, "--stream-file", str(path)],
+            [sys.executable, "-m", "scripts.benchmarks.parquet", "--stream-file", str(path)],
             check=True,
             capture_output=True,
             text=True,
@@ -45,13 +47,13 @@ def metrics(rows: int = 20_000_000) -> Iterator[Metric]:
         yield Metric(f"parquet.{millions:.0f}M.rate", millions / seconds, "million/s", "higher")
 
 
-def write_long_recording(path: Path, rows: int) -> None:
+def write_long_recording(path: Path, rows: int, seed: int = 0) -> None:
     """A recording with velocities and accelerations, written in parts."""
     robot = jc.puma560()
     network = jc.derive(robot)
     k = true_coefficients(network)
     torque = jax.jit(network.torque)
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
 
     def parts() -> Iterator[jc.Recording]:
         for start in range(0, rows, 262_144):
