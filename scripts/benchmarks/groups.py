@@ -87,16 +87,16 @@ GROUPS: dict[str, Group] = {
         long=True,
     ),
     "Parquet file": Group(
-        "parquet",
+        "files.parquet",
         "20 million patterns streamed from a Parquet file, a process of its own.",
         long=True,
     ),
     "cluster": Group(
-        "cluster",
+        "files.cluster",
         "One fit of 4 million patterns in 20 Parquet files on a Dask cluster of this machine:"
         " workers of one thread each, that have compiled before. A toy size: 20 million by"
-        " `python -m scripts.benchmarks.cluster`. Differences of coefficients are to those of one"
-        " worker; one of two is killed when the first file is done.",
+        " `python -m scripts.benchmarks.files.cluster`. Differences of coefficients are to those"
+        " of one worker; one of two is killed when the first file is done.",
         long=True,
     ),
     "evaluation": Group(

@@ -1,6 +1,6 @@
 """One fit of many Parquet files on a Dask cluster: two workers of one thread over one.
 
-    python -m scripts.benchmarks.cluster [--patterns 20000000] [--files 20]
+    python -m scripts.benchmarks.files.cluster [--patterns 20000000] [--files 20]
 
 Workers are processes of this machine that have computed once before they are timed. One of two is
 killed in the middle of a third fit, which must give the same coefficients.
@@ -22,8 +22,8 @@ import numpy as np
 
 import jaxcslc as jc
 from jaxcslc.identification import fit_on_cluster
+from scripts.benchmarks.files.parquet import write_long_recording
 from scripts.benchmarks.metrics import Metric, report
-from scripts.benchmarks.parquet import write_long_recording
 
 
 jax.config.update("jax_enable_x64", True)

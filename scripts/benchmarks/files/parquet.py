@@ -1,6 +1,6 @@
 """Peak memory and rate of a fit to a Parquet file that is longer than memory.
 
-python -m scripts.benchmarks.parquet [--rows 20000000]
+python -m scripts.benchmarks.files.parquet [--rows 20000000]
 """
 
 import argparse
@@ -34,7 +34,7 @@ def metrics(rows: int = 20_000_000) -> Iterator[Metric]:
         write_long_recording(path, rows)
         start = time.perf_counter()
         result = subprocess.run(
-            [sys.executable, "-m", "scripts.benchmarks.parquet", "--stream-file", str(path)],
+            [sys.executable, "-m", "scripts.benchmarks.files.parquet", "--stream-file", str(path)],
             check=True,
             capture_output=True,
             text=True,

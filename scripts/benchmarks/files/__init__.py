@@ -1,0 +1,1 @@
+"""Fits to Parquet files: one longer than memory, and many on a cluster."""
