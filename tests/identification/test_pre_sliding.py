@@ -1,7 +1,10 @@
 """Dry friction that yields before it slides: against integrations by other means."""
 
+import dataclasses
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
@@ -86,6 +89,26 @@ def test_torque_along_a_motion_goes_on_from_a_state(swing: tuple[np.ndarray, ...
     _, middle = result.torque(*(x[:1000] for x in motion))
     later, _ = result.torque(*(x[999:] for x in motion), start=middle)
     assert_allclose(later, whole[999:], atol=1e-9)
+
+
+def test_simulated_motion_is_that_of_another_integrator(swing: tuple[np.ndarray, ...]) -> None:
+    time, q, qd, _, torque, w = swing
+    model = network("viscous", "dry")
+    true = {"kB1": INERTIA, "kB2": WEIGHT / 9.81, "kv1": VISCOUS, "kd1": DRY}
+    fit = fit_pre_sliding(model, patterns(swing, 0.02))
+    k = np.array([true.get(name, 0.0) for name in model.names])
+    exact = dataclasses.replace(
+        fit,
+        fit=eqx.tree_at(lambda fit: fit.k, fit.fit, jnp.asarray(k)),
+        lengths=np.array([LENGTH]),
+    )
+    # Torque that is held: the mean over each interval, by the trapezium.
+    held, some = 0.5 * (torque[:-1] + torque[1:])[:400], slice(0, 401)
+    path = exact.motion(q[0], qd[0], held, float(time[1]))
+    for values, expected in zip(path, (q, qd, w), strict=True):
+        assert_allclose(values, expected[some], atol=1e-3)
+    with pytest.raises(ValueError, match="joint 1 has dry friction without a length"):
+        dataclasses.replace(fit, lengths=np.zeros(1)).motion(q[0], qd[0], held, 0.005)
 
 
 def test_motion_that_slides_keeps_the_sign() -> None:

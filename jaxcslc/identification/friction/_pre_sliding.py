@@ -1,3 +1,5 @@
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,8 @@ from ..solver import Identification, LeastSquares, torque_of
 # Lengths that are tried, as parts of a joint's range of motion; then each is moved by a factor, and
 # by its root, and so on.
 _LENGTHS, _FACTOR, _HALVINGS = np.geomspace(1e-4, 0.3, 12), 1.4, 6
+# Longest step of integration [s].
+_LONGEST_STEP = 1e-3
 # Stretches that are predicted by fits to the others.
 _FOLDS = 8
 
@@ -110,6 +114,79 @@ class PreSlidingFit(eqx.Module):
         network, state = _with_state(self.network, jnp.asarray(q), self.lengths, first)
         motion = (jnp.asarray(x) for x in (q, qd, qdd))
         return network.torque(jnp.asarray(self.fit.k), *motion), state[-1]
+
+    def motion(
+        self,
+        q: Float[Array | np.ndarray, " joints"],
+        qd: Float[Array | np.ndarray, " joints"],
+        torque: Float[Array | np.ndarray, "intervals joints"],
+        interval: float,
+        start: Float[Array | np.ndarray, " joints"] | None = None,
+    ) -> tuple[Float[Array, "instants joints"], ...]:
+        """Motion under torques that are held for an interval each: positions, velocities, states.
+
+        Runge and Kutta's method of fourth order, states of contacts among what it integrates: no
+        joint sticks, its contact holds it.
+
+        **Arguments**
+
+        - `q`, `qd`: (n,) positions and velocities to start from [rad, rad/s or m, m/s].
+        - `torque`: (intervals, n) [N m or N]; `interval`: its length [s].
+        - `start`: (n,) states of contacts; zeros if None.
+
+        **Returns** each at the beginning of every interval and at the end, (intervals + 1, n).
+
+        **Raises** `ValueError` for a joint with dry friction without a length.
+        """
+        dry = _dry_term(self.network)
+        if step := [j + 1 for j in dry.joints if self.lengths[j] <= 0.0]:
+            raise ValueError(
+                f"pre-sliding: joint {step[0]} has dry friction without a length; expected a length"
+                " of every joint with dry friction"
+            )
+        first = np.zeros(self.network.joint_count) if start is None else start
+        state = tuple(jnp.asarray(x, float) for x in (q, qd, first))
+        return _integrated(self, state, jnp.asarray(torque), interval)
+
+
+@eqx.filter_jit
+def _integrated(
+    result: PreSlidingFit, start: tuple[Array, ...], torque: Array, interval: float
+) -> tuple[Array, ...]:
+    """The motion of `PreSlidingFit.motion`."""
+    network, dry = result.network, _dry_term(result.network)
+    part = network.layout.of(dry)
+    friction = jnp.zeros(network.joint_count).at[np.array(dry.joints)].set(result.fit.k[part])
+    others = jnp.asarray(result.fit.k).at[part].set(0.0)
+    length = jnp.where(result.lengths > 0.0, result.lengths, 1.0)
+    steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
+    h = interval / steps
+
+    def rates(state: tuple[Array, ...], force: Array) -> tuple[Array, ...]:
+        q, qd, w = state
+        acceleration = network.forward_dynamics(others, q, qd, force - friction * w)
+        return qd, acceleration, (qd - jnp.abs(qd) * w) / length
+
+    def moved(state: tuple[Array, ...], rate: tuple[Array, ...], h: float) -> tuple[Array, ...]:
+        return tuple(x + h * change for x, change in zip(state, rate, strict=True))
+
+    def step(state: tuple[Array, ...], force: Array) -> tuple[Array, ...]:
+        first = rates(state, force)
+        second = rates(moved(state, first, h / 2), force)
+        third = rates(moved(state, second, h / 2), force)
+        last = rates(moved(state, third, h), force)
+        mean = (
+            (a + 2 * b + 2 * c + d) / 6
+            for a, b, c, d in zip(first, second, third, last, strict=True)
+        )
+        return moved(state, tuple(mean), h)
+
+    def through(state: tuple[Array, ...], force: Array) -> tuple[tuple[Array, ...], Any]:
+        after = jax.lax.fori_loop(0, steps, lambda _, state: step(state, force), state)
+        return after, after
+
+    _, path = jax.lax.scan(through, start, torque)
+    return tuple(jnp.concatenate([x[None], xs]) for x, xs in zip(start, path, strict=True))
 
 
 def fit_pre_sliding(
