@@ -49,21 +49,21 @@ def lines_of(name: str, arm: Arm, friction: Sequence[str] | None) -> list[list[s
     plain = solver.fit(network, patterns)
     fold = np.arange(patterns.samples) * FOLDS // patterns.samples
     held_out = [
-        _rms(solver.held_out_errors(*equations, fold), patterns)
+        rms(solver.held_out_errors(*equations, fold), patterns)
         for equations in (
             (network, patterns),
             linearised(load.network, load.fit.k, patterns),
         )
     ]
-    rows = [[name, "held out", *_percent(held_out[1] / held_out[0])]]
+    rows = [[name, "held out", *percent(held_out[1] / held_out[0])]]
     for test, recording in arm.tests.items():
         motion = SETTINGS.patterns(recording)
         torque = np.asarray(motion.torque)
         without, with_load = (
-            _rms(torque - np.asarray(predicted_torque(model, motion, k)), motion)
+            rms(torque - np.asarray(predicted_torque(model, motion, k)), motion)
             for model, k in ((network, plain.k), (load.network, load.fit.k))
         )
-        rows.append([name, test, *_percent(with_load / without)])
+        rows.append([name, test, *percent(with_load / without)])
     names, values = load.network.names, np.asarray(load.fit.k)
     errors = np.asarray(load.fit.standard_error)
     numbers = {
@@ -75,11 +75,11 @@ def lines_of(name: str, arm: Arm, friction: Sequence[str] | None) -> list[list[s
     return rows
 
 
-def _percent(ratio: Float[np.ndarray, " joints"]) -> list[str]:
+def percent(ratio: Float[np.ndarray, " joints"]) -> list[str]:
     return [f"{100 * (value - 1):+.0f}" for value in ratio]
 
 
-def _rms(errors: Float[np.ndarray, "samples joints"], patterns: jc.Patterns) -> np.ndarray:
+def rms(errors: Float[np.ndarray, "samples joints"], patterns: jc.Patterns) -> np.ndarray:
     mask = np.asarray(patterns.mask)
     return np.sqrt(np.sum(np.where(mask, errors, 0.0) ** 2, axis=0) / mask.sum(axis=0))
 

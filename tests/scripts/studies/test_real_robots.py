@@ -9,7 +9,14 @@ import pytest
 from mujoco import sysid
 
 import jaxcslc as jc
-from scripts.studies.real_robots import arms, intervals, load_friction, simulation_fit, study
+from scripts.studies.real_robots import (
+    arms,
+    intervals,
+    load_friction,
+    pre_sliding,
+    simulation_fit,
+    study,
+)
 from scripts.studies.real_robots.methods import Model
 from scripts.studies.real_robots.page import page_text
 
@@ -101,6 +108,21 @@ def test_load_dependent_friction_is_seen(loaded: arms.Arm) -> None:
     held_out, again, _, coefficient = load_friction.lines_of("pendulum", loaded, None)
     assert float(held_out[2]) < -20 and float(again[2]) < -20
     assert abs(float(coefficient[2].split(" ± ")[0]) - 0.2) < 0.02
+
+
+def test_friction_that_yields_is_seen() -> None:
+    """The pendulum's dry friction of 0.1 N m in place of its sign, over 0.1 rad; and noise."""
+    arm = pendulum(Path())
+    time, q = np.asarray(arm.training.time), np.asarray(arm.training.position)
+    sign = np.sign(np.cos(3 * time))[:, None]
+    w = np.asarray(jc.identification.pre_sliding(q, np.array([0.1]), np.zeros(1)))
+    noise = 0.005 * np.random.default_rng(0).normal(size=q.shape)
+    torque = np.asarray(arm.training.torque) + 0.1 * (w - sign) + noise
+    recording = jc.Recording(time, q, torque)
+    arm = arm._replace(training=recording, tests={"again": recording})
+    held_out, again, length = pre_sliding.lines_of("pendulum", arm)
+    assert held_out[2].startswith("-") and float(again[2]) < -20
+    assert 60 < float(length[2]) < 130  # the low pass blurs reversals
 
 
 def test_coefficients_of_a_simulated_model_are_its_inverse_dynamics() -> None:
