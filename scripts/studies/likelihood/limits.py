@@ -164,6 +164,7 @@ def study(options: argparse.Namespace) -> int:
                 left.setdefault(model, []).append(values)
         print(_comparison_table(name, [row for row in rows if row["machine"] == name]), end="\n\n")
         print(_training_table(name, left), end="\n\n")
+    options.output.mkdir(parents=True, exist_ok=True)
     write_csv(options.output / "seeds.csv", rows)
     print(f"wrote {options.output / 'seeds.csv'}")
     return 0
