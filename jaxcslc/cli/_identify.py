@@ -1,4 +1,3 @@
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -11,15 +10,12 @@ from ..identification import (
     Prior,
     Report,
     Settings,
-    choose_friction,
     identify,
     load_prior,
 )
 from ..identification.possible import Choice
 from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
-from ..identification.selection import FRICTION_CANDIDATES
 from ..manipulator import Manipulator
-from ..motion import Recording
 from ..network import CSLC
 from ._cluster import identified_on_cluster
 from ._common import (
@@ -167,9 +163,8 @@ def _identified(
     train, validate = files
     reading = RecordingOptions.of(context.params)
     recordings = recordings_of(train, lambda path: reading.read(path, robot))
-    network, notes = _network(context, robot, saved, recordings, settings, step)
-    report = identify(
-        network,
+    return identify(
+        _network(context, robot, saved),
         recordings,
         None if validate is None else reading.read(validate, robot),
         settings,
@@ -177,34 +172,16 @@ def _identified(
         **options,
         progress=step,
     )
-    return dataclasses.replace(report, notes=(*notes, *report.notes))
 
 
-def _network(
-    context: CommandContext,
-    robot: Manipulator,
-    saved: SavedReport | None,
-    recordings: Mapping[str, Recording],
-    settings: Settings | None,
-    step: Callable[[str], None],
-) -> tuple[CSLC, tuple[str, ...]]:
-    """The network, and how its friction terms were chosen where that was asked for."""
+def _network(context: CommandContext, robot: Manipulator, saved: SavedReport | None) -> CSLC:
+    """That of a previous report, or with the friction of the options or of the robot's file."""
     if saved is not None:
-        return saved.network, ()
+        return saved.network
     lengths, friction = context.params["lengths"], context.params["friction"]
     pairs: list[str] = list(context.params["coupled"] or ())
     coupled = pairs or None
-    if friction != "auto":
-        return network_of(robot, lengths, friction, coupled), ()
-    longest = max(recordings.values(), key=lambda recording: recording.samples)
-    network = network_of(robot, lengths, None, coupled)
-    # What `identify` fits by other ways than one least-squares fit knows no friction of the load.
-    plain = context.params["estimator"] == "least-squares" and not context.params["horizon"]
-    candidates = [
-        kind for kind in FRICTION_CANDIDATES if kind != "load" or (plain and len(recordings) == 1)
-    ]
-    choice = choose_friction(network, longest, settings, candidates=candidates, progress=step)
-    return choice.network, choice.sentences
+    return network_of(robot, lengths, None if friction == "auto" else friction, coupled)
 
 
 def _previous_report(
@@ -231,7 +208,9 @@ def _refitted(saved: SavedReport | None, groups: str | None) -> dict[str, Any]:
 def _as_they_are(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options that are arguments of `identify`, by its names."""
     names = {name: name for name in ("offsets", "folds", "systematic", "memory", "horizon")}
-    return {argument: options[name] for argument, name in {**names, "checks": "check"}.items()}
+    friction = "auto" if options["friction"] == "auto" else None
+    as_typed = {name: options[option] for name, option in {**names, "checks": "check"}.items()}
+    return {**as_typed, "friction": friction}
 
 
 def _choices(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,10 +2,11 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 from ..motion import Recording
 from ..network import CSLC
+from ._identify_friction import friction_choice, with_friction_choice
 from ._identify_one import identify_one, without_lag, without_progress
 from ._identify_several import identify_several
 from ._settings import Settings
@@ -35,6 +36,7 @@ def identify(
     offsets: bool = False,
     previous: Previous | None = None,
     groups: Sequence[str] | None = None,
+    friction: Literal["auto"] | None = None,
     options: Mapping[str, Any] | None = None,
     folds: int | None = None,
     checks: bool = True,
@@ -76,6 +78,10 @@ def identify(
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
     - `groups`: coefficients to re-identify, by group (`"viscous"`, `"dry"`, ...) or name.
+    - `friction`: `"auto"` adds friction terms where they predict motion that was left out better,
+      joint by joint (`choose_friction`), and then tries a pre-sliding state of dry friction
+      (`fit_pre_sliding`); `report.friction` says what each was worth, and `report.pre_sliding` is
+      the fit with states, where a joint gains by them. Not with `previous`.
     - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
       `{"torque_lag": 0.02, "loss": "huber"}`.
     - `folds`: as of `choose_settings`; by default 8, or fewer where the recording is short.
@@ -119,7 +125,7 @@ def identify(
     >>> np.round(report.k, 3).tolist()
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
-    _check_arguments(network, previous, groups, possible, prior)
+    _check_arguments(network, previous, groups, possible, prior, friction)
     step = progress or without_progress
     by_name = (
         {"training recording": training} if isinstance(training, Recording) else _by_name(training)
@@ -135,6 +141,12 @@ def identify(
     )
     if estimator == "instrumental-variables":
         possible, systematic = "never", False
+    choice = None
+    if friction == "auto":
+        choice = friction_choice(
+            network, by_name, settings, estimator=estimator, horizon=horizon, step=step
+        )
+        network = choice.network
     _check_load(network, estimator, len(by_name), horizon)
     lag = 0.0 if settings is None else settings.preparation.torque_lag
     lag = (options or {}).get("torque_lag", lag)
@@ -212,6 +224,8 @@ def identify(
             report.network, coefficients, validation or longest, report.settings
         )
         report = dataclasses.replace(report, horizon=error)
+    if choice is not None:
+        report = with_friction_choice(report, choice, estimator=estimator, prior=prior, step=step)
     return report
 
 
@@ -221,10 +235,17 @@ def _check_arguments(
     groups: Sequence[str] | None,
     possible: Choice,
     prior: Prior | None,
+    friction: Literal["auto"] | None,
 ) -> None:
     """**Raises** `ValueError` for arguments that exclude each other or are not the network's."""
     if (previous is None) != (groups is None):
         raise ValueError("identify: got one of previous and groups; expected both or neither")
+    if friction not in ("auto", None):
+        raise ValueError(
+            f"friction: expected 'auto' or None, got {friction!r}; terms are those of the network"
+        )
+    if friction is not None and previous is not None:
+        raise ValueError("friction: is of a fit of all coefficients, not with previous")
     if possible not in get_args(Choice):
         raise ValueError(f"possible: expected {', '.join(get_args(Choice))}, got {possible!r}")
     if possible == "always" and previous is not None:

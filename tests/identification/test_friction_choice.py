@@ -95,6 +95,7 @@ def test_the_command(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["identify", robot_file, train, *options])
     assert result.exit_code == 0, result.output
     assert "note: friction of joint 1, held-out error with a term over" in result.output
+    assert "; pre-sliding " in result.output
     assert "ko1" in result.output
 
 

@@ -4,4 +4,8 @@ from ._pre_sliding import (
     fit_pre_sliding as fit_pre_sliding,
     pre_sliding as pre_sliding,
 )
+from ._saved_pre_sliding import (
+    pre_sliding_document as pre_sliding_document,
+    pre_sliding_from as pre_sliding_from,
+)
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes

@@ -1,3 +1,4 @@
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -78,6 +79,7 @@ class PreSlidingFit(eqx.Module):
     - `lengths`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
     - `relative`: by joint, counted from 1: held-out error with a pre-sliding state over that
       without.
+    - `tried_lengths`: (n,) [rad or m] that `relative` is of; 0 where no length fitted better.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.identification import fit_pre_sliding, pre_sliding
@@ -97,6 +99,7 @@ class PreSlidingFit(eqx.Module):
     fit: Identification
     lengths: Float[np.ndarray, " joints"]
     relative: dict[int, RelativeError]
+    tried_lengths: Float[np.ndarray, " joints"]
 
     def torque(
         self,
@@ -190,7 +193,7 @@ def _integrated(
 
 
 def fit_pre_sliding(
-    network: CSLC, patterns: Patterns, *, solver: LeastSquares | None = None
+    network: CSLC, patterns: Patterns, *, solver: LeastSquares | None = None, chance: float = 0.05
 ) -> PreSlidingFit:
     """Lengths of pre-sliding, joint by joint, with all coefficients.
 
@@ -198,7 +201,7 @@ def fit_pre_sliding(
     in the coefficients; lengths are searched for by the sum of each joint's squared residuals: a
     grid, then smaller and smaller factors. A joint keeps its length where stretches that were left
     out of the fit are predicted better by 1 % and by more than chance explains (Student's t,
-    one-sided, 5 %).
+    one-sided).
 
     **Arguments**
 
@@ -206,6 +209,7 @@ def fit_pre_sliding(
     - `patterns`: of one motion without gaps, slow pairs included: a mask of slow motion leaves out
       what says most of pre-sliding. Masked pairs count as motion.
     - `solver`: options of the fit; the defaults of `LeastSquares` if None.
+    - `chance`: the part of such gains that is chance.
 
     **Returns** a `PreSlidingFit`.
 
@@ -218,11 +222,12 @@ def fit_pre_sliding(
     solver = LeastSquares() if solver is None else solver
     q = np.asarray(patterns.q)
     reach = np.maximum(np.ptp(q, axis=0), 1e-12)
+    search = dataclasses.replace(solver, errors="independent")  # standard errors choose no length
     mask, dry = np.asarray(patterns.mask), np.isin(np.arange(network.joint_count), joints)
 
     def squares(lengths: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " joints"]:
         with_state, _ = _with_state(network, q, lengths)
-        k = solver.fit(with_state, patterns).k
+        k = search.fit(with_state, patterns).k
         error = np.asarray(patterns.torque) - torque_of(with_state, patterns, k)
         return np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
 
@@ -244,11 +249,12 @@ def fit_pre_sliding(
         factor = np.sqrt(factor)
     relative = _held_out(network, patterns, solver, lengths, joints)
     kept = [
-        relative[j + 1].beyond_chance() if j + 1 in relative else False for j in range(len(dry))
+        relative[j + 1].beyond_chance(chance) if j + 1 in relative else False
+        for j in range(len(dry))
     ]
-    lengths = np.where(kept, lengths, 0.0)
-    fit = solver.fit(_with_state(network, q, lengths)[0], patterns)
-    return PreSlidingFit(network, fit, lengths, relative)
+    supported = np.where(kept, lengths, 0.0)
+    fit = solver.fit(_with_state(network, q, supported)[0], patterns)
+    return PreSlidingFit(network, fit, supported, relative, lengths)
 
 
 def _held_out(

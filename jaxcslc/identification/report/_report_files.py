@@ -9,6 +9,7 @@ from ...network import AbstractLinearNetwork
 from ...page import render
 from .._held_out import HeldOut
 from .._settings import settings_document
+from ..friction import pre_sliding_document
 from ._errors import ErrorTable, predicted_torque
 from ._output import all_or_nothing, write_csv, write_json
 from .page import WritableReport, report_page
@@ -128,6 +129,10 @@ def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]
         document["estimators"] = report.estimators.document()
     if report.horizon is not None:
         document["horizon"] = report.horizon.document()
+    if report.friction is not None:
+        document["friction_trials"] = report.friction.document()
+    if report.pre_sliding is not None:
+        document["pre_sliding"] = pre_sliding_document(report.pre_sliding)
     if report.held_out is not None:
         document["held_out"] = _held_out(report.held_out)
     return document | {

@@ -10,6 +10,7 @@ from ...motion import Patterns
 from ...network import CSLC, derive
 from .._settings import Settings, settings_from
 from .._systematic import SystematicError
+from ..friction import PreSlidingFit, pre_sliding_from
 from ..solver import Identification
 
 
@@ -29,6 +30,7 @@ class SavedReport:
     - `motion`: some of the training recording's states, as patterns without torques; None if the
       file has none.
     - `systematic`: error of the fit that no residual shows; None if the file has none.
+    - `pre_sliding`: dry friction that yields before it slides; None if the file has none.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -46,6 +48,7 @@ class SavedReport:
     settings: Settings | None
     motion: Patterns | None
     systematic: SystematicError | None = None
+    pre_sliding: PreSlidingFit | None = None
 
 
 def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
@@ -93,6 +96,9 @@ def load_report(path: str | Path, robot: Manipulator) -> SavedReport:
         _settings(document, path),
         _motion(document, network, path),
         _systematic(document, network, path),
+        None
+        if document.get("pre_sliding") is None
+        else pre_sliding_from(document["pre_sliding"], network, f"{path}: pre_sliding"),
     )
 
 

@@ -1,6 +1,7 @@
 from ._candidates import Candidates as Candidates
 from ._friction import (
     FRICTION_CANDIDATES as FRICTION_CANDIDATES,
+    PRE_SLIDING as PRE_SLIDING,
     FrictionChoice as FrictionChoice,
     FrictionTrial as FrictionTrial,
     choose_friction as choose_friction,

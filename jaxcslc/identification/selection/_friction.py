@@ -1,5 +1,6 @@
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,12 +11,14 @@ from ...network import CSLC
 from ...network.terms import DIRECTIONAL_LOAD, LOAD
 from .._held_out import RelativeError
 from .._settings import Settings
-from ..friction import fit_load, fit_slopes, linearised
+from ..friction import PreSlidingFit, fit_load, fit_slopes, linearised
 from ._selection import choose_settings
 
 
 # In the order in which they are tried: a constant decides more, on real arms, than all others.
 FRICTION_CANDIDATES = ("offset", "static", "root", "quadratic", "spring", LOAD, DIRECTIONAL_LOAD)
+# What trials of a state of dry friction are called (`fit_pre_sliding`).
+PRE_SLIDING = "pre-sliding"
 # Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
 _ROUNDS, _FOLDS = 3, 8
 
@@ -30,7 +33,9 @@ class FrictionTrial:
     - `relative`: the joint's held-out error with the term over that without it.
     - `used`: whether the joint has the term in the end.
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
-      coefficient of the load may be none that friction has.
+      coefficient of the load may be none that friction has, no length of pre-sliding may fit
+      better than none.
+    - `length`: of pre-sliding; None of other kinds. `length_unit`: rad or m.
     """
 
     joint: int
@@ -38,11 +43,20 @@ class FrictionTrial:
     relative: RelativeError
     used: bool
     possible: bool = True
+    length: float | None = None
+    length_unit: str = "rad"
 
     def __str__(self) -> str:
         if not self.possible:
             return f"{self.kind} dropped by the fit"
-        return f"{self.kind} {self.relative}{', used' if self.used else ''}"
+        length = "" if self.length is None else f", length {self.length:.2g} {self.length_unit}"
+        return f"{self.kind} {self.relative}{length}{', used' if self.used else ''}"
+
+    def document(self) -> dict[str, Any]:
+        """It as plain data."""
+        entries = dataclasses.asdict(self)
+        relative = entries.pop("relative")
+        return {**entries, "change": relative["change"], "change_error": relative["change_error"]}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -83,6 +97,29 @@ class FrictionChoice:
             f" {'; '.join(tried)}"
             for joint, tried in sorted(by_joint.items())
         )
+
+    def document(self) -> list[dict[str, Any]]:
+        """The trials as plain data."""
+        return [trial.document() for trial in self.trials]
+
+    def with_pre_sliding(self, fit: PreSlidingFit) -> "FrictionChoice":
+        """With the lengths of pre-sliding among the trials, of every joint with dry friction."""
+        units = self.network.output_units
+        nothing = RelativeError(0.0, np.inf, 0)
+        trials = (
+            FrictionTrial(
+                joint,
+                PRE_SLIDING,
+                fit.relative.get(joint, nothing),
+                used=bool(fit.lengths[joint - 1] > 0.0),
+                possible=joint in fit.relative,
+                length=float(fit.tried_lengths[joint - 1]),
+                length_unit="m" if units[joint - 1] == "N" else "rad",
+            )
+            for joint, kinds in enumerate(self.network.friction_per_joint, start=1)
+            if "dry" in kinds
+        )
+        return dataclasses.replace(self, trials=(*self.trials, *trials))
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)

@@ -221,8 +221,17 @@ class Identification(eqx.Module):
         - `OSError`: there is no such file.
         - `ValueError`: it holds something else; the message names the entry.
         """
-        document = _read_document(Path(path))
-        return cls(**_arrays_from(document, str(path)))
+        return cls.from_document(_read_document(Path(path)), str(path))
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any], where: str) -> "Identification":
+        """From what `document` returned; errors say `where` it was read.
+
+        **Raises**
+
+        - `ValueError`: it is something else; the message names the entry.
+        """
+        return cls(**_arrays_from(document, where))
 
     def __repr__(self) -> str:
         if isinstance(self.k, Tracer) or self.k.ndim != 1:

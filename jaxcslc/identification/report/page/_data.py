@@ -13,7 +13,7 @@ from ..._settings import Settings, settings_document
 from ...likelihood import EstimatorComparison
 from ...possible import PhysicalParameters, PossibleFit
 from ...prediction import HorizonError
-from ...selection import Selection
+from ...selection import FrictionChoice, Selection
 from ...several import SeveralFit
 from ...solver import Identification
 from .._errors import ErrorTable, predicted_torque
@@ -71,6 +71,7 @@ def report_data(
     judged_part: str | None = None,
     estimators: EstimatorComparison | None = None,
     horizon: HorizonError | None = None,
+    friction: FrictionChoice | None = None,
     findings: Sequence[str] = (),
     notes: Sequence[str] = (),
     command: str | None = None,
@@ -87,6 +88,7 @@ def report_data(
     - `judged_part`: of a long recording, in words.
     - `estimators`: beside each other.
     - `horizon`: errors of open-loop simulation.
+    - `friction`: terms that were tried, joint by joint.
     - `findings`: about the recordings, a sentence each, beside the report's own warnings.
     - `notes`: what readers decided, a sentence each.
     - `command`: that repeats it.
@@ -139,6 +141,7 @@ def report_data(
         "settings_document": settings_document(report.settings),
         "trials": [] if selection is None else _trials(selection),
         "friction": [],
+        "friction_trials": [] if friction is None else friction.document(),
         "bodies": None,
         "several": None if several is None else several.document(),
         "estimators": None if estimators is None else estimators.document(),

@@ -21,6 +21,7 @@ from ....page import (
 )
 from ._bodies_section import bodies_section
 from ._estimators import estimators_section
+from ._friction_trials import friction_trials_section
 from ._horizon import horizon_section
 from ._summary import VERDICT_TONES, counted, summary
 
@@ -51,6 +52,7 @@ def report_page(data: Mapping[str, Any], *, charts: bool = True) -> Page:
         _coefficients(data),
         _excitation(data, charts=charts),
         *([_friction(data)] if charts and data["friction"] else []),
+        *([friction_trials_section(data)] if data["friction_trials"] else []),
         *([bodies_section(data, charts=charts)] if data["bodies"] else []),
         _settings(data),
         _repeat(data),

@@ -1,0 +1,87 @@
+import dataclasses
+from collections.abc import Callable, Mapping
+
+from ..motion import Recording
+from ..network import CSLC
+from ..network.terms import DIRECTIONAL_LOAD, LOAD
+from ._settings import Settings
+from .estimators import EstimatorChoice
+from .friction import fit_pre_sliding
+from .prior import Prior
+from .report import Report
+from .selection import FRICTION_CANDIDATES, PRE_SLIDING, FrictionChoice, choose_friction
+
+
+# Joints of which pre-sliding is kept for nothing, with all kinds of friction that are tried.
+_CHANCE = 0.05 / (len(FRICTION_CANDIDATES) + 1)
+
+
+def friction_choice(
+    network: CSLC,
+    training: Mapping[str, Recording],
+    settings: Settings | None,
+    *,
+    estimator: EstimatorChoice,
+    horizon: bool,
+    step: Callable[[str], None],
+) -> FrictionChoice:
+    """Friction terms that `identify` fits, joint by joint, chosen on the longest recording."""
+    longest = max(training.values(), key=lambda recording: recording.samples)
+    # What `identify` fits by other ways than one least-squares fit knows no friction of the load.
+    plain = estimator == "least-squares" and not horizon and len(training) == 1
+    candidates = [
+        kind for kind in FRICTION_CANDIDATES if plain or kind not in (LOAD, DIRECTIONAL_LOAD)
+    ]
+    return choose_friction(network, longest, settings, candidates=candidates, progress=step)
+
+
+def with_friction_choice(
+    report: Report,
+    choice: FrictionChoice,
+    *,
+    estimator: EstimatorChoice,
+    prior: Prior | None,
+    step: Callable[[str], None],
+) -> Report:
+    """The report with what was tried of friction, pre-sliding included.
+
+    Pre-sliding is tried beside the report's terms, with its patterns, masks and settings.
+    """
+    reason = _not_tried(report, estimator, prior)
+    if reason is not None:
+        note = f"{PRE_SLIDING} was not tried: {reason}"
+        return dataclasses.replace(report, friction=choice, notes=(*report.notes, note))
+    step(f"trying friction: {PRE_SLIDING}")
+    patterns, solver = report.patterns["training"], report.settings.solver
+    fit = fit_pre_sliding(report.network, patterns, solver=solver, chance=_CHANCE)
+    friction = choice.with_pre_sliding(fit)
+    names = [
+        name
+        for name, length in zip(report.network.output_names, fit.lengths, strict=True)
+        if length > 0.0
+    ]
+    if not names:
+        return dataclasses.replace(report, friction=friction)
+    note = (
+        f"{PRE_SLIDING} of {', '.join(names)}: a state along the motion, in report.pre_sliding and"
+        " identification.json; all else, C code and robot files included, has dry friction as a"
+        " step"
+    )
+    return dataclasses.replace(
+        report, friction=friction, pre_sliding=fit, notes=(*report.notes, note)
+    )
+
+
+def _not_tried(report: Report, estimator: EstimatorChoice, prior: Prior | None) -> str | None:
+    """Why pre-sliding is not tried, if it is not."""
+    reasons = {
+        "several recordings are fitted together": report.several is not None,
+        f"it is of the estimator 'least-squares', not {estimator!r}": estimator != "least-squares",
+        "the recording is too long to be fitted in one piece": report.judged_part is not None,
+        "coefficients are known beforehand": prior is not None,
+        "friction follows the load": bool(report.network.load_terms),
+        "no joint has friction of kind 'dry'": not any(
+            "dry" in kinds for kinds in report.network.friction_per_joint
+        ),
+    }
+    return next((reason for reason, applies in reasons.items() if applies), None)
