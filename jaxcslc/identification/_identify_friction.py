@@ -49,11 +49,13 @@ def with_friction_choice(
     """
     reason = _not_tried(report, estimator, prior)
     if reason is not None:
-        note = f"{PRE_SLIDING} was not tried: {reason}"
-        return dataclasses.replace(report, friction=choice, notes=(*report.notes, note))
+        return _without(report, choice, reason)
     step(f"trying friction: {PRE_SLIDING}")
     patterns, solver = report.patterns["training"], report.settings.solver
-    fit = fit_pre_sliding(report.network, patterns, solver=solver, chance=_CHANCE)
+    try:
+        fit = fit_pre_sliding(report.network, patterns, solver=solver, chance=_CHANCE)
+    except (ValueError, RuntimeError) as error:  # too little motion is left in some stretch
+        return _without(report, choice, str(error))
     friction = choice.with_pre_sliding(fit)
     names = [
         name
@@ -72,11 +74,16 @@ def with_friction_choice(
     )
 
 
+def _without(report: Report, choice: FrictionChoice, reason: str) -> Report:
+    note = f"{PRE_SLIDING} was not tried: {reason}"
+    return dataclasses.replace(report, friction=choice, notes=(*report.notes, note))
+
+
 def _not_tried(report: Report, estimator: EstimatorChoice, prior: Prior | None) -> str | None:
     """Why pre-sliding is not tried, if it is not."""
     reasons = {
         "several recordings are fitted together": report.several is not None,
-        f"it is of the estimator 'least-squares', not {estimator!r}": estimator != "least-squares",
+        f"it is for the estimator 'least-squares', not {estimator!r}": estimator != "least-squares",
         "the recording is too long to be fitted in one piece": report.judged_part is not None,
         "coefficients are known beforehand": prior is not None,
         "friction follows the load": bool(report.network.load_terms),
