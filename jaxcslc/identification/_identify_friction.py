@@ -1,6 +1,8 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from ..motion import Recording
 from ..network import CSLC
 from ..network.terms import DIRECTIONAL_LOAD, LOAD
@@ -45,7 +47,8 @@ def with_friction_choice(
 ) -> Report:
     """The report with what was tried of friction, pre-sliding included.
 
-    Pre-sliding is tried beside the report's terms, with its patterns, masks and settings.
+    Pre-sliding is tried beside the report's terms, with its patterns, masks and settings. Its
+    lengths are judged over all samples: masks leave out the slow ones, which say most of them.
     """
     reason = _not_tried(report, estimator, prior)
     if reason is not None:
@@ -53,7 +56,10 @@ def with_friction_choice(
     step(f"trying friction: {PRE_SLIDING}")
     patterns, solver = report.patterns["training"], report.settings.solver
     try:
-        fit = fit_pre_sliding(report.network, patterns, solver=solver, chance=_CHANCE)
+        everything = np.ones(np.shape(patterns.mask), bool)
+        fit = fit_pre_sliding(
+            report.network, patterns, solver=solver, judged=everything, chance=_CHANCE
+        )
     except (ValueError, RuntimeError) as error:  # too little motion is left in some stretch
         return _without(report, choice, str(error))
     friction = choice.with_pre_sliding(fit)

@@ -80,6 +80,22 @@ def test_length_and_coefficients_of_a_simulated_joint(swing: tuple[np.ndarray, .
     assert result.relative[1].change < np.log(0.7)
 
 
+def test_slow_pairs_that_are_judged_but_not_fitted(swing: tuple[np.ndarray, ...]) -> None:
+    """Coefficients are those of the mask, for the states; the length is the true one."""
+    pairs = patterns(swing, 0.02)
+    fast = np.abs(swing[2]) > 0.3 * np.max(np.abs(swing[2]))
+    states = pairs.q, pairs.qd, pairs.qdd, pairs.torque
+    masked = jc.Patterns(pairs.time, *states, fast, np.ones_like(fast))
+    judged = np.ones_like(fast)  # a gain as large as its spread over stretches does here
+    result = fit_pre_sliding(network("viscous", "dry"), masked, judged=judged, chance=0.5)
+    assert_allclose(result.lengths, LENGTH, rtol=0.1)
+    w = np.asarray(pre_sliding(swing[1], result.lengths, np.zeros(1)))
+    columns = np.stack([swing[3], 9.81 * np.cos(swing[1]), -9.81 * np.sin(swing[1])], axis=2)
+    rows = np.concatenate([columns, np.stack([swing[2], w], axis=2)], axis=2)[fast]
+    expected = np.linalg.lstsq(rows, np.asarray(pairs.torque)[fast])[0]
+    assert_allclose(result.fit.k, expected, atol=1e-6)
+
+
 def test_torque_along_a_motion_goes_on_from_a_state(swing: tuple[np.ndarray, ...]) -> None:
     _, *motion, torque, w = swing
     result = fit_pre_sliding(network("viscous", "dry"), patterns(swing, 0.02))

@@ -5,7 +5,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ...derivation import Coefficient
 from ...motion import Patterns
@@ -193,7 +193,12 @@ def _integrated(
 
 
 def fit_pre_sliding(
-    network: CSLC, patterns: Patterns, *, solver: LeastSquares | None = None, chance: float = 0.05
+    network: CSLC,
+    patterns: Patterns,
+    *,
+    solver: LeastSquares | None = None,
+    judged: Bool[Array | np.ndarray, "samples joints"] | None = None,
+    chance: float = 0.05,
 ) -> PreSlidingFit:
     """Lengths of pre-sliding, joint by joint, with all coefficients.
 
@@ -209,6 +214,8 @@ def fit_pre_sliding(
     - `patterns`: of one motion without gaps, slow pairs included: a mask of slow motion leaves out
       what says most of pre-sliding. Masked pairs count as motion.
     - `solver`: options of the fit; the defaults of `LeastSquares` if None.
+    - `judged`: (samples, n) pairs that lengths are searched for and judged on; those of the fit if
+      None. Slow pairs count here at no cost to coefficients that a mask protects from them.
     - `chance`: the part of such gains that is chance.
 
     **Returns** a `PreSlidingFit`.
@@ -223,7 +230,10 @@ def fit_pre_sliding(
     q = np.asarray(patterns.q)
     reach = np.maximum(np.ptp(q, axis=0), 1e-12)
     search = dataclasses.replace(solver, errors="independent")  # standard errors choose no length
-    mask, dry = np.asarray(patterns.mask), np.isin(np.arange(network.joint_count), joints)
+    mask, dry = (
+        np.asarray(patterns.mask if judged is None else judged),
+        np.isin(np.arange(network.joint_count), joints),
+    )
 
     def squares(lengths: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " joints"]:
         with_state, _ = _with_state(network, q, lengths)
@@ -247,7 +257,7 @@ def fit_pre_sliding(
         tried(lengths * factor)
         tried(lengths / factor)
         factor = np.sqrt(factor)
-    relative = _held_out(network, patterns, solver, lengths, joints)
+    relative = _held_out(network, patterns, solver, lengths, joints, mask)
     kept = [
         relative[j + 1].beyond_chance(chance) if j + 1 in relative else False
         for j in range(len(dry))
@@ -263,17 +273,17 @@ def _held_out(
     solver: LeastSquares,
     lengths: Float[np.ndarray, " joints"],
     joints: tuple[int, ...],
+    judged: Bool[np.ndarray, "samples joints"],
 ) -> dict[int, RelativeError]:
     """Errors of stretches under fits to the others, with lengths over those without."""
     fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
     with_state, _ = _with_state(network, np.asarray(patterns.q), lengths)
     after, before = (solver.held_out_errors(some, patterns, fold) for some in (with_state, network))
-    mask = np.asarray(patterns.mask)
     return {
         joint + 1: RelativeError.of(
             *(
                 [values[fold == number, joint : joint + 1] for number in range(_FOLDS)]
-                for values in (after, before, mask)
+                for values in (after, before, judged)
             )
         )
         for joint in joints

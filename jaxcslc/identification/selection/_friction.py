@@ -30,7 +30,8 @@ class FrictionTrial:
     **Attributes**
 
     - `joint`: counted from 1; `kind`: of the term.
-    - `relative`: the joint's held-out error with the term over that without it.
+    - `relative`: the joint's held-out error with the term over that without it; of pre-sliding over
+      all samples, of other kinds over those that masks leave in.
     - `used`: whether the joint has the term in the end.
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
       coefficient of the load may be none that friction has, no length of pre-sliding may fit
@@ -49,7 +50,11 @@ class FrictionTrial:
     def __str__(self) -> str:
         if not self.possible:
             return f"{self.kind} dropped by the fit"
-        length = "" if self.length is None else f", length {self.length:.2g} {self.length_unit}"
+        length = (
+            ""
+            if self.length is None
+            else f" over all samples, length {self.length:.2g} {self.length_unit}"
+        )
         return f"{self.kind} {self.relative}{length}{', used' if self.used else ''}"
 
     def document(self) -> dict[str, Any]:

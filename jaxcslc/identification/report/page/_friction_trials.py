@@ -23,7 +23,8 @@ def friction_trials_section(data: Mapping[str, Any]) -> Section:
     return Section(
         "Friction terms tried",
         "Errors on stretches of the training recording that were left out of the fit, with a term"
-        " over those without it. Terms are used where they gain more than chance explains.",
+        " over those without it; of pre-sliding over all samples, of other terms over those that"
+        " masks leave in. Terms are used where they gain more than chance explains.",
         [Table(columns, rows, "joint by joint, in the order of the trials", "friction-trials")],
     )
 
