@@ -67,7 +67,6 @@ def panda_urdf() -> Path | None:
 
 
 _designs: Designs = {}
-_OVER = "the time is over; what is missing can be made later"
 
 
 def begin(parameters: dict[str, list[Any]], cache: str) -> None:
@@ -243,17 +242,9 @@ def _run(
     options: argparse.Namespace,
     end: float,
 ) -> None:
-    """What is missing, in processes, until all is done or the time is over; one job in this one."""
+    """What is missing, in processes, until all is done or the time is over."""
     missing = [task for task in tasks if task not in finished]
     if not missing:
-        return
-    if options.jobs == 1:  # another process would import and compile once more
-        begin(parameters, options.cache)
-        for task in command.progress(missing, desc="tasks"):
-            if time.monotonic() > end:
-                print(_OVER)
-                return
-            finished.add(row_of(task, urdf, options.steps, options.quick))
         return
     context = multiprocessing.get_context("spawn")
     pool: Callable[..., ProcessPoolExecutor] = ProcessPoolExecutor
@@ -267,7 +258,7 @@ def _run(
                 finished.add(future.result())
                 bar.update()
         except TimeoutError:
-            print(_OVER)
+            print("the time is over; what is missing can be made later")
             processes = list(executor._processes.values())  # pyright: ignore
             executor.shutdown(wait=False, cancel_futures=True)
             for process in processes:
