@@ -69,11 +69,11 @@ def identify(
       smoothing (`MaximumLikelihood`); `"auto"` fits both, and uses the latter where it predicts
       motion that was not fitted better by more than chance: the validation recording or, without
       one, the last quarter of each training recording. `report.estimators` compares them.
-    - `likelihood`: how the latter is fitted; its torque sampling and settings are those of the
-      report. With `unknowns`, lag and gains of torque are estimated on the training recordings, and
-      coefficients, errors and the validation recording are of torques as they then were.
       `"instrumental-variables"` is of one recording, without possible bodies and systematic errors
       (`InstrumentalVariables`); a note says whether least squares is biased.
+    - `likelihood`: how maximum likelihood is fitted; its torque sampling and settings are those of
+      the report. With `unknowns`, lag and gains of torque are estimated on the training recordings,
+      and coefficients, errors and the validation recording are of torques as they then were.
     - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
@@ -270,7 +270,8 @@ def _check_load(network: CSLC, estimator: str, recordings: int, horizon: bool) -
     )
     for wanted, what in others:
         if wanted:
-            raise ValueError(f"identify: friction of kind 'load' is not for {what}")
+            kinds = " and ".join(repr(term.kind) for term in network.load_terms)
+            raise ValueError(f"identify: friction of kind {kinds} is not for {what}")
 
 
 def _checked(

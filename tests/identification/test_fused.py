@@ -2,8 +2,6 @@
 
 import ctypes
 import shutil
-import subprocess
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,7 +18,13 @@ from jaxcslc.identification.solver.fused import (
     packed_inverses,
     unpacked_products,
 )
-from jaxcslc.network.straight_line import KernelText, Motion as Symbols, Operation, kernels_run
+from jaxcslc.network.straight_line import (
+    KernelText,
+    Motion as Symbols,
+    Operation,
+    c_library,
+    kernels_run,
+)
 
 from .conftest import ORDINARY, Motion, patterns_of
 
@@ -53,7 +57,7 @@ def test_tiles_are_those_of_the_products(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(product, transformed.T @ transformed, atol=1e-13)
 
 
-def statements_in_c(network: jc.CSLC, folder: Path) -> Any:
+def statements_in_c(network: jc.CSLC) -> Any:
     """The columns' statements as a C function of one sample."""
     motion = Symbols(network.joint_count)
     entries = list(network.column_entries(motion))
@@ -74,23 +78,18 @@ def statements_in_c(network: jc.CSLC, folder: Path) -> Any:
             "}",
         ]
     )
-    (folder / "columns.c").write_text(source)
-    library = folder / "columns.so"
-    subprocess.run(
-        ["cc", "-shared", "-fPIC", "-o", library, folder / "columns.c", "-lm"], check=True
-    )
-    return ctypes.CDLL(str(library)).columns, entries
+    library = c_library(source)
+    assert library is not None
+    return library.columns, entries
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
 @pytest.mark.parametrize("name", ["puma560", "panda"])
-def test_statements_compute_the_columns(
-    name: str, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_statements_compute_the_columns(name: str, rng: np.random.Generator) -> None:
     friction = ("viscous", "dry", "offset", "spring")
     robot = getattr(jc, name)().with_friction(*friction)
     network = jc.derive(robot, lengths="auto")
-    function, entries = statements_in_c(network, tmp_path)
+    function, entries = statements_in_c(network)
     q, qd, qdd = rng.uniform(-3, 3, (3, network.joint_count, 1))
     out = np.empty(len(entries))
     function(*(np.ascontiguousarray(x).ctypes.data_as(ctypes.c_void_p) for x in (q, qd, qdd, out)))

@@ -107,9 +107,9 @@ def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None =
         error = np.where(np.asarray(fit.determined), np.asarray(fit.standard_error), np.inf)
         enough = _TOLERANCE * error + _ROUNDING * np.max(np.abs(k))
         converged = steps > _FIRST_STEPS and bool(np.all(np.abs(k - last) <= enough))
-        if steps > _FIRST_STEPS and (lost := _lost(network, fit)):
+        if steps > _FIRST_STEPS and (dropped_now := _impossible(network, fit)):
             names = network.names
-            for kind, sentences in lost.items():
+            for kind, sentences in dropped_now.items():
                 dropped |= sentences
                 network = network.without_law(kind, tuple(sentences))
             k = np.array([k[names.index(name)] for name in network.names])
@@ -178,10 +178,10 @@ def _with_slopes_of(network: CSLC, slopes: SlopeFit) -> CSLC:
     return network.with_static_slopes(np.asarray(slopes.slopes))
 
 
-def _lost(network: CSLC, fit: Identification) -> dict[str, dict[int, str]]:
+def _impossible(network: CSLC, fit: Identification) -> dict[str, dict[int, str]]:
     """By kind: joints, from 1, with coefficients that no friction has, and the sentence."""
     k, determined = np.asarray(fit.k), np.asarray(fit.determined)
-    lost: dict[str, dict[int, str]] = {}
+    impossible: dict[str, dict[int, str]] = {}
     for term in network.load_terms:
         part = network.layout.of(term)
         for joint in term.joints:
@@ -189,12 +189,12 @@ def _lost(network: CSLC, fit: Identification) -> dict[str, dict[int, str]]:
             name, values = network.output_names[joint], k[indices]
             why = ""
             if term.kind == DIRECTIONAL_LOAD and not determined[indices].all():
-                why = "the motion does not tell it from a multiple of rigid torques"
+                why = "the motion does not distinguish it from a multiple of rigid torques"
             elif not np.all((values > 0.0) & (values < 1.0)):
                 listed = " and ".join(f"{value:.3g}" for value in values)
                 which = "its coefficient" if len(values) == 1 else "one of its coefficients"
                 why = f"{which} {listed} is not between 0 and 1"
             if why:
-                sentences = lost.setdefault(term.kind, {})
+                sentences = impossible.setdefault(term.kind, {})
                 sentences[joint + 1] = f"{name}: friction of kind {term.kind!r} dropped, {why}"
-    return lost
+    return impossible

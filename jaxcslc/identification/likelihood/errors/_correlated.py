@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...solver import CosineSums, components_for, correlated_covariance, effective_counts
+from .._band import gram
 from .._linear import Linear
 from ._rows import score_gram
 from ._whiteness import Whiteness
@@ -104,16 +105,15 @@ def cosine_sums(
 ) -> CosineSums:
     """Components of scores, and how much of rows is in each."""
     samples, _, border = rows.shape
-    number = np.arange(1, len(used) + 1)[:, None]
+    frequency = np.arange(1, len(used) + 1)[:, None]
 
     def cosines(phase: np.ndarray) -> np.ndarray:
-        return used[:, None] * np.sqrt(2.0) * np.cos(np.pi * number * phase[None, :])
+        return used[:, None] * np.sqrt(2.0) * np.cos(np.pi * frequency * phase[None, :])
 
     stretches = np.array_split(np.arange(samples), min(_STRETCHES, samples))
     grams = np.empty((len(stretches), border, border))
-    for gram, stretch in zip(grams, stretches, strict=True):
-        flat = rows[stretch[0] : stretch[-1] + 1].reshape(-1, border)
-        gram[:] = flat.T @ flat
+    for number, stretch in enumerate(stretches):
+        grams[number] = gram(rows[stretch[0] : stretch[-1] + 1].reshape(-1, border))
     middle = cosines(np.array([stretch.mean() + 0.5 for stretch in stretches]) / samples)
     return CosineSums(
         jnp.asarray(cosines((np.arange(samples) + 0.5) / samples) @ scores),

@@ -1,7 +1,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from .._band import Factored
+from .._band import Factored, gram
 from .._linear import Linear
 from .._readings import score_share
 
@@ -58,7 +58,9 @@ def independent_covariance(
     """
     if linear.objective.intervals is None:
         return inverse
-    return inverse - inverse @ _gram(rows * np.sqrt(1.0 - _shares(linear))[:, :, None]) @ inverse
+    return (
+        inverse - inverse @ gram(_flat(rows * np.sqrt(1.0 - _shares(linear))[:, :, None])) @ inverse
+    )
 
 
 def score_gram(
@@ -69,8 +71,8 @@ def score_gram(
     **Arguments** as of `independent_covariance`.
     """
     if linear.objective.intervals is None:
-        return _gram(rows)
-    return _gram(rows * np.sqrt(_shares(linear))[:, :, None])
+        return gram(_flat(rows))
+    return gram(_flat(rows * np.sqrt(_shares(linear))[:, :, None]))
 
 
 def _shares(linear: Linear) -> Float[np.ndarray, "samples rows"]:
@@ -80,6 +82,6 @@ def _shares(linear: Linear) -> Float[np.ndarray, "samples rows"]:
     return np.concatenate([np.ones_like(intervals.edge), score_share(intervals.edge)], axis=1)
 
 
-def _gram(rows: Float[np.ndarray, "samples rows border"]) -> Float[np.ndarray, "border border"]:
-    flat = rows.reshape(-1, rows.shape[2])
-    return flat.T @ flat
+def _flat(rows: Float[np.ndarray, "samples rows border"]) -> Float[np.ndarray, "_ border"]:
+    """Rows of all samples, one after the other."""
+    return rows.reshape(-1, rows.shape[2])

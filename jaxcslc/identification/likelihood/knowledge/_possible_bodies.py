@@ -75,10 +75,10 @@ def possible_bodies(
     steps, settled = free.steps, False
     for number in range(1, _MOST_ROUNDS + 1):
         bodies = nearest
-        anew = number == 1 and levels is not None
         torque_noise, position_noise = fit.torque_noise, fit.position_noise
+        anew = False
         if number == 1 and levels is not None:
-            torque_noise, position_noise = levels
+            (torque_noise, position_noise), anew = levels, True
         minimum = search(
             with_fixed_coefficients,
             dataclasses.replace(minimum.point, k=bodies.k),

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ....network import CSLC, AbstractLinearNetwork
-from ....network.straight_line import KernelText, Motion, Operation, Program, Value, c_library
+from ....network.straight_line import KernelText, Operation, Program, Value, c_library
+from ._weighted_columns import weighted_columns
 
 
 # Patterns whose columns are in memory at once: those of a Panda take 0.4 MB, a core's cache.
@@ -130,22 +131,13 @@ def host_kernel_of(network: AbstractLinearNetwork) -> HostKernel | None:
 
 def host_kernel(network: CSLC) -> HostKernel:
     """The kernel of a network, whether it can be compiled or not."""
-    motion = Motion(network.motion_count)
+    motion, columns = weighted_columns(network)
     graph = motion.graph
-    support = network.support
-    sizes = tuple(len(row) + 1 for row in support)
-    entries: dict[tuple[int, int], Value] = {}
-    for joint, index, value in network.column_entries(motion):
-        key = joint, index
-        entries[key] = entries[key] + value if key in entries else value
-    outputs: list[Value] = []
-    for joint, row in enumerate(support):
-        weight = graph.input(f"weight[{joint}]")
-        zero = graph.constant(0.0)
-        outputs += [entries.get((joint, index), zero) * weight for index in row]
-        outputs.append(graph.input(f"torque[{joint}]") * weight)
+    sizes = tuple(len(row) + 1 for row in network.support)
     functions = [
-        index for index in graph.needed(outputs) if graph.operations[index].name in _OF_NUMPY
+        index
+        for index in graph.needed(column.value for column in columns)
+        if graph.operations[index].name in _OF_NUMPY
     ]
     widths = {"q": motion.q, "qd": motion.qd, "qdd": motion.qdd, "torque": sizes, "weight": sizes}
     firsts = dict(zip(widths, np.cumsum([0, *map(len, widths.values())]).tolist(), strict=False))
@@ -161,7 +153,7 @@ def host_kernel(network: CSLC) -> HostKernel:
         return None
 
     lines = KernelText(graph, reading).statements(
-        (value, f"columns[{_BLOCK * row} + i] = {{0}};") for row, value in enumerate(outputs)
+        (column.value, f"columns[{_BLOCK * column.row} + i] = {{0}};") for column in columns
     )
     source = _KERNEL.format(
         block=_BLOCK,

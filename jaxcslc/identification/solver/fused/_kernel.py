@@ -1,10 +1,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 from ....network import CSLC
 from ....network.straight_line import Kernel, KernelText, Motion, Operation, Value
+from ._weighted_columns import WeightedColumn, weighted_columns
 
 
 # Of a block: so many warps share 32 patterns. Each computes a part of the columns of all 32, then
@@ -56,36 +56,14 @@ def gram_kernel(network: CSLC) -> GramKernel:
     the float64 matrix units. What comes out of the first product is, in registers, what goes into
     the second one.
     """
-    motion = Motion(network.joint_count)
-    graph = motion.graph
-    support = network.support
-    sizes = tuple(len(row) + 1 for row in support)
-    entries: dict[tuple[int, int], Value] = {}
-    for joint, index, value in network.column_entries(motion):
-        key = joint, index
-        entries[key] = entries[key] + value if key in entries else value
-    outputs: list[_Output] = []
-    for joint, row in enumerate(support):
-        weight, first = graph.input(f"weight[{joint}]"), sum(sizes[:joint])
-        for column, index in enumerate(row):
-            value = entries.get((joint, index), graph.constant(0.0)) * weight
-            outputs.append(_Output(first + column, index, value))
-        torque = graph.input(f"torque[{joint}]") * weight
-        outputs.append(_Output(first + len(row), network.size + joint, torque))
+    motion, outputs = weighted_columns(network)
+    sizes = tuple(len(row) + 1 for row in network.support)
     source, shared, resident = _source(motion, sizes, outputs)
     return GramKernel(Kernel("grams", source, 32 * WARPS, shared), sizes, resident)
 
 
-class _Output(NamedTuple):
-    """A row of columns: its number, the coefficient, and what is computed."""
-
-    row: int
-    coefficient: int
-    value: Value
-
-
 def _source(
-    motion: Motion, sizes: Sequence[int], outputs: Sequence[_Output]
+    motion: Motion, sizes: Sequence[int], outputs: Sequence[WeightedColumn]
 ) -> tuple[str, int, int]:
     """The kernel's text, a block's shared memory [bytes], and blocks of a multiprocessor."""
     graph = motion.graph
@@ -161,12 +139,12 @@ def _by_warp(parts: Sequence[Sequence[str]]) -> str:
     return "\nelse ".join(cases)
 
 
-def _shared_out(text: KernelText, outputs: Sequence[_Output]) -> list[list[_Output]]:
+def _shared_out(text: KernelText, outputs: Sequence[WeightedColumn]) -> list[list[WeightedColumn]]:
     """Columns by warp: all of a coefficient, or of coefficients nearby, have most in common."""
     below = {output.row: set(text.needed([output.value])) for output in outputs}
 
-    def cut(order: Sequence[_Output], most: int) -> list[list[_Output]]:
-        parts: list[list[_Output]] = [[]]
+    def cut(order: Sequence[WeightedColumn], most: int) -> list[list[WeightedColumn]]:
+        parts: list[list[WeightedColumn]] = [[]]
         needed: set[int] = set()
         for output in order:
             if parts[-1] and len(needed | below[output.row]) > most:
