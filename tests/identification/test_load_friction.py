@@ -112,7 +112,9 @@ def test_directions_of_all_joints_are_a_multiple_of_rigid_torque() -> None:
     network, k = directional((1, 2))
     result = fit_load(network.with_load(None), patterns(network, k, 0.0))
     assert result.dropped == (1, 2)
-    assert "the motion does not distinguish it from a multiple of rigid torques" in result.warnings[0]
+    assert (
+        "the motion does not distinguish it from a multiple of rigid torques" in result.warnings[0]
+    )
 
 
 @pytest.fixture(scope="module")
