@@ -1,6 +1,6 @@
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -167,3 +167,53 @@ def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: 
     used = {length.symbol for joint in joints for _, _, length in joint.lengths}
     if unused := sorted(set(values) - used):
         raise RobotError(f"{where}: {unused[0]!r} is not used by any joint")
+
+
+def modified_dh_joints(
+    rows: Sequence[Sequence[float | int | str]],
+    parents: Sequence[int] | None,
+    kinds: str | None,
+    lengths: Mapping[str, float | int],
+    where: str,
+) -> tuple[Joint, ...]:
+    """Joints of rows of modified Denavit-Hartenberg parameters.
+
+    **Arguments**
+
+    - `rows`, `parents`, `kinds`, `lengths`: as of `Manipulator.from_modified_dh`.
+    - `where`: what messages name, as in `"robot 'arm'"`.
+
+    **Raises**
+
+    - `RobotError`: naming the joint and the entry that is wrong.
+    """
+    kinds = "R" * len(rows) if kinds is None else kinds
+    if len(kinds) != len(rows) or set(kinds) - {"R", "P"}:
+        raise RobotError(
+            f"{where}: kinds must be one R or P for each of {len(rows)} rows, got {kinds!r}"
+        )
+    if parents is not None and len(parents) != len(rows):
+        raise RobotError(f"{where}: expected {len(rows)} parents, one a row, got {len(parents)}")
+    values = length_table(lengths, f"{where}, lengths")
+    joints: list[Joint] = []
+    for i, (row, kind) in enumerate(zip(rows, kinds, strict=True), start=1):
+        if len(row) not in (4, 6):
+            raise RobotError(
+                f"{where}, joint {i}: expected (alpha, a, d, theta) or"
+                f" (alpha, a, d, theta, gamma, b), got {row!r}"
+            )
+        at = f"{where}, joint {i}"
+        joints.append(
+            Joint(
+                "P" if kind == "P" else "R",
+                parse_angle(row[0], f"{at}, alpha"),
+                parse_length(row[1], values, f"{at}, a"),
+                parse_length(row[2], values, f"{at}, d"),
+                parse_angle(row[3], f"{at}, theta"),
+                parse_angle(row[4], f"{at}, gamma") if len(row) == 6 else 0.0,
+                parse_length(row[5] if len(row) == 6 else 0, values, f"{at}, b"),
+                None if parents is None else int(parents[i - 1]),
+            )
+        )
+    unused_lengths(values, joints, f"{where}, lengths")
+    return tuple(joints)

@@ -15,7 +15,7 @@ from ._friction import (
     couplings,
 )
 from ._inertia import InertiaForm, LinkInertia
-from ._joint import Joint, Length, length_table, parse_angle, parse_length, unused_lengths
+from ._joint import Joint, Length, modified_dh_joints
 from ._link_parameters import LinkParameters
 from ._numbering import Numbering, Subnumbering
 from ._source import JointLimits, Source
@@ -205,44 +205,13 @@ class Manipulator:
         >>> planar.kinds, planar.joints[1].a
         ('RR', Length(value=0.5, symbol='a1'))
         """
-        kinds = "R" * len(rows) if kinds is None else kinds
-        if len(kinds) != len(rows) or set(kinds) - {"R", "P"}:
-            raise RobotError(
-                f"robot {name!r}: kinds must be one R or P for each of {len(rows)} rows,"
-                f" got {kinds!r}"
-            )
-        if parents is not None and len(parents) != len(rows):
-            raise RobotError(
-                f"robot {name!r}: expected {len(rows)} parents, one a row, got {len(parents)}"
-            )
-        values = length_table(lengths or {}, f"robot {name!r}, lengths")
-        joints: list[Joint] = []
-        for i, (row, kind) in enumerate(zip(rows, kinds, strict=True), start=1):
-            if len(row) not in (4, 6):
-                raise RobotError(
-                    f"robot {name!r}, joint {i}: expected (alpha, a, d, theta) or"
-                    f" (alpha, a, d, theta, gamma, b), got {row!r}"
-                )
-            at = f"robot {name!r}, joint {i}"
-            joints.append(
-                Joint(
-                    "P" if kind == "P" else "R",
-                    parse_angle(row[0], f"{at}, alpha"),
-                    parse_length(row[1], values, f"{at}, a"),
-                    parse_length(row[2], values, f"{at}, d"),
-                    parse_angle(row[3], f"{at}, theta"),
-                    parse_angle(row[4], f"{at}, gamma") if len(row) == 6 else 0.0,
-                    parse_length(row[5] if len(row) == 6 else 0, values, f"{at}, b"),
-                    None if parents is None else int(parents[i - 1]),
-                )
-            )
-        unused_lengths(values, joints, f"robot {name!r}, lengths")
+        joints = modified_dh_joints(rows, parents, kinds, lengths or {}, f"robot {name!r}")
         inertias: list[InertiaForm | LinkInertia] = (
             [inertia] * len(rows) if isinstance(inertia, str | LinkInertia) else list(inertia)
         )
         return cls(
             name=name,
-            joints=tuple(joints),
+            joints=joints,
             inertia=tuple(
                 entry if isinstance(entry, LinkInertia) else LinkInertia(entry, motor=motor_inertia)
                 for entry in inertias

@@ -3,14 +3,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...motion import Patterns, Recording, joined_patterns
 from ...network import CSLC
-from .._held_out import HeldOut, RelativeError, Source, held_out_error, judged_errors
+from .._held_out import RelativeError, Source
 from .._identify_one import without_lag
-from ..friction import SlopeFit
 from ..likelihood import Estimator, EstimatorComparison, LikelihoodFit, MaximumLikelihood
 from ..possible import (
     Choice,
@@ -22,10 +20,11 @@ from ..possible import (
     possible_coefficients,
 )
 from ..prior import Known, Prior, with_knowledge
-from ..report import Report, compare, degree_of_excitation, fit_warnings
+from ..report import Report
 from ..solver import Identification, torque_of
 from ._calibration import calibrated, calibrated_report
 from ._checks import EstimatorChoice, check_size
+from ._likelihood_report import JudgedErrors, likelihood_report
 
 
 # Without a validation recording, estimators are judged on this part of each recording, its last;
@@ -184,8 +183,9 @@ class _Judged:
         if better == "least-squares":
             return base
         fit = fit if bodies is None else bodies.fit if likelihood.free is None else likelihood.fit
-        judged = errors["maximum-likelihood"], mask, unfitted.source
-        base = self._of_likelihood(base, likelihood, fit, bodies, judged)
+        self.step("computing errors")
+        judged = JudgedErrors(errors["maximum-likelihood"], mask, unfitted.source)
+        base = likelihood_report(base, likelihood, fit, bodies, judged)
         return dataclasses.replace(base, warnings=(*sentences, *base.warnings))
 
     @property
@@ -310,67 +310,6 @@ class _Judged:
             )
         )
 
-    def _of_likelihood(
-        self,
-        base: Report,
-        likelihood: LikelihoodFit,
-        fit: Identification,
-        bodies: PossibleFit | None,
-        judged: tuple[np.ndarray, np.ndarray, Source],
-    ) -> Report:
-        """The report with the numbers of maximum likelihood."""
-        network = likelihood.network
-        vectors = {} if bodies is None else bodies.other_coefficients
-        self.step("computing errors")
-        errors = {
-            name: compare(network, patterns, {"fit": fit.k, **vectors})
-            for name, patterns in base.patterns.items()
-        }
-        held_out = self._held_out(base, network, fit, judged)
-        joined = base.patterns["training"]
-        recording = Recording(joined.time, joined.q, joined.torque)
-        warnings = [*held_out.warnings]
-        if not likelihood.converged:
-            warnings.append(
-                f"maximum likelihood: not converged after {likelihood.steps} steps; coefficients"
-                " may be off by more than their intervals"
-            )
-        warnings += fit_warnings(network, recording, fit, errors["training"])
-        excitation = base.excitation
-        if excitation is not None and network.names != base.network.names:
-            # Regression leaves static friction out where slopes cannot be fitted to smooth motion.
-            excitation = degree_of_excitation(network, joined)
-        return dataclasses.replace(
-            base,
-            excitation=excitation,
-            network=network,
-            fit=fit,
-            errors=MappingProxyType(errors),
-            held_out=held_out,
-            slopes=_slopes(likelihood),
-            systematic=None,
-            warnings=tuple(warnings),
-            bodies=None if bodies is None else bodies.parameters,
-            possible=bodies,
-        )
-
-    def _held_out(
-        self,
-        base: Report,
-        network: CSLC,
-        fit: Identification,
-        judged: tuple[np.ndarray, np.ndarray, Source],
-    ) -> HeldOut:
-        training = base.patterns["training"]
-        error, mask, source = judged
-        if source == "validation":
-            return held_out_error(network, fit, training, base.patterns["validation"])
-        fitted = np.asarray(training.torque) - torque_of(network, training, fit.k)
-        result = judged_errors(fitted, np.asarray(training.mask), error, mask, int(fit.rank))
-        return dataclasses.replace(
-            result, source=source, units=network.output_units, names=network.output_names
-        )
-
 
 def _with_coefficients(network: CSLC, other: CSLC, k: np.ndarray) -> tuple[CSLC, np.ndarray]:
     """Another network as this one, with zeros for what it lacks: no function is compiled for it."""
@@ -381,21 +320,6 @@ def _with_coefficients(network: CSLC, other: CSLC, k: np.ndarray) -> tuple[CSLC,
     result[[index[name] for name in other.names]] = k
     slopes = other.static_slopes
     return network if slopes is None else network.with_static_slopes(slopes), result
-
-
-def _slopes(likelihood: LikelihoodFit) -> SlopeFit | None:
-    """Slopes of static friction as least squares reports them; None without static friction."""
-    network = likelihood.network
-    if network.static_slopes is None:
-        return None
-    return SlopeFit(
-        network,
-        likelihood.fit,
-        jnp.asarray(likelihood.slopes),
-        jnp.asarray(likelihood.slope_error),
-        jnp.asarray(likelihood.steps),
-        jnp.asarray(likelihood.converged),
-    )
 
 
 def _notes(training: Mapping[str, Recording]) -> list[str]:

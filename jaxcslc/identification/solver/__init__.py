@@ -29,13 +29,11 @@ from ._identification import (
     Identification as Identification,
     result_of as result_of,
 )
-from ._least_squares import (
-    JointWeights as JointWeights,
-    LeastSquares as LeastSquares,
-)
+from ._least_squares import LeastSquares as LeastSquares
 from ._losses import LOSSES as LOSSES, Loss as Loss, robust_scale as robust_scale, weight as weight
 from ._minimum import (
     FoldFit as FoldFit,
+    JointWeights as JointWeights,
     Solution as Solution,
     fold_coefficients as fold_coefficients,
     minimum as minimum,

@@ -1,13 +1,11 @@
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
@@ -17,47 +15,35 @@ from ._compiled import (
     columns_of,
     computed_on_host,
     filled_up,
-    on_host,
     torque_by,
     traced,
-    untraced,
 )
 from ._equations import Equations, equations_of, pattern_factors, samples_of
 from ._factors import JointFactors, Unknowns
+from ._factors_fit import fit_of_factors, ordinary_minimum
 from ._fixed import Fixed
 from ._fold_products import FoldProducts
 from ._identification import Identification
 from ._losses import LOSSES, Loss
 from ._minimum import (
     FoldFit,
-    Solution,
+    JointWeights,
     fold_coefficients,
     fold_fits,
-    minimum,
-    weighted_minimum,
 )
-from ._robust import robust_residuals
 from ._standard_errors import (
     ERRORS,
     Errors,
-    independent_errors,
-    ordinary_residuals,
-    with_errors,
 )
 from .many import (
     are_many,
-    corrected,
     factors_of_patterns,
     factors_of_stream,
-    needs_correction,
     residual_sums_of,
 )
 from .second_pass import AbstractRows, KeptRows, PatternRows
 
 
-JointWeights = (
-    Literal["equal", "residual"] | tuple[float, ...] | Float[Array | np.ndarray, " joints"]
-)
 # A regressor of no more entries is kept for the second pass, half a gigabyte of them.
 _KEPT = 1 << 26
 
@@ -226,7 +212,11 @@ class LeastSquares:
 
         NaN where equations are not finite.
         """
-        return self._minimum(equations.unknowns, equations.factors(), None)[0].k
+        factors = equations.factors()
+        solution, _ = ordinary_minimum(
+            equations.unknowns, factors, None, self.joint_weights, self.rcond
+        )
+        return solution.k
 
     def equations(self, network: AbstractLinearNetwork, patterns: Patterns) -> Equations:
         """The equations that `fit` solves, one for each pair of the mask, or those that the
@@ -371,66 +361,14 @@ class LeastSquares:
         fixed: Fixed | None,
         sums: Callable[[Any], Any] | None = None,
     ) -> Identification:
-        """The fit of equations, with a second pass if there are `rows`.
-
-        - `sums`: of `residual_sums`, of coefficients, where the patterns can be passed again.
-        """
-        factors, fixed = untraced((factors, fixed))
-        solution, weights = self._minimum(unknowns, factors, fixed)
-        if sums is not None and needs_correction(unknowns, factors, solution, weights):
-            solution = corrected(unknowns, solution, weights, sums(solution.k))
-        if rows is None:
-            return _independent(unknowns, factors, solution, fixed)
-        if on_host((rows, factors, solution, fixed)) and self.loss == "squared":
-            with np.errstate(divide="ignore", invalid="ignore"):
-                residuals = ordinary_residuals(rows, solution, weights)
-                return with_errors(rows, factors, residuals, self.errors, fixed)
-        factors, solution, weights = jax.tree.map(jax.device_put, (factors, solution, weights))
-        if self.loss == "squared":
-            residuals = _ordinary_residuals(rows, solution, weights)
-        else:
-            residuals = _robust_residuals(
-                rows,
-                factors,
-                solution,
-                weights,
-                residual_weights=self.joint_weights == "residual",
-                loss=self.loss,
-                rcond=self.rcond,
-                fixed=fixed,
-            )
-        return _with_errors(rows, factors, residuals, self.errors, fixed)
-
-    def _minimum(
-        self, unknowns: Unknowns, factors: JointFactors, fixed: Fixed | None
-    ) -> tuple[Solution, Array | np.ndarray]:
-        """The ordinary solution, and the weights of joints that it ended with.
-
-        On the host unless JAX is tracing: there is less to compute than to compile.
-        """
-        factors, fixed = untraced((factors, fixed))
-        solve = minimum if on_host((factors, fixed)) else _compiled_minimum
-        # NaN is the answer where there is none, as JAX has it.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return weighted_minimum(
-                unknowns,
-                factors,
-                self.joint_weights,
-                lambda weights: solve(unknowns, factors, weights, self.rcond, fixed),
-            )
-
-
-def _independent(
-    unknowns: Unknowns, factors: JointFactors, solution: Solution, fixed: Fixed | None
-) -> Identification:
-    if not on_host((factors, solution, fixed)):
-        return _independent_errors(unknowns, factors, solution, fixed)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return independent_errors(unknowns, factors, solution, fixed)
-
-
-_compiled_minimum = eqx.filter_jit(minimum)
-_independent_errors = eqx.filter_jit(independent_errors)
-_ordinary_residuals = eqx.filter_jit(ordinary_residuals)
-_robust_residuals = eqx.filter_jit(robust_residuals)
-_with_errors = eqx.filter_jit(with_errors)
+        return fit_of_factors(
+            unknowns,
+            factors,
+            rows,
+            fixed,
+            sums,
+            joint_weights=self.joint_weights,
+            loss=self.loss,
+            errors=self.errors,
+            rcond=self.rcond,
+        )

@@ -1,9 +1,9 @@
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._environment import array_namespace
 from ..._rank import rank_tolerance
@@ -18,6 +18,10 @@ _SHARE = 1e-6
 
 # NumPy's arrays or JAX's.
 Numbers = Any
+
+JointWeights = (
+    Literal["equal", "residual"] | tuple[float, ...] | Float[Array | np.ndarray, " joints"]
+)
 
 
 class Solution(NamedTuple):
@@ -113,7 +117,7 @@ class Reduced(Protocol):
 def weighted_minimum(
     unknowns: Unknowns,
     factors: Reduced,
-    joint_weights: Any,
+    joint_weights: JointWeights,
     solve: Callable[[Any], Any],
 ) -> tuple[Any, Any]:
     """What `solve` makes of the weights of joints, and these weights.
@@ -130,7 +134,8 @@ def weighted_minimum(
             raise ValueError(f"joint_weights: expected {n} numbers, got {len(joint_weights)}")
         weights = weights * xp.asarray(joint_weights, float)
     solution = solve(weights)
-    for _ in range(_ROUNDS if joint_weights == "residual" else 0):
+    by_residual = isinstance(joint_weights, str) and joint_weights == "residual"
+    for _ in range(_ROUNDS if by_residual else 0):
         weights = residual_weights(factors.root_mean_squares(unknowns, solution.k), factors.counts)
         solution = solve(weights)
     return solution, weights
@@ -155,7 +160,7 @@ class Coefficients(NamedTuple):
 def fold_coefficients(
     unknowns: Unknowns,
     factors: JointFactors,
-    joint_weights: Any,
+    joint_weights: JointWeights,
     rcond: float | None,
 ) -> Float[np.ndarray, "folds coefficients"]:
     """The coefficients fitted to all folds but one, for each one left out.
@@ -201,7 +206,7 @@ class FoldFit(NamedTuple):
 
 
 def fold_fits(
-    unknowns: Unknowns, factors: JointFactors, joint_weights: Any, rcond: float | None
+    unknowns: Unknowns, factors: JointFactors, joint_weights: JointWeights, rcond: float | None
 ) -> tuple[FoldFit, ...]:
     """The fits to all folds but one, for each one left out: `fold_coefficients` with covariances.
 

@@ -21,10 +21,13 @@ from ._load_friction import (
 )
 from ._payload import PAYLOAD as PAYLOAD, carrier as carrier, payload_term as payload_term
 from ._registry import input_terms as input_terms
-from ._rigid_body_recursion import RigidBodyRecursion as RigidBodyRecursion
-from ._rigid_body_tables import RigidBodyTables as RigidBodyTables, input_rows as input_rows
 from ._static_friction import StaticFriction as StaticFriction
 from ._term import (
     AbstractManipulatorTerm as AbstractManipulatorTerm,
     AbstractTerm as AbstractTerm,
+)
+from .rigid_body import (
+    RigidBodyRecursion as RigidBodyRecursion,
+    RigidBodyTables as RigidBodyTables,
+    input_rows as input_rows,
 )

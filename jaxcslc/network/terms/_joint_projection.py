@@ -8,8 +8,6 @@ from jaxtyping import Array, Float
 from ..._environment import array_namespace
 from ...derivation import Coefficient
 from ...manipulator import Manipulator
-from ._rigid_body_recursion import RigidBodyRecursion
-from ._rigid_body_tables import RigidBodyTables
 from ._term import (
     AbstractManipulatorTerm,
     Coefficients,
@@ -19,6 +17,7 @@ from ._term import (
     Regressor,
     Rows,
 )
+from .rigid_body import RigidBodyRecursion, RigidBodyTables
 
 
 AllJoints = Float[Array, "*batch all_joints"]

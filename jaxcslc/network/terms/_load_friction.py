@@ -14,8 +14,6 @@ from ...derivation import Coefficient
 from ...manipulator import Manipulator
 from ._input_term import HOST_FUNCTIONS, JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
 from ._joint_projection import ProjectedTerm
-from ._rigid_body_recursion import RigidBodyRecursion
-from ._rigid_body_tables import RigidBodyTables
 from ._term import (
     AbstractManipulatorTerm,
     Coefficients,
@@ -25,6 +23,7 @@ from ._term import (
     Regressor,
     Rows,
 )
+from .rigid_body import RigidBodyRecursion, RigidBodyTables
 
 
 LOAD, DIRECTIONAL_LOAD = "load", "directional_load"

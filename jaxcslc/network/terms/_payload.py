@@ -3,8 +3,7 @@ from functools import lru_cache
 
 from ...derivation import BODY, Addend, Coefficient, inertial_terms
 from ...manipulator import LinkInertia, Manipulator, RobotError
-from ._link_motion import paths_of
-from ._rigid_body_recursion import RigidBodyRecursion
+from .rigid_body import RigidBodyRecursion, paths_of
 
 
 PAYLOAD = tuple(f"p{entry}" for entry in BODY)

@@ -16,9 +16,8 @@ from ._input_term import AbstractInputTerm
 from ._joint_projection import ProjectedTerm
 from ._joint_term import AbstractJointLaw, JointTerm
 from ._load_friction import DIRECTIONAL_LOAD, LOAD, LoadFriction
-from ._rigid_body_recursion import RigidBodyRecursion
-from ._rigid_body_tables import RigidBodyTables
 from ._static_friction import StaticFriction
+from .rigid_body import RigidBodyRecursion, RigidBodyTables
 
 
 # The law of each kind of `jaxcslc.manipulator.FRICTION_TERMS`, made for a robot.

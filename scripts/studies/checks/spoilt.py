@@ -8,7 +8,7 @@ import numpy as np
 
 import jaxcslc as jc
 
-from .arms import Conditions, record
+from .recordings import Conditions, record
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,7 +20,8 @@ import jaxcslc as jc
 from jaxcslc.identification import estimate_torque_lag
 from jaxcslc.identification.report import all_or_nothing, write_csv
 from scripts.studies import command
-from scripts.studies.checks.arms import ARMS, Conditions, network, record
+from scripts.studies.checks.arms import ARMS, network
+from scripts.studies.checks.recordings import Conditions, record
 from scripts.studies.checks.spoilt import SPOILT, lagging
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table

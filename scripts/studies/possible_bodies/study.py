@@ -21,7 +21,8 @@ import jaxcslc as jc
 from jaxcslc.export import export_robot, read_motor_inertias
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from scripts.studies import command
-from scripts.studies.checks.arms import GEARED, Conditions, record, urdf
+from scripts.studies.checks.arms import GEARED, urdf
+from scripts.studies.checks.recordings import Conditions, record
 from scripts.studies.rows import Rows, made_of
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import jaxcslc as jc
 from scripts.studies.agreement import study
-from scripts.studies.checks.arms import Conditions
+from scripts.studies.checks.recordings import Conditions
 
 
 @cache

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scripts.studies.checks import study
-from scripts.studies.checks.arms import Conditions, record
+from scripts.studies.checks.recordings import Conditions, record
 
 
 def test_table_and_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

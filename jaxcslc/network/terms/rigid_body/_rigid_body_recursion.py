@@ -4,16 +4,15 @@ from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ...derivation import BODY, Algebra, Coefficient
-from ...manipulator import Joint
-from .._compilation import in_blocks
-from ..straight_line import (
+from ....derivation import BODY, Algebra, Coefficient
+from ....manipulator import Joint
+from ..._compilation import in_blocks
+from ...straight_line import (
     LinkedBodies,
     Motion,
     Program,
@@ -24,19 +23,7 @@ from ..straight_line import (
     regressor_rows,
     torque_code,
 )
-from ._link_motion import (
-    Bodies,
-    Geometry,
-    LinkMotion,
-    Links,
-    by_link,
-    cross,
-    geometry_of,
-    link_motion,
-    links_of,
-    paths_of,
-)
-from ._term import (
+from .._term import (
     AbstractManipulatorTerm,
     Coefficients,
     Columns,
@@ -45,6 +32,8 @@ from ._term import (
     Regressor,
     Rows,
 )
+from ._link_motion import Bodies, Geometry, by_link, geometry_of, paths_of
+from ._newton_euler import mass_matrix_of, samples_last, torque_of
 from ._unit_torques import pairs_of, unit_torques
 from ._unrolled import is_quicker_unrolled, unrolled
 
@@ -172,7 +161,7 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         def of_block(*motion: Array) -> Array:
             return self._gathered(self._unit_torques(*motion), entries).T
 
-        motion = (_samples_last(q), _samples_last(qd), _samples_last(qdd))
+        motion = (samples_last(q), samples_last(qd), samples_last(qdd))
         return in_blocks(of_block, motion, samples_first=True).reshape(*q.shape, p)
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
@@ -198,7 +187,7 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         if self.is_unrolled(q, q.shape):
             matrices = self._straight(mass_matrix_code(self.linked_bodies), k, q)
             return matrices.reshape(*q.shape, q.shape[-1])
-        return _mass_matrix(self._geometry(q.dtype), self._bodies(k), q)
+        return mass_matrix_of(self._geometry(q.dtype), self._bodies(k), q)
 
     def is_unrolled(self, q: Any, shape: tuple[int, ...]) -> bool:
         """Which form computes with positions of a shape (..., joints)."""
@@ -229,7 +218,7 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         self, k: Array, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
     ) -> Array:
         g = np.array(gravity, q.dtype)
-        return _torque(self._geometry(q.dtype), g, self._bodies(k), q, qd, qdd)
+        return torque_of(self._geometry(q.dtype), g, self._bodies(k), q, qd, qdd)
 
     def _geometry(self, dtype: Any) -> Geometry:
         return geometry_of(self.joints, self.paths, np.dtype(dtype))
@@ -319,120 +308,3 @@ def _program(bodies: LinkedBodies, support: tuple[tuple[int, ...], ...]) -> Prog
     """The same for NumPy's arrays."""
     code = _columns(bodies, support)
     return Program.of(code.motion, code.outputs)
-
-
-# Functions of arrays alone: robots of as many joints share one program each.
-@jax.jit
-def _mass_matrix(geometry: Geometry, bodies: Bodies, q: Joints) -> Matrices:
-    n, links = q.shape[-1], links_of(bodies)
-
-    def of_block(position: Array) -> Array:
-        return _mass_matrix_of_block(geometry, links, position).reshape(n * n, -1).T
-
-    total = in_blocks(of_block, (_samples_last(q),), samples_first=True)
-    return total.reshape(*q.shape, n)
-
-
-def _mass_matrix_of_block(
-    geometry: Geometry, links: Links, position: Array
-) -> Float[Array, "joints joints samples"]:
-    still = jnp.zeros_like(position)
-    motion = link_motion(geometry, jnp.zeros(3, position.dtype), position, still, still)
-    inertia, first, mass = _composite(geometry, links, motion)
-    # Velocities of the whole at the base's origin, for a unit rate of each joint.
-    turns = jnp.asarray(geometry.turning)[:, None, None]
-    axis = motion.axes[:, 2]
-    angular = turns * axis
-    linear = turns * cross(motion.origin, axis) + (1 - turns) * axis
-    force = mass[:, None] * linear + cross(angular, first)
-    moment = jnp.sum(inertia * angular[:, None], axis=2) + cross(first, linear)
-    # Joint j moves what joint k carries if it carries joint k.
-    upper = jnp.sum(angular[:, None] * moment[None] + linear[:, None] * force[None], axis=2)
-    diagonal = jnp.eye(position.shape[0], dtype=position.dtype)
-    upper = upper * geometry.carries[:, :, None]
-    below = jnp.swapaxes(upper, 0, 1) * (1 - diagonal)[:, :, None]
-    return upper + below + (links.motor[None] * diagonal)[:, :, None]
-
-
-def _composite(geometry: Geometry, links: Links, motion: LinkMotion) -> tuple[Array, Array, Array]:
-    """Inertia, first moment and mass that each joint carries, about the base's origin."""
-    turn, p, mass = motion.axes, motion.origin, links.mass[:, None]
-    # R I R', by columns of R.
-    half = jnp.sum(links.inertia[:, :, :, None, None] * turn[:, None], axis=2)
-    tensor = jnp.sum(turn[:, :, :, None] * half[:, :, None], axis=1)
-    about = jnp.sum(links.first[:, :, None] * turn, axis=1)
-    first = about + mass[:, None] * p
-    mixed = jnp.sum((2 * about + mass[:, None] * p) * p, axis=1)
-    outer = about[:, :, None] * p[:, None] + p[:, :, None] * about[:, None]
-    outer = outer + mass[:, None, None] * p[:, :, None] * p[:, None]
-    eye = jnp.eye(3, dtype=p.dtype)[None, :, :, None]
-    tensor = tensor + mixed[:, None, None] * eye - outer
-    n, samples = p.shape[0], p.shape[-1]
-    ones = jnp.ones((1, samples), p.dtype)
-    parts = tensor.reshape(n, 9, samples), first, (mass * ones)[:, None]
-    flat = jnp.concatenate(parts, axis=1).reshape(n, 13 * samples)
-    total = _product(jnp.asarray(geometry.carries), flat).reshape(n, 13, samples)
-    return total[:, :9].reshape(n, 3, 3, samples), total[:, 9:12], total[:, 12]
-
-
-@jax.jit
-def _torque(
-    geometry: Geometry,
-    gravity: Float[Array | np.ndarray, "3"],
-    bodies: Bodies,
-    q: Joints,
-    qd: Joints,
-    qdd: Joints,
-) -> Joints:
-    links = links_of(bodies)
-
-    def of_block(q: Array, qd: Array, qdd: Array) -> Array:
-        return _torque_of_block(geometry, gravity, links, q, qd, qdd).T
-
-    motion = (_samples_last(q), _samples_last(qd), _samples_last(qdd))
-    return in_blocks(of_block, motion, samples_first=True).reshape(q.shape)
-
-
-def _torque_of_block(
-    geometry: Geometry,
-    gravity: Float[Array | np.ndarray, "3"],
-    links: Links,
-    q: Array,
-    qd: Array,
-    qdd: Array,
-) -> Float[Array, "joints samples"]:
-    motion = link_motion(geometry, gravity, q, qd, qdd)
-    w, wd, a = motion.angular_velocity, motion.angular_acceleration, motion.acceleration
-
-    def inertia_times(x: Any) -> Any:  # I x, with I in the link's axes
-        along = jnp.sum(motion.axes * x[:, None], axis=2)
-        product = jnp.sum(links.inertia[..., None] * along[:, None], axis=2)
-        return jnp.sum(motion.axes * product[:, :, None], axis=1)
-
-    first = jnp.sum(links.first[:, :, None] * motion.axes, axis=1)
-    force = links.mass[:, None, None] * a + cross(wd, first) + cross(w, cross(w, first))
-    moment = (
-        inertia_times(wd)
-        + cross(w, inertia_times(w))
-        + cross(first, a)
-        + cross(motion.origin, force)
-    )
-    # What each joint carries, as moments about the base's origin.
-    carries = jnp.asarray(geometry.carries)
-    force, moment = (
-        _product(carries, x.reshape(x.shape[0], 3 * x.shape[2])).reshape(x.shape)
-        for x in (force, moment)
-    )
-    turns = jnp.asarray(geometry.turning)[:, None, None]
-    axis = motion.axes[:, 2]
-    along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
-    return jnp.sum(axis * along, axis=1) + links.motor[:, None] * qdd
-
-
-def _product(x: Array, y: Array) -> Array:
-    """The product of matrices in the precision that they have: GPUs round float32 to ten bits."""
-    return jnp.matmul(x, y, precision="highest")
-
-
-def _samples_last(x: Joints) -> Float[Array, "joints samples"]:
-    return x.reshape(-1, x.shape[-1]).T

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace
-from ...derivation import Algebra, Coefficient, PositionRing, Table
-from .._compilation import in_stage
-from ..straight_line import ClosedForm, Motion, Program, Value
-from ._input_term import by_joint
-from ._term import (
+from ...._environment import array_namespace
+from ....derivation import Algebra, Coefficient, PositionRing, Table
+from ..._compilation import in_stage
+from ...straight_line import ClosedForm, Motion, Program, Value
+from .._input_term import by_joint
+from .._term import (
     AbstractManipulatorTerm,
     Coefficients,
     Columns,

@@ -8,8 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ...derivation import BODY
-from ...manipulator import Joint
+from ....derivation import BODY
+from ....manipulator import Joint
 
 
 Samples = Float[Array, "joints samples"]

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._environment import platform_of
-from .._compilation import in_blocks
-from ..straight_line import StraightLine, array_outputs, named
+from ...._environment import platform_of
+from ..._compilation import in_blocks
+from ...straight_line import StraightLine, array_outputs, named
 
 
 # Straight-line code of so many joints compiles within seconds; its operations grow with the square
