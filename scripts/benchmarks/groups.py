@@ -86,6 +86,14 @@ GROUPS: dict[str, Group] = {
         " products and the coefficients.",
         long=True,
     ),
+    "FIGAROH": Group(
+        "peers.figaroh_identification",
+        "FIGAROH's identification of a Panda from URDF and CSV, 20,000 samples, where that package"
+        " is installed, and `jaxcslc identify` on the same files: processor time of whole"
+        " processes, second runs. FIGAROH's cutoff is set by hand (20 Hz); torque errors are over"
+        " all samples, whose noise is 0.05 N m.",
+        long=True,
+    ),
     "Parquet file": Group(
         "files.parquet",
         "20 million patterns streamed from a Parquet file, a process of its own.",

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from scripts.benchmarks import c_code
-from scripts.benchmarks.peers import pinocchio_regressor
 
 
 def test_runs_small(tmp_path: Path) -> None:
@@ -25,12 +24,3 @@ def test_wrong_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
         c_code.main(["--calls", "0"])
     assert end.value.code == 2
     assert "--calls is 0" in capsys.readouterr().err
-
-
-def test_no_compiler_of_cpp(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    assert list(pinocchio_regressor.metrics()) == []
-    assert pinocchio_regressor.main([]) == 1
-    assert "needs g++" in capsys.readouterr().out
