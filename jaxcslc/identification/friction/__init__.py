@@ -2,10 +2,10 @@ from ._load import LoadFit as LoadFit, fit_load as fit_load, linearised as linea
 from ._pre_sliding import (
     PreSlidingFit as PreSlidingFit,
     fit_pre_sliding as fit_pre_sliding,
-    pre_sliding as pre_sliding,
 )
 from ._saved_pre_sliding import (
     pre_sliding_document as pre_sliding_document,
     pre_sliding_from as pre_sliding_from,
 )
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
+from ._yielding_friction import pre_sliding as pre_sliding

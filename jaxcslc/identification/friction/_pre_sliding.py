@@ -1,71 +1,23 @@
 import dataclasses
-from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...derivation import Coefficient
 from ...motion import Patterns
 from ...network import CSLC
-from ...network.terms import AbstractManipulatorTerm, JointTerm
-from ...network.terms._term import Coefficients, Columns, Joints, Matrices, Regressor, Rows
 from .._held_out import RelativeError
 from ..solver import Identification, LeastSquares, torque_of
+from ._yielding_friction import dry_term, with_state
+from ._yielding_motion import yielding_motion
 
 
 # Lengths that are tried, as parts of a joint's range of motion; then each is moved by a factor, and
 # by its root, and so on.
 _LENGTHS, _FACTOR, _HALVINGS = np.geomspace(1e-4, 0.3, 12), 1.4, 6
-# Longest step of integration [s].
-_LONGEST_STEP = 1e-3
 # Stretches that are predicted by fits to the others.
 _FOLDS = 8
-
-
-@jax.jit
-def pre_sliding(
-    q: Float[Array | np.ndarray, "samples joints"],
-    length: Float[Array | np.ndarray, " joints"],
-    start: Float[Array | np.ndarray, " joints"],
-) -> Float[Array, "samples joints"]:
-    """How far the contact of each joint has yielded, from -1 to 1 (Dahl 1968).
-
-    Below break-away, friction is a spring: it grows with displacement until the contact slides. The
-    state w of a joint, friction as a part of dry friction, follows
-
-        dw/dt = (q' - |q'| w) / length
-
-    which depends on the path alone: along one that goes one way, the distance of w from the sign of
-    the motion falls by exp(-|dq| / length), exactly. Between samples each joint goes one way.
-
-    **Arguments**
-
-    - `q`: positions along a motion, (samples, n) [rad or m].
-    - `length`: (n,) displacement in which friction changes by 63 % [rad or m], above 0.
-    - `start`: (n,) the state at the first sample; zeros for contacts without strain.
-
-    **Returns** w at every sample, (samples, n); the last one continues the motion.
-
-    >>> import numpy as np
-    >>> from jaxcslc.identification import pre_sliding
-    >>> there_and_back = np.array([[0.0], [0.1], [0.0]])
-    >>> w = pre_sliding(there_and_back, np.array([0.1]), np.zeros(1))
-    >>> np.round(np.asarray(w)[:, 0], 3).tolist()  # 1 - 1/e, and back from there
-    [0.0, 0.632, -0.4]
-    """
-    q = jnp.asarray(q)
-    change = jnp.diff(q, axis=0)
-
-    def along(w: Array, change: Array) -> tuple[Array, Array]:
-        sign = jnp.sign(change)
-        w = sign + (w - sign) * jnp.exp(-jnp.abs(change) / length)
-        return w, w
-
-    first = jnp.asarray(start, q.dtype)
-    return jnp.concatenate([first[None], jax.lax.scan(along, first, change)[1]])
 
 
 class PreSlidingFit(eqx.Module):
@@ -114,7 +66,7 @@ class PreSlidingFit(eqx.Module):
         - `start`: (n,) the state at its first sample; zeros if None.
         """
         first = np.zeros(self.network.joint_count) if start is None else start
-        network, state = _with_state(self.network, jnp.asarray(q), self.lengths, first)
+        network, state = with_state(self.network, jnp.asarray(q), self.lengths, first)
         motion = (jnp.asarray(x) for x in (q, qd, qdd))
         return network.torque(jnp.asarray(self.fit.k), *motion), state[-1]
 
@@ -128,8 +80,8 @@ class PreSlidingFit(eqx.Module):
     ) -> tuple[Float[Array, "instants joints"], ...]:
         """Motion under torques that are held for an interval each: positions, velocities, states.
 
-        Runge and Kutta's method of fourth order, states of contacts among what it integrates: no
-        joint sticks, its contact holds it.
+        Integrated by diffrax (Tsitouras's method of fifth order, steps by its error), states of
+        contacts among the rest: no joint sticks, its contact holds it.
 
         **Arguments**
 
@@ -137,59 +89,20 @@ class PreSlidingFit(eqx.Module):
         - `torque`: (intervals, n) [N m or N]; `interval`: its length [s].
         - `start`: (n,) states of contacts; zeros if None.
 
-        **Returns** each at the beginning of every interval and at the end, (intervals + 1, n).
+        **Returns** each at the beginning of every interval and at the end, (intervals + 1, n); NaN
+        from where on steps would be too many, as for a mass matrix that is of no body.
 
         **Raises** `ValueError` for a joint with dry friction without a length.
         """
-        dry = _dry_term(self.network)
-        if step := [j + 1 for j in dry.joints if self.lengths[j] <= 0.0]:
+        dry = dry_term(self.network)
+        if unknown := [j + 1 for j in dry.joints if self.lengths[j] <= 0.0]:
             raise ValueError(
-                f"pre-sliding: joint {step[0]} has dry friction without a length; expected a length"
-                " of every joint with dry friction"
+                f"pre-sliding: joint {unknown[0]} has dry friction without a length; expected a"
+                " length of every joint with dry friction"
             )
         first = np.zeros(self.network.joint_count) if start is None else start
-        state = tuple(jnp.asarray(x, float) for x in (q, qd, first))
-        return _integrated(self, state, jnp.asarray(torque), interval)
-
-
-@eqx.filter_jit
-def _integrated(
-    result: PreSlidingFit, start: tuple[Array, ...], torque: Array, interval: float
-) -> tuple[Array, ...]:
-    """The motion of `PreSlidingFit.motion`."""
-    network, dry = result.network, _dry_term(result.network)
-    part = network.layout.of(dry)
-    friction = jnp.zeros(network.joint_count).at[np.array(dry.joints)].set(result.fit.k[part])
-    others = jnp.asarray(result.fit.k).at[part].set(0.0)
-    length = jnp.where(result.lengths > 0.0, result.lengths, 1.0)
-    steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
-    h = interval / steps
-
-    def rates(state: tuple[Array, ...], force: Array) -> tuple[Array, ...]:
-        q, qd, w = state
-        acceleration = network.forward_dynamics(others, q, qd, force - friction * w)
-        return qd, acceleration, (qd - jnp.abs(qd) * w) / length
-
-    def moved(state: tuple[Array, ...], rate: tuple[Array, ...], h: float) -> tuple[Array, ...]:
-        return tuple(x + h * change for x, change in zip(state, rate, strict=True))
-
-    def step(state: tuple[Array, ...], force: Array) -> tuple[Array, ...]:
-        first = rates(state, force)
-        second = rates(moved(state, first, h / 2), force)
-        third = rates(moved(state, second, h / 2), force)
-        last = rates(moved(state, third, h), force)
-        mean = (
-            (a + 2 * b + 2 * c + d) / 6
-            for a, b, c, d in zip(first, second, third, last, strict=True)
-        )
-        return moved(state, tuple(mean), h)
-
-    def through(state: tuple[Array, ...], force: Array) -> tuple[tuple[Array, ...], Any]:
-        after = jax.lax.fori_loop(0, steps, lambda _, state: step(state, force), state)
-        return after, after
-
-    _, path = jax.lax.scan(through, start, torque)
-    return tuple(jnp.concatenate([x[None], xs]) for x, xs in zip(start, path, strict=True))
+        state = q, qd, first
+        return yielding_motion(self.network, self.fit.k, self.lengths, state, torque, interval)
 
 
 def fit_pre_sliding(
@@ -225,7 +138,7 @@ def fit_pre_sliding(
     - `ValueError`: no joint has dry friction, or as `LeastSquares.fit`.
     - `RuntimeError`: as `LeastSquares.fit`.
     """
-    joints = _dry_term(network).joints
+    joints = dry_term(network).joints
     solver = LeastSquares() if solver is None else solver
     q = np.asarray(patterns.q)
     reach = np.maximum(np.ptp(q, axis=0), 1e-12)
@@ -236,9 +149,9 @@ def fit_pre_sliding(
     )
 
     def squares(lengths: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " joints"]:
-        with_state, _ = _with_state(network, q, lengths)
-        k = search.fit(with_state, patterns).k
-        error = np.asarray(patterns.torque) - torque_of(with_state, patterns, k)
+        yielding, _ = with_state(network, q, lengths)
+        k = search.fit(yielding, patterns).k
+        error = np.asarray(patterns.torque) - torque_of(yielding, patterns, k)
         return np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
 
     lengths = np.zeros(network.joint_count)
@@ -263,7 +176,7 @@ def fit_pre_sliding(
         for j in range(len(dry))
     ]
     supported = np.where(kept, lengths, 0.0)
-    fit = solver.fit(_with_state(network, q, supported)[0], patterns)
+    fit = solver.fit(with_state(network, q, supported)[0], patterns)
     return PreSlidingFit(network, fit, supported, relative, lengths)
 
 
@@ -277,8 +190,8 @@ def _held_out(
 ) -> dict[int, RelativeError]:
     """Errors of stretches under fits to the others, with lengths over those without."""
     fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
-    with_state, _ = _with_state(network, np.asarray(patterns.q), lengths)
-    after, before = (solver.held_out_errors(some, patterns, fold) for some in (with_state, network))
+    yielding, _ = with_state(network, np.asarray(patterns.q), lengths)
+    after, before = (solver.held_out_errors(x, patterns, fold) for x in (yielding, network))
     return {
         joint + 1: RelativeError.of(
             *(
@@ -289,107 +202,3 @@ def _held_out(
         for joint in joints
         if lengths[joint] > 0.0
     }
-
-
-def _dry_term(network: CSLC) -> JointTerm:
-    for term in network.terms:
-        if isinstance(term, JointTerm) and term.kind == "dry":
-            return term
-    raise ValueError(f"{network.name!r} has no friction of kind 'dry', which pre-sliding is of")
-
-
-def _with_state(
-    network: CSLC,
-    q: Float[Array | np.ndarray, "samples joints"],
-    lengths: Float[np.ndarray, " joints"],
-    start: Float[Array | np.ndarray, " joints"] | None = None,
-) -> tuple[CSLC, Float[Array, "samples joints"]]:
-    """The network whose dry friction has its state along a motion, and the state."""
-    slides = lengths <= 0.0
-    first = np.zeros(len(lengths)) if start is None else start
-    state = pre_sliding(q, np.where(slides, 1.0, lengths), first)
-    numbers = np.asarray(state) if isinstance(q, np.ndarray) else state
-    dry = _dry_term(network)
-    terms = (
-        YieldingFriction(
-            dry=dry,
-            state=numbers,
-            slides=tuple(slides.tolist()),
-            kind=dry.kind,
-            coefficients=dry.coefficients,
-        )
-        if term is dry
-        else term
-        for term in network.terms
-    )
-    return CSLC(algebra=network.algebra, terms=tuple(terms)), state
-
-
-class YieldingFriction(AbstractManipulatorTerm):
-    """Dry friction in proportion to a state that was computed along one motion.
-
-    **Attributes**
-
-    - `dry`: the term that it stands for.
-    - `state`: (samples, n) along the motion; `slides`: joints that follow the sign of velocity.
-    """
-
-    dry: JointTerm
-    state: Float[Array | np.ndarray, "samples joints"]
-    slides: tuple[bool, ...] = eqx.field(static=True)
-    kind: str = eqx.field(static=True)
-    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return self.dry.parts
-
-    @property
-    def has_host_columns(self) -> bool:
-        return isinstance(self.state, np.ndarray)
-
-    @property
-    def support(self) -> tuple[tuple[int, ...], ...]:
-        return self.dry.support
-
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
-        self._check(q.shape[1])
-        return tuple(
-            rows if self.slides[joint] or not len(rows) else self.state[:, joint][None]
-            for joint, rows in enumerate(self.dry.columns(q, qd, qdd))
-        )
-
-    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        return self.dry.regressor(q, self._velocity(qd), qdd) * self._size(qd)[..., None]
-
-    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
-        return self.dry.torque(k, q, self._velocity(qd), qdd) * self._size(qd)
-
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        return self.dry.mass_matrix(k, q)
-
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        return self.dry.velocity_term(k, q, qd)
-
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        return self.dry.gravity_term(k, q)
-
-    def _velocity(self, qd: Joints) -> Joints:
-        """One whose sign is the state's."""
-        self._check(qd.shape[0])
-        slides = jnp.broadcast_to(jnp.array(self.slides), qd.shape)
-        return jnp.where(slides, qd, self.state)
-
-    def _size(self, qd: Joints) -> Joints:
-        slides = jnp.broadcast_to(jnp.array(self.slides), qd.shape)
-        return jnp.where(slides, 1.0, jnp.abs(self.state))
-
-    def _check(self, samples: int) -> None:
-        if samples != len(self.state):
-            raise ValueError(
-                f"pre-sliding: the motion has {samples} samples at a time, its state"
-                f" {len(self.state)}; expected one motion in one piece"
-            )
-
-    def __hash__(self) -> int:
-        return id(self.state)

@@ -209,11 +209,9 @@ def physical_parameters(
         raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
     if not 0 < least < 1:
         raise ValueError(f"least: expected a number between 0 and 1, got {least!r}")
-    problem = NearestBodies.from_fit(
-        network.algebra,
-        network.coefficients,
+    problem = _nearest_bodies(
+        network,
         fit,
-        inertial=network.layout.inertial,
         prior=prior,
         fixed=fixed,
         weight=prior_weight or WEAK,
@@ -269,16 +267,24 @@ def distances_from(
     parameters: PhysicalParameters,
     patterns: Patterns,
 ) -> PhysicalParameters:
-    """Parameters with their distances from another fit than they were computed from."""
-    problem = NearestBodies.from_fit(
-        network.algebra,
-        network.coefficients,
-        fit,
-        inertial=network.layout.inertial,
-        prior=None,
-        fixed=None,
-        weight=parameters.prior_weight,
-        motors=True,
+    """Parameters with their distances from another fit than they were computed from.
+
+    **Arguments**
+
+    - `fit`: to measure from, (p,) coefficients with their covariance.
+    - `network`: n joints, p coefficients, those of the fit and of the parameters.
+    - `parameters`: as another estimator has fitted them.
+    - `patterns`: motion (samples, n) that `torque_distance` is measured over.
+
+    **Returns** the parameters with `distance` [standard errors of the fit] and `torque_distance`
+    (n,) [N m or N] from this fit.
+
+    **Raises**
+
+    - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
+    """
+    problem = _nearest_bodies(
+        network, fit, fixed=fixed_bodies(network.robot), weight=parameters.prior_weight
     )
     return replace(
         parameters,
@@ -298,21 +304,35 @@ def possible_coefficients(
 
     **Raises** as `physical_parameters`.
     """
-    problem = NearestBodies.from_fit(
-        network.algebra,
-        network.coefficients,
-        fit,
-        inertial=network.layout.inertial,
-        prior=None,
-        fixed=fixed,
-        weight=prior_weight,
-        motors=True,
-        knowledge=knowledge,
-    )
+    problem = _nearest_bodies(network, fit, fixed=fixed, weight=prior_weight, knowledge=knowledge)
     optimum = problem.solve(LEAST)
     if optimum is None:
         raise RuntimeError(f"possible bodies: {POSSIBILITY[POSSIBILITY.failed]}")
     return problem.coefficients(optimum)
+
+
+def _nearest_bodies(
+    network: CSLC,
+    fit: Fitted,
+    *,
+    fixed: Sequence[LinkParameters | None] | None,
+    weight: float,
+    prior: Sequence[LinkParameters] | None = None,
+    motors: bool = True,
+    knowledge: Sequence[LinkKnowledge] = (),
+) -> NearestBodies:
+    """The programme of `physical_parameters`, for a network's coefficients."""
+    return NearestBodies.from_fit(
+        network.algebra,
+        network.coefficients,
+        fit,
+        inertial=network.layout.inertial,
+        prior=prior,
+        fixed=fixed,
+        weight=weight,
+        motors=motors,
+        knowledge=knowledge,
+    )
 
 
 def fixed_bodies(robot: Manipulator) -> tuple[LinkParameters | None, ...] | None:

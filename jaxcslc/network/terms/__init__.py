@@ -25,6 +25,12 @@ from ._static_friction import StaticFriction as StaticFriction
 from ._term import (
     AbstractManipulatorTerm as AbstractManipulatorTerm,
     AbstractTerm as AbstractTerm,
+    Coefficients as Coefficients,
+    Columns as Columns,
+    Joints as Joints,
+    Matrices as Matrices,
+    Regressor as Regressor,
+    Rows as Rows,
 )
 from .rigid_body import (
     RigidBodyRecursion as RigidBodyRecursion,

@@ -8,10 +8,8 @@ and the root mean square of difference over standard error, and how many differe
 default), and with systematic errors beside them (the bias of smoothing, timing, missing terms).
 """
 
-import argparse
 from collections.abc import Sequence
 from itertools import combinations
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -19,9 +17,10 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.identification import standard_uncertainty, systematic_error
-from jaxcslc.identification.report import text_table
 from scripts.studies import command
-from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+from scripts.studies.real_robots import by_arm
+from scripts.studies.real_robots.arms import Arm
+from scripts.studies.real_robots.methods import without_static
 
 
 jax.config.update("jax_enable_x64", True)
@@ -41,9 +40,7 @@ def parts_of(arm: Arm) -> list[jc.Recording]:
 
 def deviations_of(arm: Arm) -> dict[str, Float[np.ndarray, " differences"]]:
     """Differences of all pairs of fits over their standard errors, by what these allow for."""
-    robot = arm.robot
-    kinds = [tuple(k for k in kinds if k != "static") for kinds in robot.friction_per_joint]
-    network = jc.derive(robot, lengths="numeric").with_joint_friction(kinds)
+    network = without_static(arm)
     parts = parts_of(arm)
     settings = jc.choose_settings(network, parts[0]).settings
     fits: list[tuple[jc.Identification, dict[str, np.ndarray]]] = []
@@ -71,27 +68,26 @@ def deviations_of(arm: Arm) -> dict[str, Float[np.ndarray, " differences"]]:
     return {kind: np.concatenate(values) for kind, values in deviations.items()}
 
 
-def study(options: argparse.Namespace) -> int:
-    """Prints the table."""
+def lines_of(name: str, arm: Arm) -> list[list[str]]:
+    """Of the table: a row for what standard errors allow for."""
     rows: list[list[str]] = []
-    for name in command.progress(options.arms, desc="arms", unit="arm"):
-        for kind, values in deviations_of(read(name, options.data)).items():
-            finite = values[np.isfinite(values)]
-            row = [np.median(finite), np.sqrt(np.mean(finite**2))]
-            inside = f"{100 * np.mean(finite <= _WITHIN):.0f} %"
-            rows.append([name, kind, *(f"{value:.2g}" for value in row), inside])
-    header = ["arm", "standard errors for", "median", "root mean square", "within 1.96"]
-    print(text_table(header, rows))
-    return 0
+    for kind, values in deviations_of(arm).items():
+        finite = values[np.isfinite(values)]
+        row = [np.median(finite), np.sqrt(np.mean(finite**2))]
+        inside = f"{100 * np.mean(finite <= _WITHIN):.0f} %"
+        rows.append([name, kind, *(f"{value:.2g}" for value in row), inside])
+    return rows
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = command.new_parser(__doc__, "intervals")
-    parser.add_argument("--arms", nargs="+", default=list(READERS), help=", ".join(READERS))
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the recordings")
-    options = command.parse(parser, argv, arms=["KUKA KR300"])
-    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
-    return command.run(parser, lambda: study(options), seconds=30.0 * len(options.arms))
+    parser = by_arm.new_parser(__doc__, "intervals")
+    options = by_arm.parse(parser, argv, arms=["KUKA KR300"])
+    header = ["arm", "standard errors for", "median", "root mean square", f"within {_WITHIN}"]
+    return command.run(
+        parser,
+        lambda: by_arm.print_table(options, lines_of, header),
+        seconds=30.0 * len(options.arms),
+    )
 
 
 if __name__ == "__main__":

@@ -8,9 +8,7 @@ eighths of the fitted motion, each predicted by a fit to the others, and on the 
 judged. A joint whose kl is not between 0 and 1 has lost the term.
 """
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -19,9 +17,9 @@ from jaxtyping import Float
 import jaxcslc as jc
 from jaxcslc.identification import fit_load, predicted_torque
 from jaxcslc.identification.friction import linearised
-from jaxcslc.identification.report import text_table
 from scripts.studies import command
-from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+from scripts.studies.real_robots import by_arm
+from scripts.studies.real_robots.arms import Arm
 
 
 jax.config.update("jax_enable_x64", True)
@@ -84,30 +82,21 @@ def rms(errors: Float[np.ndarray, "samples joints"], patterns: jc.Patterns) -> n
     return np.sqrt(np.sum(np.where(mask, errors, 0.0) ** 2, axis=0) / mask.sum(axis=0))
 
 
-def study(options: argparse.Namespace) -> int:
-    """Prints the table."""
-    rows: list[list[str]] = []
-    for name in command.progress(options.arms, desc="arms", unit="arm"):
-        arm = read(name, options.data)
-        if options.quick:
-            part = 0.4 * float(np.ptp(arm.training.time))
-            arm = arm._replace(training=arm.training.between(0.0, part))
-        kinds = None if options.friction is None else options.friction.split(",")
-        rows += lines_of(name, arm, kinds)
-    joints = max(map(len, rows)) - 2
-    rows = [row + [""] * (joints + 2 - len(row)) for row in rows]
-    print(text_table(["arm", "motion", *(str(joint + 1) for joint in range(joints))], rows))
-    return 0
-
-
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = command.new_parser(__doc__, "load_friction")
-    parser.add_argument("--arms", nargs="+", default=list(READERS), help=", ".join(READERS))
+    parser = by_arm.new_parser(__doc__, "load_friction")
     parser.add_argument("--friction", help="kinds of all joints beside it, as in viscous,dry")
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the recordings")
-    options = command.parse(parser, argv, arms=["KUKA KR300"])
-    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
-    return command.run(parser, lambda: study(options), seconds=60.0 * len(options.arms))
+    options = by_arm.parse(parser, argv, arms=["KUKA KR300"])
+    friction = None if options.friction is None else options.friction.split(",")
+    fitted = 0.4 if options.quick else 1.0
+
+    def rows_of(name: str, arm: Arm) -> list[list[str]]:
+        return lines_of(name, arm, friction)
+
+    return command.run(
+        parser,
+        lambda: by_arm.print_table(options, rows_of, ["arm", "motion"], fitted=fitted),
+        seconds=60.0 * len(options.arms),
+    )
 
 
 if __name__ == "__main__":

@@ -8,20 +8,18 @@ others, and on the motion that is judged. A joint whose held-out error falls by 
 explains keeps the sign of velocity.
 """
 
-import argparse
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 
 import jax
 import numpy as np
 
-import jaxcslc as jc
 from jaxcslc.identification import fit_pre_sliding
-from jaxcslc.identification.report import text_table
 from scripts.studies import command
-from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+from scripts.studies.real_robots import by_arm
+from scripts.studies.real_robots.arms import Arm
 from scripts.studies.real_robots.load_friction import SETTINGS as MASKED, percent, rms
+from scripts.studies.real_robots.methods import without_static
 
 
 jax.config.update("jax_enable_x64", True)
@@ -33,9 +31,7 @@ SETTINGS = dataclasses.replace(
 
 def lines_of(name: str, arm: Arm) -> list[list[str]]:
     """Of the table: held-out errors, errors on the motion that is judged, and lengths."""
-    network = jc.derive(arm.robot, lengths="numeric")
-    kinds = [[kind for kind in laws if kind != "static"] for laws in arm.robot.friction_per_joint]
-    network = network.with_joint_friction(kinds)
+    network = without_static(arm)
     patterns, solver = SETTINGS.patterns(arm.training), SETTINGS.solver
     result = fit_pre_sliding(network, patterns, solver=solver)
     plain = solver.fit(network, patterns)
@@ -53,28 +49,15 @@ def lines_of(name: str, arm: Arm) -> list[list[str]]:
     return rows
 
 
-def study(options: argparse.Namespace) -> int:
-    """Prints the table."""
-    rows: list[list[str]] = []
-    for name in command.progress(options.arms, desc="arms", unit="arm"):
-        arm = read(name, options.data)
-        if options.quick:
-            part = 0.4 * float(np.ptp(arm.training.time))
-            arm = arm._replace(training=arm.training.between(0.0, part))
-        rows += lines_of(name, arm)
-    joints = max(map(len, rows)) - 2
-    rows = [row + [""] * (joints + 2 - len(row)) for row in rows]
-    print(text_table(["arm", "motion", *(str(joint + 1) for joint in range(joints))], rows))
-    return 0
-
-
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = command.new_parser(__doc__, "pre_sliding")
-    parser.add_argument("--arms", nargs="+", default=list(READERS), help=", ".join(READERS))
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the recordings")
-    options = command.parse(parser, argv, arms=["Stäubli TX40"])
-    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
-    return command.run(parser, lambda: study(options), seconds=30.0 * len(options.arms))
+    parser = by_arm.new_parser(__doc__, "pre_sliding")
+    options = by_arm.parse(parser, argv, arms=["Stäubli TX40"])
+    fitted = 0.4 if options.quick else 1.0
+    return command.run(
+        parser,
+        lambda: by_arm.print_table(options, lines_of, ["arm", "motion"], fitted=fitted),
+        seconds=30.0 * len(options.arms),
+    )
 
 
 if __name__ == "__main__":

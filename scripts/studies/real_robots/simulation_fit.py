@@ -11,11 +11,9 @@ those of the recording through the usual pipeline's 20 Hz low pass. The table ha
 The toolbox needs the package `tabulate`.
 """
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -26,10 +24,10 @@ from mujoco import sysid
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import text_table
 from jaxcslc.motion import Patterns
 from scripts.studies import command
-from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+from scripts.studies.real_robots import by_arm
+from scripts.studies.real_robots.arms import Arm
 from scripts.studies.real_robots.methods import LOW_PASS, Model, without_static
 from scripts.studies.real_robots.study import errors_of
 
@@ -285,29 +283,21 @@ def lines_of(name: str, arm: Arm, stretch: float, steps: int) -> list[list[str]]
     return rows
 
 
-def study(options: argparse.Namespace) -> int:
-    """Prints the table."""
-    rows: list[list[str]] = []
-    for name in command.progress(options.arms, desc="arms", unit="arm"):
-        rows += lines_of(name, read(name, options.data), options.stretch, options.steps)
-    width = max(map(len, rows))
-    rows = [row + [""] * (width - len(row)) for row in rows]
-    header = ["arm", "motion", "parameters", "CPU s", *(str(j + 1) for j in range(width - 4))]
-    print(text_table(header, rows, left=header[:2]))
-    return 0
-
-
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = command.new_parser(__doc__, "simulation_fit")
-    parser.add_argument("--arms", nargs="+", default=list(READERS), help=", ".join(READERS))
+    parser = by_arm.new_parser(__doc__, "simulation_fit")
     parser.add_argument("--stretch", type=float, default=1.0, help="of a simulation [s]")
     parser.add_argument("--steps", type=int, default=50, help="of the search, at most")
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the recordings")
-    options = command.parse(parser, argv, arms=["KUKA KR300"], steps=1, stretch=0.2)
-    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
+    options = by_arm.parse(parser, argv, arms=["KUKA KR300"], steps=1, stretch=0.2)
     command.require_least(parser, options, steps=1, stretch=0.05)
-    seconds = 5.0 * options.steps * len(options.arms)
-    return command.run(parser, lambda: study(options), seconds=seconds)
+
+    def rows_of(name: str, arm: Arm) -> list[list[str]]:
+        return lines_of(name, arm, options.stretch, options.steps)
+
+    return command.run(
+        parser,
+        lambda: by_arm.print_table(options, rows_of, ["arm", "motion", "parameters", "CPU s"]),
+        seconds=5.0 * options.steps * len(options.arms),
+    )
 
 
 if __name__ == "__main__":

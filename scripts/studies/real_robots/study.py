@@ -33,7 +33,8 @@ from jaxcslc.identification import predicted_torque
 from jaxcslc.identification.report import text_table, write_csv
 from jaxcslc.motion import Recording
 from scripts.studies import command
-from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+from scripts.studies.real_robots import by_arm
+from scripts.studies.real_robots.arms import Arm, read
 from scripts.studies.real_robots.methods import FAMILIES, USUAL, Model
 from scripts.studies.real_robots.page import page_text
 from scripts.studies.rows import Rows, made_of
@@ -145,13 +146,10 @@ def study(options: argparse.Namespace) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = command.new_parser(__doc__, "real_robots")
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the arms' folders")
-    parser.add_argument("--arms", nargs="+", default=list(READERS), help="which arms")
+    parser = by_arm.new_parser(__doc__, "real_robots")
     parser.add_argument("--methods", nargs="+", default=list(FAMILIES), help="usual, ours, auto")
     parser.add_argument("--page", type=Path, help="page of the documentation to write")
-    options = command.parse(parser, argv, arms=["KUKA KR300"], methods=["usual"])
-    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
+    options = by_arm.parse(parser, argv, arms=["KUKA KR300"], methods=["usual"])
     command.require_some_of(parser, "family of methods", options.methods, tuple(FAMILIES))
     return command.run(
         parser,

@@ -1,0 +1,165 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...derivation import Coefficient
+from ...network import CSLC
+from ...network.terms import (
+    AbstractManipulatorTerm,
+    Coefficients,
+    Columns,
+    Joints,
+    JointTerm,
+    Matrices,
+    Regressor,
+    Rows,
+)
+
+
+@jax.jit
+def pre_sliding(
+    q: Float[Array | np.ndarray, "samples joints"],
+    length: Float[Array | np.ndarray, " joints"],
+    start: Float[Array | np.ndarray, " joints"],
+) -> Float[Array, "samples joints"]:
+    """How far the contact of each joint has yielded, from -1 to 1 (Dahl 1968).
+
+    Below break-away, friction is a spring: it grows with displacement until the contact slides. The
+    state w of a joint, friction as a part of dry friction, follows
+
+        dw/dt = (q' - |q'| w) / length
+
+    which depends on the path alone: along one that goes one way, the distance of w from the sign of
+    the motion falls by exp(-|dq| / length), exactly. Between samples each joint goes one way.
+
+    **Arguments**
+
+    - `q`: positions along a motion, (samples, n) [rad or m].
+    - `length`: (n,) displacement in which friction changes by 63 % [rad or m], above 0.
+    - `start`: (n,) the state at the first sample; zeros for contacts without strain.
+
+    **Returns** w at every sample, (samples, n); the last one continues the motion.
+
+    >>> import numpy as np
+    >>> from jaxcslc.identification import pre_sliding
+    >>> there_and_back = np.array([[0.0], [0.1], [0.0]])
+    >>> w = pre_sliding(there_and_back, np.array([0.1]), np.zeros(1))
+    >>> np.round(np.asarray(w)[:, 0], 3).tolist()  # 1 - 1/e, and back from there
+    [0.0, 0.632, -0.4]
+    """
+    q = jnp.asarray(q)
+    change = jnp.diff(q, axis=0)
+
+    def along(w: Array, change: Array) -> tuple[Array, Array]:
+        sign = jnp.sign(change)
+        w = sign + (w - sign) * jnp.exp(-jnp.abs(change) / length)
+        return w, w
+
+    first = jnp.asarray(start, q.dtype)
+    return jnp.concatenate([first[None], jax.lax.scan(along, first, change)[1]])
+
+
+class YieldingFriction(AbstractManipulatorTerm):
+    """Dry friction in proportion to a state that was computed along one motion.
+
+    **Attributes**
+
+    - `dry`: the term that it stands for.
+    - `state`: (samples, n) along the motion; `slides`: joints that follow the sign of velocity.
+    """
+
+    dry: JointTerm
+    state: Float[Array | np.ndarray, "samples joints"]
+    slides: tuple[bool, ...] = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.dry.parts
+
+    @property
+    def has_host_columns(self) -> bool:
+        return isinstance(self.state, np.ndarray)
+
+    @property
+    def support(self) -> tuple[tuple[int, ...], ...]:
+        return self.dry.support
+
+    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
+        self._check(q.shape[1])
+        return tuple(
+            rows if self.slides[joint] or not len(rows) else self.state[:, joint][None]
+            for joint, rows in enumerate(self.dry.columns(q, qd, qdd))
+        )
+
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        return self.dry.regressor(q, self._velocity(qd), qdd) * self._size(qd)[..., None]
+
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+        return self.dry.torque(k, q, self._velocity(qd), qdd) * self._size(qd)
+
+    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
+        return self.dry.mass_matrix(k, q)
+
+    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
+        return self.dry.velocity_term(k, q, qd)
+
+    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
+        return self.dry.gravity_term(k, q)
+
+    def _velocity(self, qd: Joints) -> Joints:
+        """One whose sign is the state's."""
+        self._check(qd.shape[0])
+        slides = jnp.broadcast_to(jnp.array(self.slides), qd.shape)
+        return jnp.where(slides, qd, self.state)
+
+    def _size(self, qd: Joints) -> Joints:
+        slides = jnp.broadcast_to(jnp.array(self.slides), qd.shape)
+        return jnp.where(slides, 1.0, jnp.abs(self.state))
+
+    def _check(self, samples: int) -> None:
+        if samples != len(self.state):
+            raise ValueError(
+                f"pre-sliding: the motion has {samples} samples at a time, its state"
+                f" {len(self.state)}; expected one motion in one piece"
+            )
+
+    def __hash__(self) -> int:
+        return id(self.state)
+
+
+def dry_term(network: CSLC) -> JointTerm:
+    for term in network.terms:
+        if isinstance(term, JointTerm) and term.kind == "dry":
+            return term
+    raise ValueError(f"{network.name!r} has no friction of kind 'dry', which pre-sliding is of")
+
+
+def with_state(
+    network: CSLC,
+    q: Float[Array | np.ndarray, "samples joints"],
+    lengths: Float[np.ndarray, " joints"],
+    start: Float[Array | np.ndarray, " joints"] | None = None,
+) -> tuple[CSLC, Float[Array, "samples joints"]]:
+    """The network whose dry friction has its state along a motion, and the state."""
+    slides = lengths <= 0.0
+    first = np.zeros(len(lengths)) if start is None else start
+    state = pre_sliding(q, np.where(slides, 1.0, lengths), first)
+    numbers = np.asarray(state) if isinstance(q, np.ndarray) else state
+    dry = dry_term(network)
+    terms = (
+        YieldingFriction(
+            dry=dry,
+            state=numbers,
+            slides=tuple(slides.tolist()),
+            kind=dry.kind,
+            coefficients=dry.coefficients,
+        )
+        if term is dry
+        else term
+        for term in network.terms
+    )
+    return CSLC(algebra=network.algebra, terms=tuple(terms)), state

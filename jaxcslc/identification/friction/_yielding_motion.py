@@ -1,0 +1,75 @@
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...network import CSLC
+from ._yielding_friction import dry_term
+
+
+State = tuple[Array, Array, Array]
+"""Positions, velocities and states of contacts, (n,) each."""
+
+# Of positions [rad or m], velocities and states, and as parts of them: the error of a step.
+_TOLERANCE = 1e-7
+
+
+@eqx.filter_jit
+def yielding_motion(
+    network: CSLC,
+    k: Float[Array | np.ndarray, " coefficients"],
+    lengths: Float[Array | np.ndarray, " joints"],
+    start: tuple[Float[Array | np.ndarray, " joints"], ...],
+    torque: Float[Array | np.ndarray, "intervals joints"],
+    interval: float,
+) -> tuple[Float[Array, "instants joints"], ...]:
+    """Motion of joints whose dry friction yields before it slides, under torques that are held.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients; `k`: (p,).
+    - `lengths`: (n,) of pre-sliding [rad or m]; of no account where a joint has no dry friction.
+    - `start`: positions, velocities and states of contacts, (n,) each [rad, rad/s or m, m/s, 1].
+    - `torque`: (intervals, n) [N m or N]; `interval`: its length [s].
+
+    **Returns** these at the beginning of every interval and at the end, (intervals + 1, n).
+    """
+    import diffrax  # with its own dependencies, half a second
+
+    dry = dry_term(network)
+    part = network.layout.of(dry)
+    k = jnp.asarray(k)
+    friction = jnp.zeros(network.joint_count).at[np.array(dry.joints)].set(k[part])
+    others = k.at[part].set(0.0)
+    length = jnp.where(jnp.asarray(lengths) > 0.0, lengths, 1.0)
+
+    def rates(t: Any, state: State, force: Array) -> State:
+        del t
+        q, qd, w = state
+        acceleration = network.forward_dynamics(others, q, qd, force - friction * w)
+        return qd, acceleration, (qd - jnp.abs(qd) * w) / length
+
+    # One solution an interval: torque jumps between them, which no step may reach across.
+    def through(state: State, force: Array) -> tuple[State, State]:
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(rates),
+            diffrax.Tsit5(),
+            t0=0.0,
+            t1=interval,
+            dt0=None,
+            y0=state,
+            args=force,
+            stepsize_controller=diffrax.PIDController(rtol=_TOLERANCE, atol=_TOLERANCE),
+            throw=False,
+        )
+        assert solution.ys is not None
+        solved = solution.result == diffrax.RESULTS.successful
+        q, qd, w = (jnp.where(solved, x[-1], jnp.nan) for x in solution.ys)
+        return (q, qd, w), (q, qd, w)
+
+    q, qd, w = (jnp.asarray(x, float) for x in start)
+    _, path = jax.lax.scan(through, (q, qd, w), jnp.asarray(torque))
+    return tuple(jnp.concatenate([x[None], xs]) for x, xs in zip((q, qd, w), path, strict=True))
