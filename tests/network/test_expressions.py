@@ -3,11 +3,20 @@
 import math
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from jaxcslc.network.straight_line import Expressions, Value, nested
+from jaxcslc.network.straight_line import (
+    Expressions,
+    Motion,
+    Program,
+    Value,
+    derivatives,
+    nested,
+)
 
 
 def value(graph: Expressions, index: int, inputs: dict[str, float]) -> float:
@@ -131,3 +140,31 @@ def test_what_c_code_cannot_compute_is_named() -> None:
         x**0.5  # pyright: ignore
     with pytest.raises(TypeError, match="divides by numbers only"):
         x / x  # pyright: ignore
+
+
+@pytest.mark.parametrize("x", [0.7, -0.4])
+def test_derivatives_are_those_of_jax(x: float) -> None:
+    motion = Motion(1)
+    graph, variable = motion.graph, motion.q[0]
+
+    def of_graph(name: str) -> Value:
+        inner = variable * variable + 0.5 if name in ("sqrt", "reciprocal") else variable - 0.1
+        return graph.apply(name, inner) * variable - graph.apply(name, inner * 2.0)
+
+    def of_jax(name: str, x: jax.Array) -> jax.Array:
+        functions = {
+            "fabs": jnp.abs,
+            "positive": lambda x: jnp.maximum(x, 0.0),
+            "negative": lambda x: jnp.minimum(x, 0.0),
+        }
+        function = functions.get(name) or getattr(jnp, name)
+        inner = x * x + 0.5 if name in ("sqrt", "reciprocal") else x - 0.1
+        return function(inner) * x - function(inner * 2.0)
+
+    names = ["sin", "cos", "exp", "tanh", "sqrt", "reciprocal", "fabs"]
+    names += ["sign", "positive", "negative"]
+    slopes = derivatives([of_graph(name) for name in names], variable)
+    at = np.array([[x]])
+    obtained = Program.of(motion, slopes)(at, 0.0 * at, 0.0 * at)
+    expected = [jax.grad(lambda x, name=name: of_jax(name, x))(x) for name in names]
+    np.testing.assert_allclose(obtained[:, 0], expected, atol=1e-12)

@@ -1,10 +1,11 @@
 import dataclasses
+from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..._environment import as_jax
 from ...network import CSLC
 from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
@@ -145,23 +146,25 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     unfiltered = minimum.objective.whitening.removed(residual)
     squares = np.sum(np.where(used, unfiltered, 0.0) ** 2, axis=0)
     complete = len(null) == 0
-    fit = Identification(
-        k=jnp.asarray(point.k),
-        standard_error=jnp.asarray(error[:p]),
-        covariance=jnp.asarray(covariance[:p, :p]),
-        independent_covariance=jnp.asarray(independent[:p, :p]),
-        torque_error=jnp.asarray(np.sqrt(squares / np.maximum(counts, 1.0))),
-        equations=jnp.asarray(counts),
-        effective_equations=jnp.asarray(reported.effective),
-        degrees_of_freedom=jnp.asarray(reported.degrees_of_freedom),
-        rank=jnp.asarray(p - len(null)),
-        condition=jnp.asarray(np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0])),
-        undetermined=jnp.asarray(undetermined),
-        determined=jnp.asarray(determined),
-        result=RESULTS.successful if complete else RESULTS.rank_deficient,
-        names=network.names,
-        errors=errors,
+    # Put on the device together: one by one, each is a program of its own.
+    arrays: dict[str, Any] = as_jax(
+        {
+            "k": point.k,
+            "standard_error": error[:p],
+            "covariance": covariance[:p, :p],
+            "independent_covariance": independent[:p, :p],
+            "torque_error": np.sqrt(squares / np.maximum(counts, 1.0)),
+            "equations": counts,
+            "effective_equations": reported.effective,
+            "degrees_of_freedom": np.float64(reported.degrees_of_freedom),
+            "rank": p - len(null),
+            "condition": np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0]),
+            "undetermined": undetermined,
+            "determined": determined,
+        }
     )
+    result = RESULTS.successful if complete else RESULTS.rank_deficient
+    fit = Identification(**arrays, result=result, names=network.names, errors=errors)
     static = network.static_slopes is not None
     slopes = np.exp(point.slopes) if static else np.zeros(n)
     calibration, values = minimum.objective.torque, point.calibration

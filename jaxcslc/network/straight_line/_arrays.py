@@ -141,5 +141,9 @@ def _value(xp: Any, operation: Operation, arguments: Sequence[Any]) -> Any:
             return arguments[0] * arguments[1]
         case "negate":
             return -arguments[0]
+        case "positive":
+            return xp.maximum(arguments[0], 0.0)
+        case "negative":
+            return xp.minimum(arguments[0], 0.0)
         case name:
             return getattr(xp, name)(arguments[0])

@@ -1,4 +1,7 @@
-from ._input_expressions import term_entries as term_entries
+from ._input_expressions import (
+    ExpressionFunctions as ExpressionFunctions,
+    term_entries as term_entries,
+)
 from ._input_term import (
     JAX_FUNCTIONS as JAX_FUNCTIONS,
     AbstractFunctions as AbstractFunctions,

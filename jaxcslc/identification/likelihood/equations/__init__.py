@@ -1,3 +1,5 @@
-from ._motion_equations import Linearisation as Linearisation, MotionEquations as MotionEquations
+from ._linearisation import Linearisation as Linearisation
+from ._motion_code import MotionCode as MotionCode, motion_code as motion_code
+from ._motion_equations import MotionEquations as MotionEquations
 from ._stretches import Stretches as Stretches
 from ._truncation import truncation as truncation

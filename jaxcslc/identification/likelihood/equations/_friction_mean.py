@@ -8,9 +8,9 @@ from ....network.terms import JAX_FUNCTIONS, AbstractJointLaw
 
 Rows = Float[Array, "equations joints"]
 # Gauss-Legendre nodes on (0, 1): exact for a triangle times a parabola.
-_NODES = (np.polynomial.legendre.leggauss(2)[0] + 1) / 2
+NODES = (np.polynomial.legendre.leggauss(2)[0] + 1) / 2
 # Speed that stands in for one of the wrong sign, next to a reversal [rad/s or m/s].
-_SLOWEST = 1e-9
+SLOWEST = 1e-9
 
 
 def mean_inputs(
@@ -50,7 +50,7 @@ def mean_inputs(
     first, second = jnp.minimum(turn, 0.0), jnp.maximum(turn, 0.0)
     start, end = jnp.stack([-one, first, second]), jnp.stack([first, second, one])
     sign = jnp.stack([-one, jnp.where(turn > 0.0, -1.0, 1.0), one]) * direction[None]
-    nodes = jnp.asarray(_NODES)[:, None, None, None]
+    nodes = jnp.asarray(NODES)[:, None, None, None]
     x = start[None] + (end - start)[None] * nodes  # (nodes, parts, equations, n)
     shape = x.shape
 
@@ -62,7 +62,7 @@ def mean_inputs(
     mass = spread(end - start) * (1.0 - jnp.abs(x))
     mass = mass * jnp.where(earlier, spread(share), spread(1.0 - share))
     sign = spread(sign)
-    qd = sign * jnp.maximum(sign * (spread(velocity) + x * change), _SLOWEST)
+    qd = sign * jnp.maximum(sign * (spread(velocity) + x * change), SLOWEST)
     law = jax.tree.map(lambda values: spread(jnp.asarray(values)), law)
     inputs = law.inputs(JAX_FUNCTIONS, spread(q), qd)
     return tuple(jnp.sum(mass * spread(values), axis=(0, 1)) for values in inputs)

@@ -1,5 +1,3 @@
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,30 +7,11 @@ from jaxtyping import Array, Float
 from ....network import CSLC
 from ....network.terms import JointTerm
 from ._friction_mean import mean_inputs
+from ._linearisation import ANGLE, RATE, Linearisation
 
 
-# Steps of positions [rad or m] and velocities in forward differences. The error is this part of a
-# second derivative; that of velocities counts by half an interval beside accelerations.
-_ANGLE, _RATE = 1e-7, 1e-5
 Samples = Float[Array | np.ndarray, "samples joints"]
 Rows = Float[Array | np.ndarray, "equations joints"]
-
-
-class Linearisation(NamedTuple):
-    """The torque of every equation, and its derivatives.
-
-    **Attributes**
-
-    - `torque`: (equations, n).
-    - `by_position`: (equations, n, 3 n), by the positions at three samples.
-    - `by_coefficient`: (equations, n, p + n): by `k`, then by the logarithms of slopes.
-    - `by_turn`: (equations, n), by the moment at which the joint turns.
-    """
-
-    torque: Float[Array | np.ndarray, "equations joints"]
-    by_position: Float[Array | np.ndarray, "equations joints positions"]
-    by_coefficient: Float[Array | np.ndarray, "equations joints unknowns"]
-    by_turn: Float[Array | np.ndarray, "equations joints"]
 
 
 class MotionEquations(eqx.Module):
@@ -176,7 +155,7 @@ class MotionEquations(eqx.Module):
         function. (Compiling the derivatives of a PUMA 560's tables took a minute.)
         """
         n, network = q.shape[1], self.network
-        steps = jnp.asarray(np.repeat([_ANGLE, _RATE], n))
+        steps = jnp.asarray(np.repeat([ANGLE, RATE], n))
         shifts = (jnp.eye(2 * n) * steps[:, None]).reshape(2 * n, 2, 1, n)
         torque = self._smooth(k, q, qd, qdd)
         shifted = self._smooth(

@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ....network import CSLC
-from ._motion_equations import Linearisation, MotionEquations
+from ._linearisation import Linearisation
+from ._motion_code import MotionCode, motion_code
+from ._motion_equations import MotionEquations
 
 
 # Equations that are computed at a time. A function is compiled for a number of equations, which
@@ -20,9 +22,10 @@ Rows = Float[np.ndarray, "equations joints"]
 
 @dataclasses.dataclass(frozen=True)
 class Stretches:
-    """`MotionEquations` of a recording of any length, in stretches of one length.
+    """Equations of motion of a recording of any length.
 
-    The last one is filled up; what that gives is left out.
+    By C code where there is a compiler; else `MotionEquations` in stretches of one length. The last
+    one is filled up; what that gives is left out.
 
     **Attributes**
 
@@ -42,6 +45,8 @@ class Stretches:
         direction: Rows,
     ) -> Rows:
         """As of `MotionEquations`, (equations, n)."""
+        if self._code is not None:
+            return self._code.torque(self.intervals, k, slopes, q, turn, direction)
         return np.concatenate(
             [
                 np.asarray(equations.torque(k, slopes, *motion))[:count]
@@ -58,6 +63,8 @@ class Stretches:
         direction: Rows,
     ) -> Linearisation:
         """As of `MotionEquations`."""
+        if self._code is not None:
+            return self._code.linearised(self.intervals, k, slopes, q, turn, direction)
         parts = [
             [np.asarray(values)[:count] for values in equations.linearised(k, slopes, *motion)]
             for equations, motion, count in self._stretches(q, turn, direction)
@@ -68,6 +75,8 @@ class Stretches:
         self, k: Float[np.ndarray, " coefficients"], q: Rows, velocity: Rows, acceleration: Rows
     ) -> Rows:
         """Torque of all terms but friction at instants, (equations, n)."""
+        if self._code is not None:
+            return self._code.smooth(k, q, velocity, acceleration)
         parts = []
         for start in range(0, len(q), _EQUATIONS):
             motion = [x[start : start + _EQUATIONS] for x in (q, velocity, acceleration)]
@@ -85,6 +94,8 @@ class Stretches:
         shift: Rows,
     ) -> Rows:
         """As of `MotionEquations`, (equations, n)."""
+        if self._code is not None:
+            return self._code.friction(self.intervals, k, slopes, q, turn, direction, shift)
         parts = []
         stretches = self._stretches(q, turn, direction)
         for number, (equations, motion, count) in enumerate(stretches):
@@ -92,6 +103,10 @@ class Stretches:
             torque = equations.friction(k, slopes, *motion, _filled(shift[rows], 0, 0.0))
             parts.append(np.asarray(torque)[:count])
         return np.concatenate(parts)
+
+    @cached_property
+    def _code(self) -> MotionCode | None:
+        return motion_code(self.network)
 
     @cached_property
     def _equations(self) -> list[MotionEquations]:

@@ -1,6 +1,5 @@
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -61,8 +60,8 @@ def reported_errors(
     - `counted`: (equations, n) whether an equation has its full weight.
     """
     residual = np.where(counted, linear.residuals.torque, 0.0)
-    effective = np.asarray(effective_counts(jnp.asarray(residual), jnp.asarray(counted, float)))
-    used = np.asarray(components_for(jnp.asarray(effective)))
+    effective = np.asarray(effective_counts(residual, counted.astype(float)))
+    used = np.asarray(components_for(effective))
     sums = cosine_sums(rows, scores, used)
     sandwich = _sandwich(linear, inverse, sums, used, effective)
     whiteness = Whiteness.of(sums, inverse, score_gram(linear, rows), int(used.sum()))
@@ -91,7 +90,7 @@ def _sandwich(
     that weights assume, it is the inverse of the information; for a model that lacks something it
     is larger, often by far. What is known beforehand adds its part, for it is no sum over time.
     """
-    covariance = correlated_covariance(sums, jnp.asarray(inverse), jnp.asarray(used))
+    covariance = correlated_covariance(sums, inverse, used)
     objective = linear.objective
     known = inverse * (objective.scale**2 * objective.weights.border)
     total = np.asarray(covariance) + known @ inverse
@@ -116,7 +115,7 @@ def cosine_sums(
         grams[number] = gram(rows[stretch[0] : stretch[-1] + 1].reshape(-1, border))
     middle = cosines(np.array([stretch.mean() + 0.5 for stretch in stretches]) / samples)
     return CosineSums(
-        jnp.asarray(cosines((np.arange(samples) + 0.5) / samples) @ scores),
-        jnp.asarray(np.tensordot(middle, grams, axes=1)),
-        jnp.asarray(np.tensordot(np.sum(middle**2, axis=0), grams, axes=1)),
+        cosines((np.arange(samples) + 0.5) / samples) @ scores,
+        np.tensordot(middle, grams, axes=1),
+        np.tensordot(np.sum(middle**2, axis=0), grams, axes=1),
     )

@@ -1,0 +1,70 @@
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+
+from ....network import CSLC
+from ....network.straight_line import KernelText, Motion, Operation, Value, derivatives
+from ....network.terms import ExpressionFunctions, JointTerm, StaticFriction
+
+
+class FrictionCode(NamedTuple):
+    """A function in C for the friction of each joint, at an instant.
+
+    `static void law_J(double q, double qd, double slope, double* values, double* by_q, double*
+    by_qd, double* by_slope)` has for joint J what its coefficients are multiplied by, with the
+    derivatives of these by position, velocity and the slope of static friction.
+
+    **Attributes**
+
+    - `functions`: their text.
+    - `indices`: for each joint the coefficients, in the order of values.
+    """
+
+    functions: str
+    indices: tuple[tuple[int, ...], ...]
+
+
+def friction_code(network: CSLC) -> FrictionCode:
+    """The functions of a network's joints; slopes of static friction are arguments."""
+    texts: list[str] = []
+    indices: list[tuple[int, ...]] = []
+    for joint in range(network.joint_count):
+        motion = Motion(1)
+        slope = motion.graph.input("slope")
+        laws = list(_values(network, joint, motion, slope))
+        indices.append(tuple(index for index, _ in laws))
+        texts.append(_function(joint, motion, slope, [value for _, value in laws]))
+    return FrictionCode("\n\n".join(texts), tuple(indices))
+
+
+def _values(network: CSLC, joint: int, motion: Motion, slope: Value) -> Iterator[tuple[int, Value]]:
+    """Coefficients of a joint's friction, and what they are multiplied by."""
+    functions = ExpressionFunctions(motion)
+    for term in network.terms:
+        if not isinstance(term, JointTerm) or joint not in term.joints:
+            continue
+        known = isinstance(term.law, StaticFriction)
+        law = jax.tree.map(
+            lambda x, known=known: slope if known else motion.graph.constant(float(x[joint])),
+            term.law,
+        )
+        values = law.inputs(functions, motion.q[0], motion.qd[0])
+        first = network.layout.indices(term.kind)[term.joints.index(joint) :: len(term.joints)]
+        yield from zip(first.tolist(), motion.values(values), strict=True)
+
+
+def _function(joint: int, motion: Motion, slope: Value, values: list[Value]) -> str:
+    def reading(operation: Operation) -> str | None:
+        return operation.text.replace("[0]", "") or None
+
+    outputs = [(value, f"values[{i}] = {{0}};") for i, value in enumerate(values)]
+    for name, by in (("q", motion.q[0]), ("qd", motion.qd[0]), ("slope", slope)):
+        for i, value in enumerate(derivatives(values, by)):
+            outputs.append((value, f"by_{name}[{i}] = {{0}};"))
+    lines = "\n".join(KernelText(motion.graph, reading).statements(outputs))
+    return (
+        f"static void law_{joint}(double q, double qd, double slope, double* restrict values,\n"
+        "    double* restrict by_q, double* restrict by_qd, double* restrict by_slope)\n"
+        f"{{\n{lines}\n}}"
+    )

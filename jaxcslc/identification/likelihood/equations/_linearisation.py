@@ -1,0 +1,26 @@
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+
+# Steps of positions [rad or m] and velocities in forward differences. The error is this part of a
+# second derivative; that of velocities counts by half an interval beside accelerations.
+ANGLE, RATE = 1e-7, 1e-5
+
+
+class Linearisation(NamedTuple):
+    """The torque of every equation, and its derivatives.
+
+    **Attributes**
+
+    - `torque`: (equations, n).
+    - `by_position`: (equations, n, 3 n), by the positions at three samples.
+    - `by_coefficient`: (equations, n, p + n): by `k`, then by the logarithms of slopes.
+    - `by_turn`: (equations, n), by the moment at which the joint turns.
+    """
+
+    torque: Float[Array | np.ndarray, "equations joints"]
+    by_position: Float[Array | np.ndarray, "equations joints positions"]
+    by_coefficient: Float[Array | np.ndarray, "equations joints unknowns"]
+    by_turn: Float[Array | np.ndarray, "equations joints"]
