@@ -68,6 +68,10 @@ from ._excite_options import (
 )
 
 
+# Kinds of friction with a coefficient for a torque that is the same whatever the motion.
+_CONSTANTS = {"offset", "asymmetric_dry"}
+
+
 def excite_command(
     context: CommandContext,
     robot: RobotArgument,
@@ -221,9 +225,19 @@ def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
         if not np.isfinite(limits.torque).all():
             raise ValueError("--torque-noise: expected it, as not all joints have a torque limit")
         stated["torque"] = tuple((0.01 * limits.torque).tolist())
-    # What differs between directions is unknown before a first recording, and never nothing.
-    defaults: dict[str, Any] = {"resolution": 1e-4, "offset": stated["torque"]}
+    defaults: dict[str, Any] = {"resolution": 1e-4, "offset": _offset(before, stated["torque"])}
     return Noise(**(defaults | stated))
+
+
+def _offset(before: _Before, torque: tuple[float, ...]) -> tuple[float, ...]:
+    """What differs between directions is unknown before a first recording, and never nothing; but
+    where the model has a coefficient for it, it is no error: a design against an error that no
+    motion can tell from a coefficient gives up the other coefficients too."""
+    noise = torque if len(torque) > 1 else torque * before.network.joint_count
+    return tuple(
+        0.0 if _CONSTANTS & set(kinds) else value
+        for kinds, value in zip(before.network.friction_per_joint, noise, strict=False)
+    )
 
 
 def _reached(before: _Before, names: list[str] | None, reach: float | None) -> str | None:

@@ -89,7 +89,8 @@ TorqueOffsetOption = Annotated[
     typer.Option(
         metavar="NUMBERS",
         help="Standard deviation of constant errors of torques, one or one a joint [N m]; as large"
-        " as --torque-noise if omitted, 0 after --prior or --after.",
+        " as --torque-noise if omitted, 0 after --prior or --after and for joints with friction"
+        " of kind offset or asymmetric_dry.",
     ),
 ]
 EncoderOption = Annotated[

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from ..motion import Recording
 from ..network import CSLC
-from ._collision import Bodies
 from ._criteria import (
     CRITERIA,
     ON_TASK,
@@ -32,9 +31,11 @@ from ._information import (
 from ._knowledge import Knowledge
 from ._limits import Limits, Surroundings
 from ._noise import Noise
+from ._regressor import regressor_of
 from ._result import UNDETERMINED, Design
 from ._search import Problem, Search
 from ._task import body_prior, random_parameters, random_products, task_products
+from .collision import Bodies
 
 
 FamilyName = Literal["splines", "fourier", "periodic", "moves"]
@@ -317,8 +318,9 @@ class Planner:
     def moments(self, motion: Any) -> Any:
         """What a motion on the grid says of coefficients."""
         information = self.problem.information
-        q, qd, qdd = (jnp.asarray(x) for x in motion)
-        return _moments(information, (q, qd, qdd), information.spectra(np.asarray(q)))
+        q, qd, qdd = (np.asarray(x) for x in motion)
+        regressor = regressor_of(information.network, q, qd, qdd)
+        return _moments(information, (q, qd, qdd), information.spectra(q), regressor)
 
     def prediction(self, motion: Any) -> Prediction:
         """Standard errors after a motion on the grid, and after what was known before."""
@@ -377,5 +379,5 @@ def predicted(information: MotionInformation, knowledge: Knowledge, moments: Any
 
 
 @eqx.filter_jit
-def _moments(information: MotionInformation, motion: Any, spectra: Any) -> Any:
-    return information.moments(motion, spectra)
+def _moments(information: MotionInformation, motion: Any, spectra: Any, regressor: Any) -> Any:
+    return information.moments(motion, spectra, regressor)

@@ -2,15 +2,13 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC
 from ._families import AbstractFamily, Parameters, sample_times
 from ._limits import QUANTITIES, Joints, Limits
+from ._regressor import torques_of
 
 
 # Friction terms that do not jump where a joint reverses.
@@ -122,13 +120,14 @@ class DenseCheck:
         - `rate`: of the samples [Hz].
         - `distance`: least distance of bodies less the clearance [m] of a motion, and which.
         """
-        self.family, self.limits, self._network, self._k = family, limits, network, k
+        self.family, self.limits, self._network = family, limits, network
         self._time = sample_times(family.duration, rate)
         self._interval = float(self._time[1])
         self._basis = [family.basis(self._time, order) for order in range(4)]
         self._distance = distance
+        self._models: Float[np.ndarray, "2 coefficients"] | None = None
         if k is not None:
-            self._smooth = without_jumps(network, k)
+            self._models = np.stack([np.asarray(k, float), without_jumps(network, k)])
 
     def use(self, parameters: Parameters, *, bodies: bool = True) -> Use:
         """How much of each limit a motion uses; `bodies`: look for collisions too."""
@@ -146,16 +145,16 @@ class DenseCheck:
             else:
                 reached = reached + between
             joints[name] = reached / half
-        if self._k is not None:
-            joints |= self._torques(derivatives)
+        if self._models is not None:
+            joints |= self._torques(self._models, derivatives)
         if self._distance is None or not bodies:
             return Use(joints)
         return Use(joints, *self._distance(self.family, parameters))
 
-    def _torques(self, derivatives: list[np.ndarray]) -> dict[str, Joints]:
-        q, qd, qdd = (jnp.asarray(x) for x in derivatives[:3])
-        both = _torque(self._network, jnp.asarray(self._k), jnp.asarray(self._smooth), q, qd, qdd)
-        torque, smooth = (np.asarray(x) for x in both)
+    def _torques(
+        self, models: Float[np.ndarray, "2 coefficients"], derivatives: list[np.ndarray]
+    ) -> dict[str, Joints]:
+        torque, smooth = torques_of(self._network, models, *derivatives[:3])
         second = np.abs(np.diff(smooth, 2, axis=0)).max(0) / 2
         largest = np.abs(torque)
         # Where friction reverses between two samples, it has both signs at one instant.
@@ -222,11 +221,3 @@ class DenseCheck:
                 factor = np.minimum(factor, np.where(largest > 0, room / largest.clip(1e-12), 1.0))
         parameters[1:] *= np.clip(factor, 0.0, 1.0)
         return parameters
-
-
-@eqx.filter_jit
-def _torque(
-    network: CSLC, k: Any, smooth: Any, q: jax.Array, qd: jax.Array, qdd: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    regressor = network.regressor(q, qd, qdd)
-    return regressor @ k, regressor @ smooth

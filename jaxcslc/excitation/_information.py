@@ -6,11 +6,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ..network import CSLC
 from ._families import Times
 from ._noise import Noise
+from ._regressor import mass_matrices_of, regressor_of
 
 
 Motion = tuple[Any, Any, Any]
@@ -72,8 +73,7 @@ class MotionInformation(eqx.Module):
         """Weights of equations of a motion, on the host."""
         n = self.network.joint_count
         deviation = self.noise.position_deviation(n)
-        mass = np.asarray(_mass_matrices(self.network, self.k, jnp.asarray(q)))
-        part = mass * deviation
+        part = mass_matrices_of(self.network, np.asarray(self.k), np.asarray(q)) * deviation
         mass_square = np.mean(part @ part.swapaxes(-1, -2), axis=0)
         samples = len(q)
         frequency = np.arange(samples) / (2.0 * samples * self.interval)
@@ -116,13 +116,6 @@ class MotionInformation(eqx.Module):
             return jnp.ones_like(qd)
         threshold = fraction * jax.lax.stop_gradient(jnp.max(jnp.abs(qd), axis=0))
         return qd**2 / (qd**2 + threshold[None] ** 2 + 1e-12)
-
-
-@eqx.filter_jit
-def _mass_matrices(
-    network: CSLC, k: Array | np.ndarray, q: Float[Array, "samples joints"]
-) -> Float[Array, "samples joints joints"]:
-    return network.mass_matrix(jnp.asarray(k), q)
 
 
 def error_covariance(moments: Moments, prior: Any) -> Any:
@@ -246,18 +239,6 @@ def coefficient_sizes(
     largest = column.max(axis=0)
     least = share / np.where(largest > 0.0, largest, np.inf)
     return np.maximum(np.abs(k), np.where(least > 0.0, least, 1.0))
-
-
-def regressor_of(
-    network: CSLC, q: Any, qd: Any, qdd: Any
-) -> Float[np.ndarray, "samples joints coefficients"]:
-    """The regressor of a motion on the host; a program for each number of samples."""
-    return np.asarray(_regressor(network, *(jnp.asarray(x) for x in (q, qd, qdd))))
-
-
-@eqx.filter_jit
-def _regressor(network: CSLC, q: Any, qd: Any, qdd: Any) -> Any:
-    return network.regressor(q, qd, qdd)
 
 
 def time_grid(duration: float, interval: float) -> tuple[Times, float]:

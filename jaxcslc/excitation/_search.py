@@ -14,6 +14,7 @@ from ._families import AbstractFamily, Parameters, Times
 from ._feasibility import without_jumps
 from ._information import MotionInformation, Spectra
 from ._limits import QUANTITIES, Joints, Limits
+from ._regressor import regressor_of
 
 
 # Of limits: what is kept back during the search, for what happens between samples.
@@ -127,12 +128,21 @@ class Problem(eqx.Module):
         unit = np.asarray(self.unit)
         return np.where(unit > 0, np.asarray(parameters) / np.where(unit > 0, unit, 1), 0).ravel()
 
-    def constraints(self, x: Any, contacts: Contacts) -> tuple[Any, Multipliers, Any]:
-        """Motion, constraints (kept where not above zero), and the regressor."""
+    def motion(self, x: Float[np.ndarray, " variables"]) -> tuple[np.ndarray, ...]:
+        """Positions, velocities and accelerations on the grid, of what the search varies."""
+        parameters = np.asarray(self.parameters(x))
+        return tuple(np.asarray(basis) @ parameters for basis in self.basis[:3])
+
+    def constraints(
+        self, x: Any, contacts: Contacts, regressor: Any = None
+    ) -> tuple[Any, Multipliers, Any]:
+        """Motion, constraints (kept where not above zero), and the regressor; `regressor`: if it is
+        known already."""
         derivatives = jnp.einsum("otm,mn->otn", self.basis, self.parameters(x))
         q, qd, qdd, _ = derivatives
         kinematic = jnp.abs(derivatives - self.middle[:, None]) / self.half[:, None] - 1.0
-        regressor = self.information.network.regressor(q, qd, qdd)
+        if regressor is None:
+            regressor = self.information.network.regressor(q, qd, qdd)
         torque = self._torque_bound(regressor, qd)
         change = q[contacts.sample] - contacts.position
         distance = contacts.distance + jnp.sum(contacts.jacobian * change, axis=-1)
@@ -204,10 +214,15 @@ def _lagrangian(
 
 @eqx.filter_jit
 def _updated(
-    problem: Problem, x: Any, multipliers: Multipliers, penalty: Any, contacts: Contacts
+    problem: Problem,
+    x: Any,
+    multipliers: Multipliers,
+    penalty: Any,
+    contacts: Contacts,
+    regressor: Any,
 ) -> tuple[Multipliers, Any]:
     """Multipliers after a minimisation, and the largest violation."""
-    _, values, _ = problem.constraints(x, contacts)
+    _, values, _ = problem.constraints(x, contacts, regressor)
     new = jax.tree.map(lambda v, m: jnp.maximum(m + penalty * v, 0.0), values, multipliers)
     return new, jnp.stack([jnp.max(v) for v in values]).max()
 
@@ -255,7 +270,7 @@ class Search:
         objective, violation = np.inf, np.inf
         self.best = np.array(x)
         for number in range(rounds):
-            q = np.asarray(problem.basis[0] @ problem.parameters(jnp.asarray(self.best)))
+            q, _, _ = problem.motion(self.best)
             spectra = problem.information.spectra(q)
             contacts = self.contacts(q) if self.contacts else _no_contacts(n)
             # Contacts are others in each round, and so are their multipliers.
@@ -284,8 +299,9 @@ class Search:
                 options={"maxiter": steps, "maxcor": 20, "maxfun": 2 * steps},
             )
             self.best = np.asarray(result.x)
+            regressor = regressor_of(problem.information.network, *problem.motion(self.best))
             multipliers, worst = _updated(
-                problem, jnp.asarray(self.best), multipliers, jnp.asarray(penalty), contacts
+                problem, jnp.asarray(self.best), *arguments[1:], regressor
             )
             violation, self.multipliers = float(worst), multipliers
             if self.progress:

@@ -8,7 +8,8 @@ from ..motion import Preparation, Recording
 from ..network import CSLC
 from ._families import Parameters, Times
 from ._feasibility import DenseCheck
-from ._information import MotionInformation, regressor_of
+from ._information import MotionInformation
+from ._regressor import regressor_of
 
 
 _TASKS, _TASK_STRIDE = 40, 5  # random motions on which torques matter, samples apart
@@ -59,7 +60,6 @@ def random_products(
         for pose in rng.uniform(-0.8, 0.8, (_TASKS, len(half)))
     ]
     states = (np.concatenate(x)[::_TASK_STRIDE] for x in zip(*motions, strict=True))
-    # Of all states, whose number is the same for all limits: programs are compiled once.
     regressor = regressor_of(information.network, *states)
     if k is not None:
         within = np.all(np.abs(regressor @ k) <= limits.usable_torque, axis=1)

@@ -17,7 +17,7 @@ from jaxcslc.excitation import (
     Planner,
     Surroundings,
 )
-from jaxcslc.excitation._collision import Bodies
+from jaxcslc.excitation.collision import Bodies
 
 
 RADIUS = 0.05

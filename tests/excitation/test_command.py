@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.cli._excite import _Before, _noise
+from jaxcslc.excitation import Knowledge, Limits
 from tests.conftest import run
 
 
@@ -74,6 +76,17 @@ def test_the_trajectory_is_yaml_and_json(folder: Path) -> None:
     assert document["joint_names"] == ["hinge"]
     assert document["points"][100]["time_from_start"] == {"sec": 1, "nanosec": 0}
     assert json.loads((folder / "motion.json").read_text()) == document
+
+
+def test_offsets_that_the_model_has_are_no_noise() -> None:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, -9.81, 0))
+    robot = robot.with_friction("viscous", "asymmetric_dry", joint=2)
+    network = jc.derive(robot, lengths="numeric")
+    before = _Before(network, Knowledge.of_robot(network))
+    limits = Limits.of(robot, {"position": [-1, 1], "velocity": 1, "torque": [30, 20]})
+    assert _noise(before, limits, {}).offset == (0.3, 0.0)
+    assert _noise(before, limits, {"torque": (0.5,)}).offset == (0.5, 0.0)
+    assert _noise(before, limits, {"offset": (0.1, 0.1)}).offset == (0.1, 0.1)
 
 
 def test_says_what_more_seconds_buy(folder: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.excitation import Surroundings, load_limits
-from jaxcslc.excitation._collision import Bodies
+from jaxcslc.excitation.collision import Bodies
 
 
 # A cube of 0.2 m: two triangles a face.

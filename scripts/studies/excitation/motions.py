@@ -34,6 +34,11 @@ DESIGNED = {
     "condition number": "condition",
 }
 PEERS = ("D", "condition")  # criteria of others, which know of white noise alone
+# Names of designs for a model with friction of each direction, which the simulated machine has.
+DIRECTIONAL = {
+    name: f"{name}, directional" for name in ("overall", "D-optimal", "condition number")
+}
+DIRECTIONAL_FRICTION = ("asymmetric_viscous", "asymmetric_dry")
 TRACKING = {"position_margin": 0.02}  # for what the controller errs by [rad]
 # Errors of the model are slow: their bandwidth [Hz], and what of them is constant.
 SLOW, CONSTANT = 0.2, 0.5
@@ -46,9 +51,10 @@ Designs = dict[str, list[Path]]
 
 
 @cache
-def network() -> jc.CSLC:
-    """The PUMA 560's, with the thesis's coefficients."""
-    return jc.derive(jc.puma560())
+def network(directional: bool = False) -> jc.CSLC:
+    """The PUMA 560's, with the thesis's coefficients; or with friction of each direction."""
+    robot = jc.puma560()
+    return jc.derive(robot.with_friction(*DIRECTIONAL_FRICTION) if directional else robot)
 
 
 @cache
@@ -63,26 +69,48 @@ def limits() -> Limits:
     return Limits.of(jc.puma560(), {"torque": list(linear), "torque_margin": 0.05} | TRACKING)
 
 
-def knowledge() -> Knowledge:
+def knowledge(directional: bool = False) -> Knowledge:
     """The machine's coefficients as a prior model; no information about them."""
-    k = np.asarray(true_coefficients(network(), sim.puma560()))
+    machine = sim.puma560()
+    if directional:  # friction alike in both directions
+        values = (np.stack([x, x], axis=1) for x in (machine.viscous, machine.dry))
+        friction = dict(zip(DIRECTIONAL_FRICTION, values, strict=True))
+        k = np.asarray(network(directional).coefficients_from(machine.links, **friction))
+    else:
+        k = np.asarray(true_coefficients(network(), machine))
     return Knowledge(k, None, np.full(len(k), np.inf))
 
 
+def thesis_coefficients(net: jc.CSLC) -> Float[np.ndarray, "of_thesis coefficients"]:
+    """Which of a network's coefficients are the thesis's: friction is the mean of directions."""
+    rows = np.zeros((network().size, net.size))
+    for row, name in zip(rows, network().names, strict=True):
+        directions = (name.replace(name[:2], name[:2] + sign) for sign in "pn")
+        parts = (name,) if name in net.names else directions
+        for part in parts:
+            row[net.names.index(part)] += 1.0 if part == name else 0.5
+    return rows
+
+
 def puma_design(name: str, seed: int, quick: bool = False) -> Design:
-    """A designed motion by its name in `DESIGNED`; errors of the model count in ours."""
-    criterion = DESIGNED[name]
-    chain = noise()
-    if criterion not in PEERS:
+    """A designed motion by its name in `DESIGNED`, or among those of `DIRECTIONAL`.
+
+    In ours, errors of the model count, unless the model has friction of each direction: designs
+    against offsets, which such a model cannot tell from its own, had ten times the ε.
+    """
+    directional = name in DIRECTIONAL.values()
+    criterion = DESIGNED[name.removesuffix(", directional")]
+    chain = noise() if criterion in PEERS else noise("regression")
+    if criterion not in PEERS and not directional:
         offset = tuple(CONSTANT * x for x in TORQUE_NOISE)
-        chain = dataclasses.replace(noise("regression"), torque_bandwidth=SLOW, offset=offset)
+        chain = dataclasses.replace(chain, torque_bandwidth=SLOW, offset=offset)
     return design_motion(
-        network(),
+        network(directional),
         limits(),
         chain,
         duration=DURATION,
         criterion=criterion,
-        knowledge=knowledge(),
+        knowledge=knowledge(directional),
         seed=seed,
         starts=1 if quick else 3,
         rounds=2 if quick else 5,

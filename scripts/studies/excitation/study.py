@@ -6,8 +6,10 @@ A simulated PUMA 560 performs motions of 6.6 s, and is identified from the recor
 - **compare**: all disturbances; the designs in turns, a random feasible Fourier series a seed, and
   the thesis's training trajectory; ε on the comparison trajectory, errors and standard errors of
   coefficients, means of them: over sizes as designs have them, and over values.
-- **directions**, **auto**: the same, friction of each joint larger forwards or backwards by chance,
-  the same chances for all motions; **auto**: with the terms of friction that the data ask for.
+- **directions**, **directional**, **auto**: the same, friction of each joint larger forwards or
+  backwards by chance, the same chances for all motions; **directional**: designed for, and
+  identified with, a model that has friction of each direction; **auto**: with the terms that the
+  data ask for.
 - **regression**, **likelihood**: encoders and white torque noise alone; predicted standard errors
   over those obtained, coefficient by coefficient.
 - **arms**: designs of random arms of two to four joints under random limits, looked at on a grid of
@@ -36,13 +38,13 @@ from jaxcslc.identification.report import text_table
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
-from .motions import DESIGNED, DESIGNS, MOTIONS, Designs, path_of, predicted_errors
+from .motions import DESIGNED, DESIGNS, DIRECTIONAL, MOTIONS, Designs, path_of, predicted_errors
 from .pictures import figure
 
 
 jax.config.update("jax_enable_x64", True)
 
-COMPARED = ("compare", "directions", "auto")
+COMPARED = ("compare", "directions", "directional", "auto")
 PARTS = ("design", *COMPARED, "regression", "likelihood", "arms", "sequence", "panda")
 Task = tuple[str, str, int]
 QUANTITIES = {
@@ -195,9 +197,9 @@ def study(options: argparse.Namespace) -> int:
     digest = made_of({"quick": options.quick}, files)
     finished = Rows(options.output / "rows.jsonl", ("part", "name", "number"), digest)
     end = time.monotonic() + 60.0 * options.minutes
-    compared = options.seeds + options.directions + options.auto + options.repeats + options.fits
-    draws = range(options.designs if compared else 0)
-    designs: list[Task] = [("design", name, i) for i in draws for name in _designed(options)]
+    designs: list[Task] = [
+        ("design", name, i) for i in range(options.designs) for name in _designed(options)
+    ]
     _run(designs, finished, {}, str(urdf or ""), options, end)
     parameters: dict[str, list[Any]] = {}
     for task in designs:
@@ -214,8 +216,11 @@ def study(options: argparse.Namespace) -> int:
 
 
 def _designed(options: argparse.Namespace) -> tuple[str, ...]:
-    """Names of the designs; of a trial run one, as each criterion compiles for half a minute."""
-    return ("overall",) if options.quick else tuple(DESIGNED)
+    """Names of the designs that the tasks need; of a trial run one, as each compiles for long."""
+    if options.quick:
+        return ("overall",)
+    plain = options.seeds + options.directions + options.auto + options.repeats + options.fits
+    return (*(DESIGNED if plain else ()), *(DIRECTIONAL.values() if options.directional else ()))
 
 
 def _tasks(options: argparse.Namespace, with_panda: bool) -> list[Task]:
@@ -223,10 +228,11 @@ def _tasks(options: argparse.Namespace, with_panda: bool) -> list[Task]:
     tasks: list[Task] = [("arms", "", i) for i in range(options.arms)]
     tasks += [("sequence", "", i) for i in range(options.sequences)]
     tasks += [("regression", "", i) for i in range(options.repeats)]
-    motions = [*_designed(options), *(name for name in MOTIONS if name not in DESIGNED)]
-    for part, seeds in zip(
-        COMPARED, (options.seeds, options.directions, options.auto), strict=True
-    ):
+    counts = (options.seeds, options.directions, options.directional, options.auto)
+    for part, seeds in zip(COMPARED, counts, strict=True):
+        # Of a trial run, the motions that need one design at most.
+        designed = DIRECTIONAL if part == "directional" else _designed(options)
+        motions = [name for name in MOTIONS if name in designed or name not in DESIGNED]
         tasks += [(part, name, i) for i in range(seeds) for name in motions]
     others: list[Task] = [("panda", "", i) for i in range(options.pandas if with_panda else 0)]
     fits: list[Task] = [("likelihood", "", i) for i in range(options.fits)]
@@ -269,6 +275,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "excitation")
     parser.add_argument("--seeds", type=int, default=50, help="of compare")
     parser.add_argument("--directions", type=int, default=20, help="seeds of directions")
+    parser.add_argument("--directional", type=int, default=50, help="seeds of directional")
     parser.add_argument("--auto", type=int, default=10, help="seeds of auto")
     parser.add_argument("--repeats", type=int, default=200, help="of regression")
     parser.add_argument("--fits", type=int, default=200, help="of likelihood")
@@ -282,14 +289,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=1e4, help="at most")
     parser.add_argument("--cache", default=".cache/jax", help="of compiled programs")
     quick = {"designs": 1, "seeds": 1, "repeats": 3, "fits": 0, "arms": 0, "pandas": 0, "jobs": 1}
-    quick |= {"sequences": 0, "directions": 0, "auto": 0}
+    quick |= {"sequences": 0, "directions": 0, "directional": 0, "auto": 0}
     options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=0, repeats=0, fits=0, arms=0, pandas=0, jobs=1)
     command.require_least(parser, options, designs=1, sequences=0, directions=0, auto=0)
+    command.require_least(parser, options, directional=0)
     seconds = (
         150 * options.designs
         + 120 * options.sequences
-        + 25 * (options.seeds + options.directions + 2 * options.auto)
+        + 25 * (options.seeds + options.directions + options.directional + 2 * options.auto)
         + options.repeats
         + 10 * options.fits
     )

@@ -3,6 +3,9 @@
 import argparse
 from typing import Any
 
+import numpy as np
+
+from scripts.studies.excitation.motions import knowledge, network, thesis_coefficients
 from scripts.studies.excitation.study import (
     QUANTITIES,
     _tasks,
@@ -27,12 +30,26 @@ def test_ratios_are_seed_by_seed() -> None:
 
 def test_a_trial_run_compares_one_design_with_motions_that_need_none() -> None:
     counts = {"arms": 0, "sequences": 0, "repeats": 0, "pandas": 0, "fits": 0, "auto": 0}
+    counts |= {"directional": 0}
     options = argparse.Namespace(quick=True, seeds=1, directions=1, **counts)
     tasks = _tasks(options, with_panda=False)
     names = ("overall", "random Fourier", "thesis")
     assert tasks == [(part, name, 0) for part in ("compare", "directions") for name in names]
     options.quick = False
     assert len(_tasks(options, with_panda=False)) == 12
+    options.directional = 1
+    names = ("overall", "D-optimal", "condition number", "random Fourier", "thesis")
+    assert _tasks(options, with_panda=False)[12:] == [("directional", name, 0) for name in names]
+
+
+def test_friction_of_each_direction_has_the_thesis_coefficients_as_its_mean() -> None:
+    net, k = network(directional=True), knowledge(directional=True).k
+    np.testing.assert_allclose(thesis_coefficients(net) @ k, knowledge().k)
+    changed = k.copy()
+    changed[net.names.index("kdp2")] += 1.0
+    changed[net.names.index("kdn2")] -= 1.0  # an offset
+    np.testing.assert_allclose(thesis_coefficients(net) @ changed, knowledge().k)
+    np.testing.assert_array_equal(thesis_coefficients(network()), np.eye(network().size))
 
 
 def test_arms_beyond_a_limit_are_counted() -> None:

@@ -4,13 +4,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._environment import require
-from ..manipulator import Manipulator
+from ..._environment import require
+from ...manipulator import Manipulator
+from .._families import AbstractFamily, Parameters, sample_times
+from .._limits import Surroundings
+from .._search import Contacts, padded_contacts
 from ._coal import CoalShapes
-from ._families import AbstractFamily, Parameters, sample_times
 from ._geometry import compiled_geometry
-from ._limits import Surroundings
-from ._search import Contacts, padded_contacts
 
 
 # Of the search: what it keeps beside the clearance, and how far it looks [m].

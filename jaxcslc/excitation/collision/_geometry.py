@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .._environment import require
-from ..manipulator import Manipulator
-from ._limits import Surroundings
+from ..._environment import require
+from ...manipulator import Manipulator
+from .._limits import Surroundings
 
 
 _MESH = re.compile(r"""(<mesh\b[^>]*?\bfilename\s*=\s*)(["'])(.*?)\2""")

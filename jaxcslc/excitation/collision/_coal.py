@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._environment import require
+from ..._environment import require
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+from ._bodies import Bodies as Bodies
