@@ -5,9 +5,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import cholesky_banded
 from scipy.linalg.blas import dsyrk
-from scipy.linalg.lapack import dtbtrs
 
 from ..._rank import rank_tolerance
+from .band import solved
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,13 +57,17 @@ class BandedEquations:
     """Normal equations of unknowns in order of time, which are banded, and of some others.
 
     The others, the border, are in all equations. Memory and time are linear in the number of
-    unknowns in order of time.
+    unknowns in order of time. Once factored, there is nothing left of them.
+
+    **Attributes**
+
+    - `band`: (inner, diagonals), for each unknown its products with itself and with those after it.
+    - `mixed`: (inner, border), with the border; `border`: (border, border), of the border.
     """
 
-    def __init__(self, inner: int, border: int) -> None:
-        self._rows: list[np.ndarray] = []
-        self._columns: list[np.ndarray] = []
-        self._values: list[np.ndarray] = []
+    def __init__(self, inner: int, border: int, diagonals: int) -> None:
+        # In LAPACK's order, a column of the band after the other.
+        self.band = np.zeros((inner, diagonals))
         self.mixed = np.zeros((inner, border))
         self.border = np.zeros((border, border))
 
@@ -75,38 +79,17 @@ class BandedEquations:
         """Adds symmetric blocks, each of some unknowns that are near in time."""
         row, column = np.tril_indices(index.shape[1])
         first, second = index[:, row], index[:, column]
-        self.add_entries(
-            np.maximum(first, second).ravel(),
-            np.minimum(first, second).ravel(),
-            matrix[:, row, column].ravel(),
-        )
-
-    def add_entries(
-        self,
-        rows: Int[np.ndarray, " entries"],
-        columns: Int[np.ndarray, " entries"],
-        values: Float[np.ndarray, " entries"],
-    ) -> None:
-        """Adds numbers, none above the diagonal."""
-        self._rows.append(rows)
-        self._columns.append(columns)
-        self._values.append(values)
+        columns = np.minimum(first, second)
+        below = np.maximum(first, second) - columns
+        np.add.at(self.band, (columns, below), matrix[:, row, column])
 
     def factored(self, damping: Float[np.ndarray, " inner"]) -> "Factored":
         """The factorisation, with damping added to the diagonal of the banded part.
 
         **Raises** `numpy.linalg.LinAlgError` if the banded part is not positive definite.
         """
-        size = len(self.mixed)
-        columns = np.concatenate(self._columns)
-        below = np.concatenate(self._rows) - columns
-        width = int(below.max()) + 1
-        values = np.concatenate(self._values)
-        # In LAPACK's order, a column of the band after the other.
-        band = np.bincount(below + columns * width, values, minlength=width * size)
-        band = band.reshape(size, width).T
-        band[0] += damping
-        factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
+        self.band[:, 0] += damping
+        factor = cholesky_banded(self.band.T, lower=True, overwrite_ab=True, check_finite=False)
         return Factored(factor, self.mixed, self.border)
 
 
@@ -170,14 +153,14 @@ class Factored:
     ) -> None:
         self._factor = factor
         # Half of a solution: a step needs the other half of one column alone.
-        self._half = self._solve(mixed)
+        self._half = solved(factor, mixed)
         self._diagonal = np.diag(border)
         self.information = border - gram(self._half)
 
     @cached_property
     def eliminated(self) -> Float[np.ndarray, "inner border"]:
         """Minus the reply of unknowns in order of time to the border."""
-        return self._solve(self._half, transposed=True)
+        return solved(self._factor, self._half, transposed=True)
 
     def step(
         self,
@@ -192,16 +175,10 @@ class Factored:
         - `inner`, `border`: the right side.
         - `damping`: of the border, as a part of its information.
         """
-        half = self._solve(inner[:, None])[:, 0]
+        half = solved(self._factor, inner[:, None])[:, 0]
         right_side = border - self._half.T @ half
         floor = 1e-14 * self._diagonal
         matrix = self.information + np.diag(damping * np.diag(self.information) + floor)
         change = np.linalg.lstsq(matrix, right_side, rcond=1e-15)[0]
         remaining = half - self._half @ change
-        return self._solve(remaining[:, None], transposed=True)[:, 0], change
-
-    def _solve(
-        self, right: Float[np.ndarray, "inner columns"], *, transposed: bool = False
-    ) -> Float[np.ndarray, "inner columns"]:
-        """With the triangle of the factorisation, or its transpose."""
-        return dtbtrs(self._factor, right, uplo="L", trans="T" if transposed else "N")[0]
+        return solved(self._factor, remaining[:, None], transposed=True)[:, 0], change

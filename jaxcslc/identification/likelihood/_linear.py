@@ -5,9 +5,10 @@ from jaxtyping import Float, Int
 
 from ._band import BandedEquations, Factored, Order, gram
 from ._objective import Objective, Point, Residuals, Step
+from .band import add_equations
 
 
-# Equations whose products are formed at a time.
+# Equations whose squares are added up at a time.
 _BLOCK = 256
 
 
@@ -81,12 +82,20 @@ class Linear:
         """
         weights, order = self.weights, self.order
         scale = self.objective.scale
-        result = BandedEquations(order.size, len(scale))
-        self._add_equations(result)
-        result.border += np.diag(scale**2 * weights.border)
+        result = BandedEquations(order.size, len(scale), self._diagonals)
+        add_equations(
+            result.band,
+            result.mixed,
+            order.position,
+            weights.torque,
+            self.by_position,
+            self.by_border,
+            self.objective.whitening.order,
+        )
+        result.border += self._border_square + np.diag(scale**2 * weights.border)
 
         index = order.position
-        result.add(index.reshape(-1, 1), weights.position.reshape(-1, 1, 1))
+        result.band[index, 0] += weights.position
         offset = self.offset
         result.mixed[index, offset] += weights.position * scale[offset]
         np.add.at(result.border, (offset, offset), weights.position * scale[offset] ** 2)
@@ -207,37 +216,25 @@ class Linear:
         border += scale * weights.border * residuals.border
         return inner, border
 
-    def _add_equations(self, result: BandedEquations) -> None:
-        """A block of equations at a time: products of all of them would be several times as large
-        as what is kept, and out of reach of a processor's cache."""
-        position, weight = self.order.position, self.weights.torque
-        samples, n = position.shape
-        slots, order = self.by_position.shape[2] // n, self.objective.whitening.order
-        lower = np.zeros((slots, samples, n, n))
-        for start in range(0, len(weight), _BLOCK):
+    @property
+    def _diagonals(self) -> int:
+        """Of the band: how far apart in order of time unknowns of one equation are, and one."""
+        position, stencil = self.order.position, self._stencil
+        apart = [stencil[:, -1] - stencil[:, 0], position[1:, -1] - position[:-1, 0]]
+        for reversals, row, _, _ in self.turn_parts:
+            turn = self.order.turn[reversals]
+            apart += [np.abs(turn - stencil[row, 0]), np.abs(turn - stencil[row, -1])]
+        return 1 + max(int(values.max(initial=0)) for values in apart)
+
+    @property
+    def _border_square(self) -> Float[np.ndarray, "border border"]:
+        """That of equations, some of them at a time: no copy of all is made."""
+        result = np.zeros((self.by_border.shape[2],) * 2)
+        for start in range(0, len(self.by_border), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            root = np.sqrt(weight[rows])[:, :, None]
-            by_position, by_border = root * self.by_position[rows], root * self.by_border[rows]
-            transposed = np.swapaxes(by_position, 1, 2)
-            products, mixed = transposed @ by_position, transposed @ by_border
-            result.border += gram(by_border.reshape(-1, by_border.shape[2]))
-            # Samples of these equations' stencils; none is before the first.
-            end, missing = start + len(root) - 1 + slots - order, max(order - start, 0)
-            of_samples = np.zeros((end - start + order, n, by_border.shape[2]))
-            for i in range(slots):
-                of_samples[i : i + len(root)] += mixed[:, i * n : (i + 1) * n]
-                skip = max(missing - i, 0)
-                first = start - order + i
-                for later in range(i, slots):
-                    block = products[skip:, later * n : (later + 1) * n, i * n : (i + 1) * n]
-                    lower[later - i, first + skip : first + len(root)] += block
-            result.mixed[position[start - order + missing : end]] += of_samples[missing:]
-        for apart, blocks in enumerate(lower):
-            later, earlier = np.broadcast_arrays(
-                position[apart:, :, None], position[: samples - apart, None, :]
-            )
-            below = later >= earlier
-            result.add_entries(later[below], earlier[below], blocks[: samples - apart][below])
+            scaled = np.sqrt(self.weights.torque[rows])[:, :, None] * self.by_border[rows]
+            result += gram(scaled.reshape(-1, scaled.shape[2]))
+        return result
 
     def _add_turns(self, result: BandedEquations) -> None:
         order, torque, stencil = self.order, self.weights.torque, self._stencil

@@ -1,0 +1,81 @@
+import ctypes
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ....network.straight_line import c_library
+from ._source import SOURCE
+
+
+# Equations whose products are in memory at a time, where there is no compiler.
+_BLOCK = 256
+
+
+def add_equations(
+    band: Float[np.ndarray, "inner diagonals"],
+    mixed: Float[np.ndarray, "inner border"],
+    position: Int[np.ndarray, "samples joints"],
+    weight: Float[np.ndarray, "equations joints"],
+    by_position: Float[np.ndarray, "equations joints positions"],
+    by_border: Float[np.ndarray, "equations joints border"],
+    order: int,
+) -> None:
+    """Adds the squares of equations of motion to normal equations, but for the border's own.
+
+    **Arguments**
+
+    - `band`: the lower band, a row for each of its columns, diagonal first; `mixed`: products of
+      these unknowns and the border.
+    - `position`: of each sample's positions among the unknowns, one after the other.
+    - `weight`: of equations.
+    - `by_position`: derivatives by the positions at so many samples, the first of them `order`
+      before an equation's three; `by_border`: by the border.
+    """
+    library = c_library(SOURCE)
+    if library is None:
+        _add_in_blocks(band, mixed, position, weight, by_position, by_border, order)
+        return
+    count, n, stencil = by_position.shape
+    arrays = (
+        np.ascontiguousarray(position[:, 0], np.dtype(ctypes.c_long)),
+        *(np.ascontiguousarray(x, float) for x in (weight, by_position, by_border)),
+        band,
+        mixed,
+        np.empty(stencil + n),
+    )
+    sizes = (count, n, stencil // n, order, band.shape[1], mixed.shape[1])
+    library.add_equations(
+        *(array.ctypes.data_as(ctypes.c_void_p) for array in arrays), *map(ctypes.c_long, sizes)
+    )
+
+
+def _add_in_blocks(
+    band: Float[np.ndarray, "inner diagonals"],
+    mixed: Float[np.ndarray, "inner border"],
+    position: Int[np.ndarray, "samples joints"],
+    weight: Float[np.ndarray, "equations joints"],
+    by_position: Float[np.ndarray, "equations joints positions"],
+    by_border: Float[np.ndarray, "equations joints border"],
+    order: int,
+) -> None:
+    """The same by NumPy: products of all equations would be several times what is kept."""
+    n = weight.shape[1]
+    slots = by_position.shape[2] // n
+    for start in range(0, len(weight), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        transposed = np.swapaxes(weight[rows, :, None] * by_position[rows], 1, 2)
+        products, of_border = transposed @ by_position[rows], transposed @ by_border[rows]
+        for slot in range(slots):
+            skip = max(order - start - slot, 0)  # no sample is before the first
+            samples = np.arange(start + skip, start + len(products)) - order + slot
+            blocks = slice(slot * n, (slot + 1) * n)
+            mixed[position[samples]] += of_border[skip:, blocks]
+            for earlier in range(slot + 1):
+                skip = max(order - start - earlier, 0)
+                samples = np.arange(start + skip, start + len(products)) - order
+                row, column = np.broadcast_arrays(
+                    position[samples + slot][:, :, None], position[samples + earlier][:, None, :]
+                )
+                below = row >= column
+                values = products[skip:, blocks, earlier * n : (earlier + 1) * n]
+                band[column[below], (row - column)[below]] += values[below]

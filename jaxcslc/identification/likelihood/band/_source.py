@@ -1,0 +1,123 @@
+"""C code of banded normal equations whose border is in all equations; for sizes of any kind."""
+
+SOURCE = """#define LANES 8
+
+/* So many numbers as the widest registers hold; others are put together by the compiler. */
+typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
+
+/* Rows minus factors times rows so many apart: a part of their columns that registers hold. */
+#define ELIMINATED(type, parts)                                                                  \\
+    {                                                                                            \\
+        type sum[parts];                                                                         \\
+        for (int c = 0; c < parts; ++c)                                                          \\
+            sum[c] = ((type*)row)[c];                                                            \\
+        for (long d = 1; d <= most; ++d) {                                                       \\
+            const double x = factor[d * step];                                                   \\
+            const type* const other = (const type*)(row + d * apart);                            \\
+            for (int c = 0; c < parts; ++c)                                                      \\
+                sum[c] -= x * other[c];                                                          \\
+        }                                                                                        \\
+        for (int c = 0; c < parts; ++c)                                                          \\
+            ((type*)row)[c] = sum[c] * inverse;                                                  \\
+        row += parts * sizeof(type) / sizeof(double);                                            \\
+        left -= parts * sizeof(type) / sizeof(double);                                           \\
+    }
+
+/* A row of the right side; `step` between the factors of rows `apart`. */
+static void eliminate(
+    const double* factor, long step, double inverse, double* row, long apart, long most, long left)
+{
+    while (left >= 4 * LANES)
+        ELIMINATED(lanes, 4)
+    while (left >= LANES)
+        ELIMINATED(lanes, 1)
+    while (left)
+        ELIMINATED(double, 1)
+}
+
+/* Solves with the triangle of a banded factorisation, diagonals first, a column after the other;
+   or with its transpose. (size, columns) in place. */
+void solve(
+    const double* factor, double* right, long size, long width, long columns, long transposed)
+{
+    for (long n = 0; n < size; ++n) {
+        const long i = transposed ? size - 1 - n : n;
+        const long most = n < width - 1 ? n : width - 1;
+        const double* const diagonal = factor + i * width;
+        if (transposed)
+            eliminate(diagonal, 1, 1.0 / *diagonal, right + i * columns, columns, most, columns);
+        else
+            eliminate(diagonal, 1 - width, 1.0 / *diagonal, right + i * columns, -columns, most,
+                      columns);
+    }
+}
+
+/* A row plus factors times rows. */
+#define ADDED(type, parts)                                                                       \\
+    {                                                                                            \\
+        type sum[parts];                                                                         \\
+        for (int c = 0; c < parts; ++c)                                                          \\
+            sum[c] = ((type*)row)[c];                                                            \\
+        for (long j = 0; j < n; ++j)                                                             \\
+            if (factors[j] != 0.0) {                                                             \\
+                const type* const other = (const type*)(rows + j * columns);                     \\
+                for (int c = 0; c < parts; ++c)                                                  \\
+                    sum[c] += factors[j] * other[c];                                             \\
+            }                                                                                    \\
+        for (int c = 0; c < parts; ++c)                                                          \\
+            ((type*)row)[c] = sum[c];                                                            \\
+        row += parts * sizeof(type) / sizeof(double);                                            \\
+        rows += parts * sizeof(type) / sizeof(double);                                           \\
+        left -= parts * sizeof(type) / sizeof(double);                                           \\
+    }
+
+static void add_rows(double* row, const double* factors, const double* rows, long n, long columns)
+{
+    long left = columns;
+    while (left >= 4 * LANES)
+        ADDED(lanes, 4)
+    while (left >= LANES)
+        ADDED(lanes, 1)
+    while (left)
+        ADDED(double, 1)
+}
+
+/* Adds the squares of equations, n at an instant. Each instant's are of positions at `slots`
+   samples; the first of them is `order` before the instant, or missing.
+
+   - firsts: where the n positions of each sample are in the band.
+   - weight: (count, n); by_position: (count, n, slots n); by_border: (count, n, columns).
+   - band: (size, width), diagonals first, a column after the other; mixed: (size, columns).
+   - memory: slots n + n numbers. */
+void add_equations(
+    const long* firsts, const double* weight, const double* by_position, const double* by_border,
+    double* band, double* mixed, double* memory, long count, long n, long slots, long order,
+    long width, long columns)
+{
+    const long stencil = slots * n;
+    double* const sums = memory;
+    double* const factors = memory + stencil;
+    for (long e = 0; e < count; ++e) {
+        const double* const a = by_position + e * n * stencil;
+        const long missing = e < order ? order - e : 0;
+        for (long slot = missing; slot < slots; ++slot)
+            for (long m = 0; m < n; ++m) {
+                const long r = slot * n + m, row = firsts[e - order + slot] + m;
+                for (long j = 0; j < n; ++j)
+                    factors[j] = weight[e * n + j] * a[j * stencil + r];
+                for (long s = 0; s <= r; ++s)
+                    sums[s] = 0.0;
+                for (long j = 0; j < n; ++j)
+                    for (long s = missing * n; s <= r; ++s)
+                        sums[s] += factors[j] * a[j * stencil + s];
+                for (long other = missing; other <= slot; ++other) {
+                    const long most = other < slot ? n - 1 : m;
+                    const long column = firsts[e - order + other];
+                    for (long l = 0; l <= most; ++l)
+                        band[(column + l) * width + row - column - l] += sums[other * n + l];
+                }
+                add_rows(mixed + row * columns, factors, by_border + e * n * columns, n, columns);
+            }
+    }
+}
+"""

@@ -1,0 +1,44 @@
+import ctypes
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg.lapack import dtbtrs
+
+from ....network.straight_line import c_library
+from ._source import SOURCE
+
+
+def solved(
+    factor: Float[np.ndarray, "diagonals inner"],
+    right: Float[np.ndarray, "inner columns"],
+    *,
+    transposed: bool = False,
+) -> Float[np.ndarray, "inner columns"]:
+    """The solution for the triangle of a banded factorisation, or for its transpose.
+
+    LAPACK's routine solves column by column, each with one vector product a row: for the sixty
+    columns of an arm's border, 19 unknowns apart at most, C code that takes all columns of a row at
+    a time needs a fifth of the time.
+
+    **Arguments**
+
+    - `factor`: lower, as of `scipy.linalg.cholesky_banded`.
+    - `right`: stays as it is.
+
+    >>> import numpy as np
+    >>> factor = np.asfortranarray([[2.0, 1.0], [3.0, 0.0]])  # ((2, 0), (3, 1))
+    >>> solved(factor, np.array([[4.0], [7.0]])).tolist()
+    [[2.0], [1.0]]
+    """
+    library = c_library(SOURCE)
+    if library is None:
+        return dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")[0]
+    columns = np.ascontiguousarray(factor.T)
+    result = np.array(right, float, order="C")
+    sizes = (*result.shape[:1], columns.shape[1], result.shape[1], int(transposed))
+    library.solve(
+        columns.ctypes.data_as(ctypes.c_void_p),
+        result.ctypes.data_as(ctypes.c_void_p),
+        *map(ctypes.c_long, sizes),
+    )
+    return result

@@ -1,0 +1,71 @@
+"""Banded normal equations with a border, by C code and without it, against dense ones."""
+
+import shutil
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+from numpy.testing import assert_allclose
+
+from jaxcslc.identification.likelihood.band import _assembly, _triangle, add_equations, solved
+
+
+SAMPLES, JOINTS, BORDER = 9, 2, 43  # columns for all parts of rows that registers hold
+
+
+@pytest.fixture(params=["cc", "numpy"])
+def code(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """With a compiler, and as without."""
+    if request.param == "numpy":
+        for module in (_assembly, _triangle):
+            monkeypatch.setattr(module, "c_library", lambda source: None)
+    elif shutil.which("cc") is None:
+        pytest.skip("no C compiler (cc) on this machine")
+
+
+@pytest.mark.usefixtures("code")
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_equations_add_their_squares(order: int) -> None:
+    rng = np.random.default_rng(order)
+    count, slots = SAMPLES - 2, 3 + order
+    # An unknown that is no position is between some samples.
+    position = np.arange(SAMPLES)[:, None] * JOINTS + np.arange(JOINTS)
+    position[4:] += 1
+    weight = rng.uniform(0.5, 1.5, (count, JOINTS))
+    by_position = rng.normal(size=(count, JOINTS, slots * JOINTS))
+    by_border = rng.normal(size=(count, JOINTS, BORDER))
+    size = SAMPLES * JOINTS + 1
+    band, mixed = np.zeros((size, slots * JOINTS + 1)), np.zeros((size, BORDER))
+    add_equations(band, mixed, position, weight, by_position, by_border, order)
+
+    rows = np.zeros((count, JOINTS, size))
+    for equation in range(count):
+        for slot in range(max(order - equation, 0), slots):
+            columns = position[equation - order + slot]
+            rows[equation, :, columns] = by_position[
+                equation, :, slot * JOINTS : (slot + 1) * JOINTS
+            ].T
+    weighted = (weight[:, :, None] * rows).reshape(-1, size)
+    dense = weighted.T @ rows.reshape(-1, size)
+    for below in range(band.shape[1]):
+        assert_allclose(band[: size - below, below], np.diag(dense, -below), atol=1e-12)
+    assert_allclose(mixed, weighted.T @ by_border.reshape(-1, BORDER), atol=1e-12)
+
+
+@pytest.mark.usefixtures("code")
+@pytest.mark.parametrize("columns", [1, BORDER])
+def test_triangles_are_those_of_dense_matrices(columns: int) -> None:
+    rng = np.random.default_rng(5)
+    size, width = 12, 4
+    lower = np.tril(np.triu(rng.uniform(0.5, 1.0, (size, size)), 1 - width)) + 2.0 * np.eye(size)
+    factor = scipy.linalg.cholesky_banded(
+        np.stack([np.append(np.diag(lower @ lower.T, -d), np.zeros(d)) for d in range(width)]),
+        lower=True,
+    )
+    right = rng.normal(size=(size, columns))
+    before = right.copy()
+    assert_allclose(solved(factor, right), np.linalg.solve(lower, right), atol=1e-12)
+    transposed = np.linalg.solve(lower.T, right)
+    assert_allclose(solved(factor, right, transposed=True), transposed, atol=1e-12)
+    assert_allclose(right, before)
