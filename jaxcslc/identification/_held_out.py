@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from .._environment import require
 from ..motion import Patterns
@@ -310,6 +310,24 @@ class RelativeError:
             return cls(0.0, np.inf, len(errors))
         spread = float(np.std(logarithms, ddof=1) / np.sqrt(len(logarithms)))
         return cls(float(np.mean(logarithms)), spread, len(errors))
+
+    @classmethod
+    def of_joint(
+        cls,
+        errors: Float[np.ndarray, "samples joints"],
+        reference: Float[np.ndarray, "samples joints"],
+        mask: Bool[np.ndarray, "samples joints"],
+        fold: Int[np.ndarray, " samples"],
+        joint: int,
+    ) -> "RelativeError":
+        """Of one joint, counted from 1; parts are the folds, which `fold` numbers from 0."""
+        column = slice(joint - 1, joint)
+        return cls.of(
+            *(
+                [values[fold == number, column] for number in range(int(fold[-1]) + 1)]
+                for values in (errors, reference, mask)
+            )
+        )
 
     def beyond_chance(self, chance: float = 0.05) -> bool:
         """Whether errors are smaller by 1 % at least, and by more than chance explains.

@@ -11,7 +11,6 @@ from ._link_parameters import (
     fixed_together as fixed_together,
     seen_from as seen_from,
 )
-from ._load import load_robot as load_robot
 from ._manipulator import Manipulator as Manipulator
 from ._numbering import Numbering as Numbering, Subnumbering as Subnumbering
 from ._placement import Axis as Axis, modified_dh as modified_dh
@@ -21,5 +20,12 @@ from ._source import (
     Mimics as Mimics,
     Source as Source,
 )
-from ._toml import panda as panda, puma560 as puma560, tx40 as tx40
-from ._xml import Element as Element, parse_xml as parse_xml, read_xml as read_xml
+from .files import (
+    Element as Element,
+    load_robot as load_robot,
+    panda as panda,
+    parse_xml as parse_xml,
+    puma560 as puma560,
+    read_xml as read_xml,
+    tx40 as tx40,
+)

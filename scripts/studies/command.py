@@ -51,6 +51,20 @@ def parse(
     return options
 
 
+def add_seeds(parser: argparse.ArgumentParser, count: int) -> None:
+    """Adds `--seeds` and `--first`, for `seeds_of`.
+
+    - `count`: of seeds, by default.
+    """
+    parser.add_argument("--seeds", type=int, default=count, help="how many")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+
+
+def seeds_of(options: argparse.Namespace) -> range:
+    """The seeds of a study's rows."""
+    return range(options.first, options.first + options.seeds)
+
+
 def require_least(
     parser: argparse.ArgumentParser, options: argparse.Namespace, **least: float
 ) -> None:

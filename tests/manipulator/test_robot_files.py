@@ -175,7 +175,7 @@ def test_the_documents_examples_can_be_loaded(
 
 
 def test_the_document_names_every_key() -> None:
-    from jaxcslc.manipulator import _toml
+    from jaxcslc.manipulator.files import _toml
 
     text = (Path(__file__).parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
     keys = _toml._ROBOT_KEYS | _toml._DEFAULT_KEYS | _toml._JOINT_KEYS | _toml._LINK_KEYS

@@ -193,12 +193,7 @@ def _held_out(
     yielding, _ = with_state(network, np.asarray(patterns.q), lengths)
     after, before = (solver.held_out_errors(x, patterns, fold) for x in (yielding, network))
     return {
-        joint + 1: RelativeError.of(
-            *(
-                [values[fold == number, joint : joint + 1] for number in range(_FOLDS)]
-                for values in (after, before, judged)
-            )
-        )
+        joint + 1: RelativeError.of_joint(after, before, judged, fold, joint + 1)
         for joint in joints
         if lengths[joint] > 0.0
     }

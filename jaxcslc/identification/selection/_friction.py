@@ -3,7 +3,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ...manipulator import RobotError
 from ...motion import Recording
@@ -172,8 +172,9 @@ def choose_friction(
                     errors, mask, laws = _held_out(richer, recording, settings)
                 except (ValueError, RuntimeError):  # nothing in the motion determines it
                     continue
+                fold = _fold(len(mask))
                 for joint in joints:
-                    relative = _relative(errors, before, mask, joint)
+                    relative = RelativeError.of_joint(errors, before, mask, fold, joint)
                     possible = kind in laws[joint - 1]
                     tried.append(FrictionTrial(joint, kind, relative, False, possible))
         best = _best(tried, chance)
@@ -238,26 +239,13 @@ def _held_out(
         network, patterns = linearised(load.network, load.fit.k, patterns)
     elif "static" in network.robot.friction_terms:
         network = fit_slopes(network, patterns, solver=suited.solver).network
-    fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
-    errors = suited.solver.held_out_errors(network, patterns, fold)
+    errors = suited.solver.held_out_errors(network, patterns, _fold(patterns.samples))
     return errors, mask, network.friction_per_joint
 
 
-def _relative(
-    errors: Float[np.ndarray, "samples joints"],
-    before: Float[np.ndarray, "samples joints"],
-    mask: Bool[np.ndarray, "samples joints"],
-    joint: int,
-) -> RelativeError:
-    """Of one joint, counted from 1, stretch by stretch."""
-    column = slice(joint - 1, joint)
-    stretch = np.arange(len(mask)) * _FOLDS // len(mask)
-    return RelativeError.of(
-        *(
-            [values[stretch == number, column] for number in range(_FOLDS)]
-            for values in (errors, before, mask)
-        )
-    )
+def _fold(samples: int) -> Int[np.ndarray, " samples"]:
+    """Which stretch each sample is of, from 0."""
+    return np.arange(samples) * _FOLDS // samples
 
 
 def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionTrial]:

@@ -96,7 +96,7 @@ def study(options: argparse.Namespace) -> int:
         [folder / name for name in ("study.py", "methods.py", "recordings.py")],
     )
     finished = Rows(options.output / "rows.jsonl", ("kind", "seed", "method"), digest)
-    seeds = range(options.first, options.first + options.seeds)
+    seeds = command.seeds_of(options)
     todo = [(seed, kind) for seed in seeds for kind in options.kinds]
     for seed, kind in command.progress(todo, desc="recordings", unit="recording"):
         missing = [name for name in options.methods if (kind, seed, name) not in finished]
@@ -119,8 +119,7 @@ def study(options: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "estimators")
-    parser.add_argument("--seeds", type=int, default=16, help="how many")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    command.add_seeds(parser, 16)
     parser.add_argument("--samples", type=int, default=3300, help="of excitation, 2 ms apart")
     parser.add_argument("--time-step", type=float, default=2e-4, help="of the simulator [s]")
     parser.add_argument(

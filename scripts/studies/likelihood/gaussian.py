@@ -149,7 +149,7 @@ def study(options: argparse.Namespace) -> int:
     true = np.asarray(network.coefficients_from(robot.links, viscous=robot.viscous))
     digest = made_of({"samples": options.samples}, [Path(__file__)])
     finished = Rows(options.output / "rows.jsonl", ("noise", "seed"), digest)
-    seeds = range(options.first, options.first + options.seeds)
+    seeds = command.seeds_of(options)
     for seed in command.progress(seeds, desc="seeds", unit="seed"):
         for noise in LEVELS:
             if (noise, seed) not in finished:
@@ -167,8 +167,7 @@ def study(options: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "gaussian")
-    parser.add_argument("--seeds", type=int, default=20, help="how many motions")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    command.add_seeds(parser, 20)
     parser.add_argument("--samples", type=int, default=1000, help="of each motion, 10 ms apart")
     options = command.parse(parser, argv, seeds=2)
     command.require_least(parser, options, seeds=1, first=0, samples=200)

@@ -153,7 +153,7 @@ def _averaged(values: Samples, weights: np.ndarray) -> Samples:
 def study(options: argparse.Namespace) -> int:
     """Prints both tables and writes the rows."""
     both = machines()
-    seeds = range(options.first, options.first + options.seeds)
+    seeds = command.seeds_of(options)
     rows: list[dict[str, Any]] = []
     for name, machine in both.items():
         left: dict[str, list[np.ndarray]] = {}
@@ -189,8 +189,7 @@ def _training_table(machine: str, left: dict[str, list[np.ndarray]]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "limits")
-    parser.add_argument("--seeds", type=int, default=5, help="how many")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    command.add_seeds(parser, 5)
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
     options = command.parse(parser, argv, seeds=1, samples=600)
     command.require_least(parser, options, seeds=1, first=0, samples=600)

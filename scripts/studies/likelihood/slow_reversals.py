@@ -92,7 +92,7 @@ def study(options: argparse.Namespace) -> int:
     sizes = {"samples": options.samples, "slow_samples": options.slow_samples}
     digest = made_of({**sizes, "time_step": options.time_step}, [Path(__file__)])
     finished = Rows(options.output / "rows.jsonl", ("seed",), digest)
-    seeds = range(options.first, options.first + options.seeds)
+    seeds = command.seeds_of(options)
     for seed in command.progress(seeds, desc="seeds", unit="seed"):
         if (seed,) not in finished:
             row = row_of(machine, options.samples, options.slow_samples, seed)
@@ -111,8 +111,7 @@ def study(options: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "slow_reversals")
-    parser.add_argument("--seeds", type=int, default=10, help="how many")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    command.add_seeds(parser, 10)
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
     parser.add_argument("--slow-samples", type=int, default=6600, help="of slow reversals")
     parser.add_argument("--time-step", type=float, default=1e-4, help="of the simulator [s]")

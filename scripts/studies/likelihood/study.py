@@ -140,7 +140,7 @@ def study(options: argparse.Namespace) -> int:
     machine = dataclasses.replace(machine, time_step=options.time_step)
     digest = made_of({"samples": options.samples, "time_step": options.time_step}, [Path(__file__)])
     finished = Rows(options.output / "rows.jsonl", ("seed",), digest)
-    seeds = range(options.first, options.first + options.seeds)
+    seeds = command.seeds_of(options)
     for seed in command.progress(seeds, desc="seeds", unit="seed"):
         if (seed,) in finished:
             continue
@@ -165,8 +165,7 @@ def study(options: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "likelihood")
-    parser.add_argument("--seeds", type=int, default=20, help="how many")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    command.add_seeds(parser, 20)
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
     parser.add_argument("--time-step", type=float, default=1e-4, help="of the simulator [s]")
     options = command.parse(parser, argv, seeds=1, samples=1000, time_step=5e-4)

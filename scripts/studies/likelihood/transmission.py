@@ -176,7 +176,7 @@ def study(options: argparse.Namespace) -> int:
     digest = made_of({"samples": options.samples}, [Path(__file__)])
     finished = Rows(options.output / "rows.jsonl", ("machine", "seed", "estimator"), digest)
     both = machines()
-    seeds = range(options.first, options.first + options.seeds)
+    seeds = command.seeds_of(options)
     for seed in command.progress(seeds, desc="seeds", unit="seed"):
         for name, machine in both.items():
             if (name, seed, LAST) in finished:
@@ -197,8 +197,7 @@ def study(options: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "transmission")
-    parser.add_argument("--seeds", type=int, default=10, help="how many")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    command.add_seeds(parser, 10)
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
     options = command.parse(parser, argv, seeds=1, samples=1000)
     command.require_least(parser, options, seeds=1, first=0, samples=600)

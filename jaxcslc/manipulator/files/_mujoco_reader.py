@@ -9,11 +9,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from jaxtyping import Float
 
-from .._environment import require
-from ._errors import RobotError
-from ._joint import JointKind
-from ._link_parameters import LinkParameters
-from ._source import Mimic
+from ..._environment import require
+from .._errors import RobotError
+from .._joint import JointKind
+from .._link_parameters import LinkParameters
+from .._source import Mimic
 from ._urdf_simplifications import Edit, simplified
 
 

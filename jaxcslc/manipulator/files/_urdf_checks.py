@@ -2,8 +2,8 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from ._errors import RobotError
-from ._source import JointLimits, Mimic
+from .._errors import RobotError
+from .._source import JointLimits, Mimic
 from ._xml import Element
 
 

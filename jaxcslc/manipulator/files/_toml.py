@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from .._toml_document import toml_document
-from ._errors import RobotError
-from ._friction import STATIC_SLOPE, Coupling, couplings
-from ._inertia import LinkInertia
-from ._joint import Joint, finite_number, length_table, parse_angle, parse_length, unused_lengths
-from ._link_parameters import LinkParameters
-from ._manipulator import Manipulator
-from ._numbering import Numbering, Subnumbering
-from ._source import Source
+from ..._toml_document import toml_document
+from .._errors import RobotError
+from .._friction import STATIC_SLOPE, Coupling, couplings
+from .._inertia import LinkInertia
+from .._joint import Joint, finite_number, length_table, parse_angle, parse_length, unused_lengths
+from .._link_parameters import LinkParameters
+from .._manipulator import Manipulator
+from .._numbering import Numbering, Subnumbering
+from .._source import Source
 
 
 _ROUNDING = 1e-12

@@ -32,7 +32,7 @@ def test_fit_of_four_devices(tmp_path: Path, processes: int) -> None:
     ]
     flags = f"--xla_force_host_platform_device_count={4 // processes}"
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
-    environment["PYTHONPATH"] = str(PROGRAM.parents[2])
+    environment["PYTHONPATH"] = str(PROGRAM.parents[3])
     running = [
         subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
         for command in commands

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from ._errors import RobotError
+from .._errors import RobotError
 
 
 # Robots nest their bodies a few dozen deep (every joint of a chain is two levels in MJCF), and

@@ -18,7 +18,7 @@ from jaxcslc.identification.solver import (
 )
 from scripts.benchmarks.exact_solution import exact_coefficients
 
-from .conftest import ORDINARY, Motion, patterns_of
+from ..conftest import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 150

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares as scipy_least_squares
 
 import jaxcslc as jc
 
-from .conftest import ORDINARY
+from ..conftest import ORDINARY
 
 
 ROWS = [(0.0, 0.0, 0.0, 0.0), ("pi/2", 0.3, 0.0, 0.0)]

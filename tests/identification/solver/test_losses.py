@@ -23,7 +23,7 @@ from jaxcslc.identification.solver._losses import (
 )
 from jaxcslc.identification.solver._standard_errors import ERRORS
 
-from .conftest import ORDINARY, Motion, patterns_of
+from ..conftest import ORDINARY, Motion, patterns_of
 
 
 ROBUST: tuple[Loss, ...] = ("huber", "bisquare")

@@ -3,9 +3,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NamedTuple
 
-from ._errors import RobotError
+from .._errors import RobotError
+from .._source import Mimic
 from ._mujoco_reader import WORLD, BodyTree, FileJoint
-from ._source import Mimic
 
 
 _MOST_JOINTS = 1000  # loading takes a second, and the time grows with the square

@@ -26,7 +26,7 @@ from jaxcslc.network.straight_line import (
     kernels_run,
 )
 
-from .conftest import ORDINARY, Motion, patterns_of
+from ..conftest import ORDINARY, Motion, patterns_of
 
 
 SIZES = (11, 5, 16)

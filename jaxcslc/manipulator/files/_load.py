@@ -6,14 +6,14 @@ from typing import TypeGuard, get_args
 import numpy as np
 from jaxtyping import Float
 
-from ._errors import RobotError
-from ._inertia import LinkInertia
-from ._link_parameters import LinkParameters, fixed_together, seen_from
-from ._manipulator import Manipulator
+from .._errors import RobotError
+from .._inertia import LinkInertia
+from .._link_parameters import LinkParameters, fixed_together, seen_from
+from .._manipulator import Manipulator
+from .._placement import Axis, modified_dh
+from .._source import JointLimits, Mimics, Source
 from ._mujoco_reader import Body, BodyTree, read_bodies
 from ._part import MIMIC, Moved, Part, part_of
-from ._placement import Axis, modified_dh
-from ._source import JointLimits, Mimics, Source
 from ._toml import read_toml
 from ._urdf_checks import XACRO, check_urdf, urdf_limits, urdf_mimic_laws, urdf_mimics
 from ._urdf_simplifications import Edit, simplifications

@@ -19,7 +19,7 @@ from jaxcslc.identification.solver import (
 from jaxcslc.identification.solver.fused import host_kernel_of
 from scripts.benchmarks.exact_solution import exact_coefficients
 
-from .conftest import ORDINARY, Motion, patterns_of
+from ..conftest import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 3000
