@@ -50,7 +50,12 @@ _RESTS = 200  # poses that are tried for a start
 
 
 def family_named(name: str, duration: float) -> AbstractFamily:
-    """A family with as many parameters as suit a duration [s].
+    """A family with as many parameters as suit a duration.
+
+    **Arguments**
+
+    - `name`: `"splines"`, `"fourier"`, `"periodic"` or `"moves"`.
+    - `duration`: of the motion [s].
 
     **Raises**
 
@@ -100,7 +105,8 @@ def design_motion(
     - `network`: n joints, p coefficients.
     - `limits`: of joints.
     - `noise`: of the recording chain, and the estimator.
-    - `duration`: [s], for a family by name: `"splines"`, `"fourier"`, `"periodic"`, `"moves"`.
+    - `duration`: [s], for a family by name.
+    - `family`: of motions, or its name: `"splines"`, `"fourier"`, `"periodic"`, `"moves"`.
     - `wanted`: names, groups or kinds of coefficients that matter; all if None.
     - `criterion`: one of `CRITERIA`.
     - `knowledge`: of coefficients before; by default that of the robot's file.

@@ -25,7 +25,12 @@ def random_parameters(
 
     **Arguments**
 
+    - `check`: of limits, with the family of the motion.
+    - `pose`: (n,) positions [rad or m].
+    - `rng`: what it is drawn from.
     - `spread`: of its start about the pose, as a part of the ranges; a tenth if None.
+
+    **Returns** the family's parameters, (parameters, n).
     """
     limits, family = check.limits, check.family
     half = (limits.high - limits.low) / 2

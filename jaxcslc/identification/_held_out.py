@@ -320,7 +320,12 @@ class RelativeError:
         fold: Int[np.ndarray, " samples"],
         joint: int,
     ) -> "RelativeError":
-        """Of one joint, counted from 1; parts are the folds, which `fold` numbers from 0."""
+        """Of one joint, folds being the parts.
+
+        - `errors`, `reference`: those compared, and what counts: `mask`; (samples, n).
+        - `fold`: the fold of each sample, numbered from 0 in order.
+        - `joint`: counted from 1.
+        """
         column = slice(joint - 1, joint)
         return cls.of(
             *(

@@ -26,6 +26,9 @@ class Length:
 
     - `value`: [m]; None for a symbol of unknown value.
     - `symbol`: the name that the algebra uses when lengths are kept symbolic.
+
+    >>> Length(0.4318, "a2").is_zero, Length().is_zero
+    (False, True)
     """
 
     value: float | None = 0.0
@@ -33,6 +36,7 @@ class Length:
 
     @property
     def is_zero(self) -> bool:
+        """Whether it is zero by the choice of frames."""
         return self.symbol is None and self.value == 0.0
 
 
@@ -54,6 +58,9 @@ class Joint:
     - `a`, `d`, `b`: lengths [m].
     - `parent`: the joint whose link carries this one: 1 for the first, 0 for the base, None for
       the joint before.
+
+    >>> Joint("R", 0.0, Length(), Length(0.3), 0.0).d
+    Length(value=0.3, symbol=None)
     """
 
     kind: JointKind

@@ -42,6 +42,9 @@ class Manipulator:
     - `source`: the file that it was read from, if it was.
 
     Build one with `Manipulator.from_modified_dh`, `load_robot` or `puma560`.
+
+    >>> Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)]).joint_count
+    2
     """
 
     name: str
@@ -96,6 +99,7 @@ class Manipulator:
 
     @property
     def joint_count(self) -> int:
+        """n, joints that follow others included."""
         return len(self.joints)
 
     @cached_property

@@ -13,7 +13,16 @@ TONES: tuple[Tone, ...] = ("good", "caution", "bad", "plain")
 
 
 class AbstractBlock(abc.ABC):
-    """A part of a section of a page, drawn by the template of its kind."""
+    """A part of a section of a page, drawn by the template of its kind.
+
+    **Attributes**
+
+    - `kind`: names the template.
+
+    >>> from jaxcslc.page import AbstractBlock, Paragraph
+    >>> isinstance(Paragraph("Joint 1"), AbstractBlock)
+    True
+    """
 
     kind: ClassVar[str]
 

@@ -35,6 +35,18 @@ class LoadFit(eqx.Module):
     - `steps`: of the search; `converged`: whether it ended by its own rule.
     - `dropped`: joints, counted from 1, whose coefficient is not between 0 and 1.
     - `warnings`: one sentence for each of them, and one if the search did not converge.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import fit_load
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(robot.with_friction("dry", "load"), lengths="numeric")
+    >>> t = np.linspace(0, 20, 1000)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> k = np.array([0.5, 0.3, -0.1, 0.2, -0.15])  # friction that would drive
+    >>> torque = np.asarray(network.with_load(k).torque(k, *motion))
+    >>> result = fit_load(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> result.dropped, result.network.names
+    ((1,), ('kB1', 'kB2', 'kB3', 'kd1'))
     """
 
     network: CSLC
@@ -64,6 +76,8 @@ def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None =
     - `network`: n joints, p coefficients; some joint has the friction term `"load"`.
     - `patterns`: as of `LeastSquares.fit`.
     - `solver`: options of the fit; the defaults of `LeastSquares` if None.
+
+    **Returns** a `LoadFit`.
 
     **Raises**
 

@@ -60,10 +60,14 @@ class PreSlidingFit(eqx.Module):
         qdd: Float[Array | np.ndarray, "samples joints"],
         start: Float[Array | np.ndarray, " joints"] | None = None,
     ) -> tuple[Float[Array, "samples joints"], Float[Array, " joints"]]:
-        """Torque along a motion, (samples, n) [N m or N], and the state at its end, (n,).
+        """Torque along a motion, and the state at its end.
 
-        - `q`, `qd`, `qdd`: (samples, n).
-        - `start`: (n,) the state at its first sample; zeros if None.
+        **Arguments**
+
+        - `q`, `qd`, `qdd`: (samples, n) [rad, rad/s, rad/s², or m, m/s, m/s²].
+        - `start`: (n,) the state at its first sample, from -1 to 1; zeros if None.
+
+        **Returns** torque (samples, n) [N m or N], and the state at the last sample, (n,).
         """
         first = np.zeros(self.network.joint_count) if start is None else start
         network, state = with_state(self.network, jnp.asarray(q), self.lengths, first)
@@ -137,6 +141,17 @@ def fit_pre_sliding(
 
     - `ValueError`: no joint has dry friction, or as `LeastSquares.fit`.
     - `RuntimeError`: as `LeastSquares.fit`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import fit_pre_sliding
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+    >>> t = np.linspace(0, 20, 1000)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> torque = -0.5 * np.sin(t) + 0.4 * np.sign(np.cos(t))  # it follows the sign of velocity
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> fit_pre_sliding(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs)).lengths
+    array([0.])
     """
     joints = dry_term(network).joints
     solver = LeastSquares() if solver is None else solver

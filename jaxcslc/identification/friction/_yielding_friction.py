@@ -132,6 +132,10 @@ class YieldingFriction(AbstractManipulatorTerm):
 
 
 def dry_term(network: CSLC) -> JointTerm:
+    """The term of dry friction.
+
+    **Raises** `ValueError` if there is none.
+    """
     for term in network.terms:
         if isinstance(term, JointTerm) and term.kind == "dry":
             return term
@@ -144,7 +148,17 @@ def with_state(
     lengths: Float[np.ndarray, " joints"],
     start: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> tuple[CSLC, Float[Array, "samples joints"]]:
-    """The network whose dry friction has its state along a motion, and the state."""
+    """The network whose dry friction has its state along a motion, and the state.
+
+    **Arguments**
+
+    - `network`: n joints, some with dry friction.
+    - `q`: positions along the motion, (samples, n) [rad or m].
+    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where friction follows the sign of velocity.
+    - `start`: (n,) the state at the first sample; zeros if None.
+
+    **Returns** the network, for this motion in one piece, and the state (samples, n).
+    """
     slides = lengths <= 0.0
     first = np.zeros(len(lengths)) if start is None else start
     state = pre_sliding(q, np.where(slides, 1.0, lengths), first)

@@ -115,6 +115,21 @@ class Misfit:
       reading, each in standard deviations of its noise.
     - `torque`: (equations, n) residuals [N m or N].
     - `mask`: (equations, n), equations that count: neither next to a reversal nor at standstill.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    >>> t = np.arange(200)[:, None] * 0.01
+    >>> torque = 0.5 * -4 * np.sin(2 * t) + 0.2 * 2 * np.cos(2 * t)
+    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> levels = np.array([0.01]), np.array([1e-5])
+    >>> estimator = jc.MaximumLikelihood(torque_sampling="sampled")
+    >>> right, wrong = (
+    ...     np.mean(estimator.misfit(network, recording, np.array(k), *levels).error)
+    ...     for k in ([0.5, 0.2], [0.5, 0.3])
+    ... )
+    >>> bool(right < 0.1 * wrong)
+    True
     """
 
     error: Float[np.ndarray, "equations joints"]

@@ -137,6 +137,21 @@ def compare_reports(first: str | Path, second: str | Path) -> ReportComparison:
     **Raises**
 
     - `ValueError`: a file that is no identification, or two without a common coefficient.
+
+    >>> import tempfile
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import compare_reports
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.2, 0.05]), q, qd, qdd))
+    >>> report = jc.identify(network, jc.Recording(t[:, 0], q, torque), settings=jc.Settings())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = report.save(folder, pictures=False)
+    ...     comparison = compare_reports(folder, folder)
+    >>> [row["name"] for row in comparison.rows]
+    ['kB1', 'kv1', 'kd1']
     """
     a, b = SavedResult.load(first), SavedResult.load(second)
     names = dict.fromkeys((*a.fit.names, *b.fit.names))

@@ -21,10 +21,26 @@ class SavedResult:
     - `name`: of the folder or file.
     - `robot`: that was identified, or another system.
     - `fit`: the `Identification`.
-    - `uncertainty`: (p,) of each coefficient, systematic errors included.
+    - `uncertainty`: (p,) standard uncertainty of each coefficient in its unit, systematic errors
+      included.
     - `document`: everything in the file.
 
     `compare_reports` reads two.
+
+    >>> import tempfile
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import SavedResult
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.2, 0.05]), q, qd, qdd))
+    >>> report = jc.identify(network, jc.Recording(t[:, 0], q, torque), settings=jc.Settings())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = report.save(folder, pictures=False)
+    ...     result = SavedResult.load(folder)
+    >>> result.fit.names, result.uncertainty.shape
+    (('kB1', 'kv1', 'kd1'), (3,))
     """
 
     name: str

@@ -36,7 +36,11 @@ class FrictionTrial:
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
       coefficient of the load may be none that friction has, no length of pre-sliding may fit
       better than none.
-    - `length`: of pre-sliding; None of other kinds. `length_unit`: rad or m.
+    - `length`: of pre-sliding [`length_unit`]; None of other kinds. `length_unit`: rad or m.
+
+    >>> from jaxcslc.identification import FrictionTrial, RelativeError
+    >>> print(FrictionTrial(1, "offset", RelativeError(-0.1, 0.02, 8), used=True))
+    offset -9.5 % ± 2 %, used
     """
 
     joint: int
@@ -58,7 +62,7 @@ class FrictionTrial:
         return f"{self.kind} {self.relative}{length}{', used' if self.used else ''}"
 
     def document(self) -> dict[str, Any]:
-        """It as plain data."""
+        """The trial as plain data."""
         entries = dataclasses.asdict(self)
         relative = entries.pop("relative")
         return {**entries, "change": relative["change"], "change_error": relative["change_error"]}
@@ -156,6 +160,18 @@ def choose_friction(
     **Returns** a `FrictionChoice`.
 
     **Raises** `ValueError`, `RuntimeError`: as `choose_settings`, `LeastSquares.fit`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import choose_friction
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    >>> t = np.linspace(0, 10, 1000)[:, None]
+    >>> torque = -2 * np.sin(2 * t) + 0.8 * np.cos(2 * t) + 0.3  # a constant torque
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> choice = choose_friction(network, recording, jc.Settings(), candidates=["offset"])
+    >>> choice.network.names
+    ('kB1', 'kv1', 'ko1')
     """
     if settings is None:
         progress("choosing settings")

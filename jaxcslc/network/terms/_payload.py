@@ -20,7 +20,12 @@ def carrier(robot: Manipulator, link: int | None = None) -> Manipulator:
 
     What the thesis calls an additional link (8.2.4), of ten unknown inertial parameters: rigidly
     attached, it has no joint of its own, and its frame can be the carrying link's. Derive it to
-    see what of a payload the arm can feel at all.
+    see which parameters of a payload the arm's torques depend on at all.
+
+    **Arguments**
+
+    - `robot`: that carries.
+    - `link`: that carries the body, counted from 1; the last one if None.
 
     **Raises**
 

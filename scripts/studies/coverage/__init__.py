@@ -1,1 +1,1 @@
-"""How often confidence intervals hold the true coefficients."""
+"""How often confidence intervals cover the true coefficients."""

@@ -8,7 +8,7 @@ where a method is said to have hardly smoothed: splines of three samples, withou
 - **torque error**: ε on the comparison trajectory, where a joint moves; median over seeds.
 - **bias**: mean over seeds of a coefficient's error, over its standard deviation over seeds; root
   mean square over coefficients. About one over the root of the seeds without bias.
-- **intervals**: the share of 95 % intervals that hold the truth.
+- **intervals**: the share of 95 % intervals that cover the truth.
 - **seconds**: of the processor, median; compiling included in the first seed of a process.
 - **biased**: how often the Durbin-Wu-Hausman test says at 5 % that least squares is.
 

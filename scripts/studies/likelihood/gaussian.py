@@ -4,7 +4,7 @@ A PUMA 560 with viscous friction follows a random sum of sines, known in closed 
 at 100 Hz for ten seconds: torques are exact values at the samples, positions have noise of one
 level. For each level, over seeds, the worst joint's RMS torque error on further motion, the root
 mean square of the coefficients' errors over their standard errors, and the share of 95 % intervals
-that hold the truth.
+that cover the truth.
 
 The last line is of exact positions and of held torques that belong to their differences: there the
 model is exact, and coefficients are right but for rounding. It holds the greatest relative error of
@@ -64,6 +64,7 @@ def random_motion(seed: int, samples: int, joints: int) -> Motion:
 def torque_of(
     network: jc.CSLC, k: Float[np.ndarray, " coefficients"], motion: Motion
 ) -> Float[np.ndarray, "samples joints"]:
+    """Torque along a motion [N m]."""
     return np.asarray(network.torque(k, motion.q, motion.qd, motion.qdd))
 
 
@@ -74,7 +75,7 @@ def row_of(
     seed: int,
     samples: int,
 ) -> dict[str, Any]:
-    """Of one motion and level."""
+    """Errors of one motion and level of position noise [rad]."""
     joints = network.joint_count
     motion = random_motion(seed, samples, joints)
     drawn = np.random.default_rng(_NOISE + seed).normal(size=motion.q.shape)
@@ -102,11 +103,11 @@ def exact_error(
     """The greatest relative error of a coefficient, and whether the search converged."""
     q = random_motion(0, samples, network.joint_count).q
     first, second = (q[2:] - q[:-2]) / (2 * INTERVAL), np.diff(q, 2, axis=0) / INTERVAL**2
-    wanted = np.asarray(network.torque(true, q[1:-1], first, second))
-    # Torques whose means over both intervals of each sample these are.
+    means = np.asarray(network.torque(true, q[1:-1], first, second))
+    # Held torques with these means over the two intervals around each sample.
     held = np.zeros_like(q)
-    held[0] = wanted[0]
-    for row, value in enumerate(wanted):
+    held[0] = means[0]
+    for row, value in enumerate(means):
         held[row + 1] = 2.0 * value - held[row]
     recording = jc.Recording(INTERVAL * np.arange(samples), q, held)
     result = jc.MaximumLikelihood().fit(network, recording)
@@ -135,7 +136,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         "least",
         "greatest",
         "RMS error over reported",
-        "95 % intervals with truth",
+        "coverage of 95 % intervals",
         "converged",
     ]
     return text_table(header, lines)

@@ -1,15 +1,16 @@
-"""What a perfect model leaves of the torque of arms whose gears give way.
+"""Torque errors of the true model of arms with compliant gears: the limit of identification.
 
 PUMA A and PUMA B with every disturbance of Section 7.2. Nothing is identified: links, friction,
 stiffness and motion are the simulator's.
 
-- **Comparison recording**, judged as in `transmission`: ε of smoothed readings of the encoders, for
-  rigid links with more and more of the true friction, and for rotors and links that move apart,
-  with the links' true motion smoothed alike. `smoothing` is what smoothing takes out of the torque
-  itself. Joint 2 is left symmetric in one row: its training motion does not tell the difference
-  between directions from gravity.
-- **Training recording**: medians of what the equations of motion leave at the true motion, averaged
-  over 12 ms as `every=3` does, of rigid links on the rotors' motion and of rotors and links apart.
+- **Comparison recording**, judged as in `transmission`: ε [N m] on smoothed readings of the
+  encoders, for rigid transmissions with more and more of the true friction, and for rotors and
+  links that move separately, with the links' true motion smoothed alike. `smoothing` is the part of
+  the torque itself that smoothing removes. One row leaves the friction of joint 2 equal in both
+  directions: its training motion does not tell the difference between directions from gravity.
+- **Training recording**: medians of the modulus of the residuals of the equations of motion [N m]
+  at the true motion, averaged over 12 ms as `every=3` does, for rigid transmissions on the rotors'
+  motion and for rotors and links separately.
 """
 
 import argparse
@@ -18,12 +19,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
 from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc.training import half_rms
 from scripts.studies import command
 from scripts.studies.puma560.machines import MOVING, machines
 from scripts.studies.truth import true_coefficients
@@ -45,12 +48,13 @@ Motion = tuple[Samples, Samples, Samples]
 
 @dataclasses.dataclass(frozen=True)
 class TrueArm:
-    """Torque of a machine's true links, of rotors and links together or apart.
+    """Torque of a machine's true links, rotors and links together or separately.
 
     **Attributes**
 
-    - `network`: without friction that counts; `k`: (p,) its coefficients.
-    - `motor_inertia`, `link_share`: (n,) of rotors [kg m²], and of friction that acts on links.
+    - `network`: of n joints; `k`: (p,) its true coefficients, zeros for friction.
+    - `motor_inertia`: (n,) of rotors, seen at the joints [kg m²].
+    - `link_share`: (n,) the part of each joint's friction that acts on the link.
     """
 
     network: jc.CSLC
@@ -71,16 +75,14 @@ class TrueArm:
         """Rotors and links as one body."""
         return np.asarray(self.network.torque(self.k, *motion)) + friction
 
-    def apart(self, rotor: Motion, link: Motion, friction: Samples) -> Samples:
-        """The motors' torque for rotors and links that move apart."""
+    def compliant(self, rotor: Motion, link: Motion, friction: Samples) -> Samples:
+        """The motors' torque for rotors and links that move separately."""
         return self.rigid(link, friction) + self.motor_inertia * (rotor[2] - link[2])
 
 
-def epsilon(error: Samples, mask: np.ndarray) -> float:
-    """As `jaxcslc.compare`: half the root mean square over judged joints, on average."""
-    judged = mask.any(axis=1)
-    squares = np.sum(np.where(mask, error, 0.0)[judged] ** 2, axis=1)
-    return float(np.mean(0.5 * np.sqrt(squares / mask[judged].sum(axis=1))))
+def epsilon(error: Samples, mask: Bool[np.ndarray, "samples joints"]) -> float:
+    """The mean error cost [N m] (7.5), as `jaxcslc.compare` has it."""
+    return float(half_rms(jnp.asarray(error.T), jnp.asarray(mask.T, float)))
 
 
 def comparison_rows(machine: sim.Machine, seed: int) -> Iterator[tuple[str, float]]:
@@ -92,11 +94,11 @@ def comparison_rows(machine: sim.Machine, seed: int) -> Iterator[tuple[str, floa
     arm = TrueArm.of(jc.derive(jc.puma560()), machine)
     rotor: Motion = (np.asarray(judged.q), np.asarray(judged.qd), np.asarray(judged.qdd))
     link = _smooth(recording.time, truth.position, index)
-    without = tuple(0.0 if i == _JOINT_2 else a for i, a in enumerate(machine.asymmetry))
+    but_joint_2 = tuple(0.0 if i == _JOINT_2 else a for i, a in enumerate(machine.asymmetry))
     friction = {
         "viscous and dry friction": {"static": machine.dry, "asymmetry": ()},
         "and static friction": {"asymmetry": ()},
-        "and asymmetric friction, but of joint 2": {"asymmetry": without},
+        "and asymmetric friction, but of joint 2": {"asymmetry": but_joint_2},
         "and of joint 2": {},
     }
     for name, changes in friction.items():
@@ -106,14 +108,14 @@ def comparison_rows(machine: sim.Machine, seed: int) -> Iterator[tuple[str, floa
         law = sim.Friction.of(dataclasses.replace(machine, **friction[name]))
         shared = (1 - arm.link_share) * law.torque(rotor[1])
         shared = shared + arm.link_share * law.torque(link[1])
-        yield f"rotor and link, {name}", epsilon(torque - arm.apart(rotor, link, shared), mask)
+        yield f"compliant, {name}", epsilon(torque - arm.compliant(rotor, link, shared), mask)
     means = np.asarray(recording.torque).copy()
     means[1:] = 0.5 * (means[1:] + means[:-1])
     yield "smoothing", epsilon(torque - _smooth(recording.time, means, index)[0], mask)
 
 
 def training_rows(machine: sim.Machine, seed: int, samples: int) -> dict[str, np.ndarray]:
-    """Medians of the modulus of what equations leave at the true motion, (n,) each [N m]."""
+    """Medians of the modulus of residuals at the true motion, (n,) for each model [N m]."""
     trajectory = sim.training(samples=samples, robot=machine.robot)
     recording, truth = sim.simulate(machine, trajectory, seed=2 * seed)
     # True links have tilted axes, which the network with principal axes leaves out.
@@ -129,7 +131,7 @@ def training_rows(machine: sim.Machine, seed: int, samples: int) -> dict[str, np
     friction = _averaged(truth.friction, _SAMPLED)
     return {
         "rigid": np.median(np.abs(torque - arm.rigid(rotor, friction)), axis=0),
-        "rotor and link": np.median(np.abs(torque - arm.apart(rotor, link, friction)), axis=0),
+        "compliant": np.median(np.abs(torque - arm.compliant(rotor, link, friction)), axis=0),
     }
 
 
@@ -139,7 +141,7 @@ def _smooth(time: np.ndarray, values: Samples, index: np.ndarray) -> Motion:
 
 
 def _over(position: Samples, span: float) -> Motion:
-    """Motion at the inner ones of every third sample, from differences."""
+    """Motion at every third sample but the ends, from differences over `span` [s]."""
     q = np.asarray(position)[::_EVERY]
     second = (q[2:] - 2 * q[1:-1] + q[:-2]) / span**2
     return q[1:-1], (q[2:] - q[:-2]) / (2 * span), second
@@ -156,14 +158,14 @@ def study(options: argparse.Namespace) -> int:
     seeds = command.seeds_of(options)
     rows: list[dict[str, Any]] = []
     for name, machine in both.items():
-        left: dict[str, list[np.ndarray]] = {}
+        residuals: dict[str, list[np.ndarray]] = {}
         for seed in command.progress(seeds, desc=name, unit="seed"):
             for model, value in comparison_rows(machine, seed):
                 rows.append({"machine": name, "seed": seed, "model": model, "epsilon": value})
             for model, values in training_rows(machine, seed, options.samples).items():
-                left.setdefault(model, []).append(values)
+                residuals.setdefault(model, []).append(values)
         print(_comparison_table(name, [row for row in rows if row["machine"] == name]), end="\n\n")
-        print(_training_table(name, left), end="\n\n")
+        print(_training_table(name, residuals), end="\n\n")
     options.output.mkdir(parents=True, exist_ok=True)
     write_csv(options.output / "seeds.csv", rows)
     print(f"wrote {options.output / 'seeds.csv'}")
@@ -175,13 +177,13 @@ def _comparison_table(machine: str, rows: Sequence[dict[str, Any]]) -> str:
     for model in dict.fromkeys(row["model"] for row in rows):
         values = [row["epsilon"] for row in rows if row["model"] == model]
         lines.append([model, *(f"{f(values):.4f}" for f in (np.median, np.min, np.max))])
-    return text_table([f"{machine}: comparison", "ε, median", "least", "greatest"], lines)
+    return text_table([f"{machine}: comparison", "ε [N m], median", "least", "greatest"], lines)
 
 
-def _training_table(machine: str, left: dict[str, list[np.ndarray]]) -> str:
+def _training_table(machine: str, residuals: dict[str, list[np.ndarray]]) -> str:
     lines = [
         [model, *(f"{value:.2g}" for value in np.median(values, axis=0))]
-        for model, values in left.items()
+        for model, values in residuals.items()
     ]
     joints = [f"joint {i + 1} [N m]" for i in range(len(lines[0]) - 1)]
     return text_table([f"{machine}: training", *joints], lines)

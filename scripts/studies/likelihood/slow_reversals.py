@@ -1,13 +1,14 @@
 """Static friction from a recording that is made for it: slow reversals of all joints.
 
-A simulated PUMA 560 with static friction (Eqn 2.5-4) and encoders performs the training trajectory,
-whose joints hardly stay where static friction is, and one in which every joint swings to and fro
-under feedback control, with greatest speeds of a few of the speeds at which static friction has
-fallen to 1/e. Both recordings are identified together (`jaxcslc.MaximumLikelihood`).
+A simulated PUMA 560 with static friction (Eqn. 2.5-4) and encoders performs the training
+trajectory, whose joints hardly move at the low speeds of static friction, and one in which every
+joint swings to and fro under feedback control, with greatest speeds of four times those at which
+static friction has fallen to 1/e. Both recordings are identified together
+(`jaxcslc.MaximumLikelihood`).
 
 Joint by joint, over seeds: magnitudes and slopes of static friction over the true ones, with median
-errors and medians of reported standard errors; and how many of the reported 95 % intervals hold the
-truth, of static friction and of all coefficients.
+errors and medians of reported standard errors; and how many of the reported 95 % intervals cover
+the truth, of static friction and of all coefficients.
 
 Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
 """
@@ -33,7 +34,8 @@ from scripts.studies.truth import true_coefficients
 
 jax.config.update("jax_enable_x64", True)
 
-# Of each joint's swing: greatest speed in speeds of static friction, and period [s].
+# Of each joint's swing: greatest speed over that at which static friction has fallen to 1/e, and
+# period [s].
 FASTEST = 4.0
 PERIODS = (2.9, 2.3, 1.9, 1.7, 1.3, 1.1)
 START = (0.4, -1.2, 0.3, 0.0, 0.3, 0.0)  # rad
@@ -57,7 +59,7 @@ def swings(machine: sim.Machine, samples: int) -> sim.Trajectory:
 
 
 def row_of(machine: sim.Machine, samples: int, slow_samples: int, seed: int) -> dict[str, Any]:
-    """Of two recordings of one seed."""
+    """Errors, over the true values, of the fit of both recordings of one seed."""
     trajectories = (sim.training(samples=samples), swings(machine, slow_samples))
     recordings = [
         sim.simulate(machine, trajectory, seed=2 * seed + number).recording
@@ -101,7 +103,7 @@ def study(options: argparse.Namespace) -> int:
     print(static_text(rows))
     for name in ("magnitudes inside", "slopes inside", "all inside"):
         share = 100 * np.mean([row[name] for row in rows])
-        print(f"{name.removesuffix(' inside')}: {share:.1f} % of 95 % intervals hold the truth")
+        print(f"{name.removesuffix(' inside')}: {share:.1f} % of 95 % intervals cover the truth")
     print(f"converged: {sum(row['converged'] for row in rows)} of {len(rows)}")
     plain = ("seed", "all inside", "steps", "converged")
     write_csv(options.output / "seeds.csv", [{name: row[name] for name in plain} for row in rows])

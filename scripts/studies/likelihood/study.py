@@ -11,7 +11,7 @@ recording, and judged on a comparison recording by ε on the links' true motion 
 
 The second table holds, for each group of coefficients, the root mean square of errors over the
 bound of independent errors (1 for an efficient estimator) and over the standard errors that are
-reported by default, and the share of reported 95 % intervals that hold the truth. The third is of
+reported by default, and the share of reported 95 % intervals that cover the truth. The third is of
 static friction, joint by joint, with the median of the reported standard errors.
 
 Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
@@ -115,7 +115,7 @@ def deviations_text(rows: Sequence[dict[str, Any]]) -> str:
             line.append(f"{np.sqrt(np.mean(values**2)):.2f}")
         inside = np.mean([row["inside"][kind] for row in rows])
         lines.append([*line, f"{100 * inside:.1f} %"])
-    header = ["coefficients", "RMS error over bound", "over reported", "95 % intervals with truth"]
+    header = ["coefficients", "RMS error over bound", "over reported", "coverage of 95 % intervals"]
     return text_table(header, lines)
 
 

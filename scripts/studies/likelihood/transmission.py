@@ -1,4 +1,4 @@
-"""Maximum likelihood of arms whose gears give way, against regression.
+"""Maximum likelihood of arms with compliant gears, against regression.
 
 PUMA A and PUMA B with every disturbance of Section 7.2 are identified from a training recording,
 and judged on a comparison recording as in `make demo`: ε between the demand and the torque that the
@@ -14,7 +14,7 @@ moves.
   deviation): motion in a small range, as joint 2's, does not tell an offset from gravity.
 - **true**: the machine's coefficients, in the model of the regression.
 
-Beside ε, how many intervals of 95 % hold the true coefficient, of 43 and of 52: regression's with
+Beside ε, how many 95 % intervals cover the true coefficient, of 43 and of 52: regression's with
 systematic errors. Of viscous friction by direction the mean counts.
 
 Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
@@ -164,7 +164,7 @@ def table(rows: Sequence[dict[str, Any]], machine: str) -> str:
         "greatest",
         "over regression",
         "greatest",
-        "intervals with truth, %",
+        "coverage of 95 % intervals, %",
         "converged",
         "s",
     ]

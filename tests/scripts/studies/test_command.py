@@ -1,5 +1,6 @@
 """What all studies share: the trial run's defaults, durations, and what is printed first."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -106,5 +107,5 @@ PROGRAMS = [
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_study_has_a_trial_run_and_says_how_long_it_takes(path: Path) -> None:
     source = path.read_text("utf-8")
-    assert "command.parse(" in source
+    assert re.search(r"\b(command|by_arm)\.parse\(", source)
     assert "seconds=" in source.partition("command.run(")[2]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sim
-from scripts.studies.likelihood import gaussian, slow_reversals, study
+from scripts.studies.likelihood import gaussian, possible_bodies, slow_reversals, study
 
 
 def row(machine: object, samples: int, seed: int) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def test_table_of_slow_reversals(
     monkeypatch.setattr(slow_reversals, "row_of", deviating)
     assert slow_reversals.main(["--seeds", "2", "-o", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    assert "magnitudes: 50.0 % of 95 % intervals hold the truth" in printed
+    assert "magnitudes: 50.0 % of 95 % intervals cover the truth" in printed
     assert "slopes: 100.0 %" in printed and "converged: 2 of 2" in printed
 
 
@@ -124,3 +124,19 @@ def test_swings_are_slow_and_smooth() -> None:
     fastest = np.abs(path.qd).max(axis=0) / np.array(machine.static_velocity)
     np.testing.assert_allclose(fastest, slow_reversals.FASTEST, rtol=1e-3)
     np.testing.assert_allclose(path.q[0], trajectory.start)
+
+
+def test_links_of_the_wrong_file_and_the_table_of_bodies() -> None:
+    network = possible_bodies.network_of((1.25, 0.8))
+    assert possible_bodies.network_of(None).robot.links is None
+    assert network.robot.links is not None
+    assert np.allclose([link.mass for link in network.robot.links], [2.5, 1.2])
+    k, true = (
+        np.asarray(network.coefficients_from(links, viscous=possible_bodies.VISCOUS))
+        for links in (network.robot.links, possible_bodies.links_of())
+    )
+    assert 0.1 < possible_bodies.torque_error(network, k, true) < 0.3
+    row = {"without": 2.0, "nearest": 0.3, "search": 0.2, "moves": 3.0, "converged": True}
+    rows = [{"case": "short", "file": "none", "seed": seed, **row} for seed in range(2)]
+    line = possible_bodies.table(rows).splitlines()[-1].split()
+    assert line[:2] == ["short", "none"] and line[-6:] == ["2", "of", "2", "2", "of", "2"]

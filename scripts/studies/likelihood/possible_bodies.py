@@ -1,0 +1,177 @@
+"""Possible bodies in the search of maximum likelihood, beside those nearest to a fit without them.
+
+Two joints with counts of 5e-5 rad are sampled at 100 Hz: three seconds of a small motion with
+strong torque noise, or ten of a large one. The robot's file has no links, or links whose masses and
+inertias are 25 % too large and 20 % too small. Over seeds, the RMS torque error on faster motion of
+coefficients without bodies (`LikelihoodFit.free`), of the bodies nearest to them
+(`jaxcslc.physical_parameters`), and of those of the search (`MaximumLikelihood(possible=True)`);
+the greatest change of a coefficient by the constraint in standard errors; and in how many
+recordings the search's bodies have a smaller error than no bodies.
+
+Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
+"""
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+import jaxcslc as jc
+from jaxcslc.identification.report import text_table, write_csv
+from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
+
+
+jax.config.update("jax_enable_x64", True)
+
+INTERVAL, COUNT = 0.01, 5e-5  # s, rad
+VISCOUS = (0.3, 0.2)  # N m s/rad
+SPEEDS, FASTER, JUDGED = (1.3, 2.1), (2.3, 3.1), (1.2, 1000)  # rad/s, rad/s, (rad, samples)
+FILES = {"none": None, "wrong": (1.25, 0.8)}  # factors of masses and inertias
+
+
+class Case(NamedTuple):
+    """A recording: amplitude [rad], samples and torque noise [N m]."""
+
+    amplitude: float
+    samples: int
+    noise: float
+
+
+CASES = {
+    "3 s, 0.3 rad, 0.2 N m": Case(0.3, 300, 0.2),
+    "10 s, 1.2 rad, 0.05 N m": Case(1.2, 1000, 0.05),
+}
+
+
+def links_of(factors: Sequence[float] = (1.0, 1.0)) -> tuple[jc.LinkParameters, ...]:
+    """The arm's links, masses and inertias times a factor each."""
+    return tuple(
+        jc.LinkParameters(
+            factor * mass, np.array([0.05, 0.02, 0.1]), factor * 0.01 * np.eye(3), 0.05
+        )
+        for mass, factor in zip((2.0, 1.5), factors, strict=True)
+    )
+
+
+def network_of(factors: Sequence[float] | None) -> jc.CSLC:
+    """Of an arm whose file has links, times factors, or none."""
+    robot = jc.Manipulator.from_modified_dh(
+        [(0, 0, 0, 0), ("-pi/2", 0.1, 0, 0)], gravity=(0, -9.81, 0), name="elbow"
+    )
+    links = None if factors is None else links_of(factors)
+    return jc.derive(
+        dataclasses.replace(robot, links=links).with_friction("viscous"), lengths="numeric"
+    )
+
+
+def motion(
+    amplitude: float, samples: int, speeds: tuple[float, float]
+) -> tuple[Float[np.ndarray, "samples 2"], ...]:
+    """Sines of both joints: positions, velocities, accelerations."""
+    w = np.array(speeds)
+    angle = INTERVAL * np.arange(samples)[:, None] * w + [0.3, 1.1]
+    sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
+    return sine, w * cosine, -(w**2) * sine
+
+
+def torque_error(
+    network: jc.CSLC, k: Float[np.ndarray, " p"], true: Float[np.ndarray, " p"]
+) -> float:
+    """The RMS torque error of coefficients on the faster motion [N m]."""
+    return float(
+        np.sqrt(np.mean(np.asarray(network.torque(k - true, *motion(*JUDGED, FASTER))) ** 2))
+    )
+
+
+def row_of(network: jc.CSLC, case: Case, seed: int) -> dict[str, Any]:
+    """Of one recording."""
+    rng = np.random.default_rng(seed)
+    true = np.asarray(network.coefficients_from(links_of(), viscous=VISCOUS))
+    q, *rates = motion(case.amplitude, case.samples, SPEEDS)
+    torque = np.asarray(network.torque(true, q, *rates)) + case.noise * rng.normal(size=q.shape)
+    recording = jc.Recording(
+        INTERVAL * np.arange(case.samples), COUNT * np.round(q / COUNT), torque
+    )
+    result = jc.MaximumLikelihood(torque_sampling="sampled", possible=True).fit(network, recording)
+    free = result.free
+    assert free is not None
+    change = np.abs(np.asarray(result.k) - np.asarray(free.k))
+    return {
+        "without": torque_error(network, np.asarray(free.k), true),
+        "nearest": torque_error(network, jc.physical_parameters(network, free).k, true),
+        "search": torque_error(network, np.asarray(result.k), true),
+        "moves": float(np.max(change / np.asarray(free.standard_error))),
+        "converged": result.converged,
+    }
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """One line a kind of recording and file; median, and greatest."""
+    lines: list[list[str]] = []
+    for case, file in dict.fromkeys((row["case"], row["file"]) for row in rows):
+        part = [row for row in rows if (row["case"], row["file"]) == (case, file)]
+        values = {
+            name: [row[name] for row in part] for name in ("without", "nearest", "search", "moves")
+        }
+        nearer = sum(row["search"] < row["without"] for row in part)
+        lines.append(
+            [
+                case,
+                file,
+                *(f"{np.median(x):.2g}, {np.max(x):.2g}" for x in values.values()),
+                f"{nearer} of {len(part)}",
+                f"{sum(row['converged'] for row in part)} of {len(part)}",
+            ]
+        )
+    header = ["recording", "file", "without bodies [N m]", "nearest bodies [N m]", "search [N m]"]
+    header += ["moves [standard errors]", "nearer than without", "converged"]
+    return text_table(header, lines, left=header[:2])
+
+
+def study(options: argparse.Namespace) -> int:
+    """Makes what is missing, prints the table and writes the rows."""
+    finished = Rows(
+        options.output / "rows.jsonl", ("case", "file", "seed"), made_of({}, [Path(__file__)])
+    )
+    seeds = command.seeds_of(options)
+    networks = {file: network_of(factors) for file, factors in FILES.items()}
+    jobs = [(case, file, seed) for case in CASES for file in FILES for seed in seeds]
+    for case, file, seed in command.progress(jobs, desc="recordings", unit="recording"):
+        if (case, file, seed) not in finished:
+            row = row_of(networks[file], CASES[case], seed)
+            finished.add({"case": case, "file": file, "seed": seed, **row})
+    rows = [finished[job] for job in jobs]
+    print(table(rows))
+    for file, network in networks.items():
+        if network.robot.links is not None:
+            k, true = (
+                np.asarray(network.coefficients_from(links, viscous=VISCOUS))
+                for links in (network.robot.links, links_of())
+            )
+            print(f"file {file!r}: its own links leave {torque_error(network, k, true):.3f} N m")
+    write_csv(options.output / "seeds.csv", rows)
+    print(f"wrote {options.output / 'seeds.csv'}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = command.new_parser(__doc__, "likelihood_bodies")
+    command.add_seeds(parser, 20)
+    options = command.parse(parser, argv, seeds=1)
+    command.require_least(parser, options, seeds=1, first=0)
+    return command.run(
+        parser,
+        lambda: study(options),
+        options.output / "rows.jsonl",
+        seconds=30.0 + 8.0 * options.seeds,
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
