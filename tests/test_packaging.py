@@ -21,7 +21,15 @@ ROOT = Path(__file__).parents[1]
 
 # What every folder may import: modules beside the folders, which import nothing of ours.
 COMMON = {
-    *("_bounded_search", "_environment", "_field_types", "_rank", "_scratch", "_text_table"),
+    *(
+        "_bounded_search",
+        "_environment",
+        "_field_types",
+        "_processes",
+        "_rank",
+        "_scratch",
+        "_text_table",
+    ),
     "_toml_document",
 }
 

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import typer
 
+from .._processes import processes_beside
 from ..identification import (
     EstimatorChoice,
     MaximumLikelihood,
@@ -125,7 +126,7 @@ def identify_command(
 
     Or those of another system, from a recording with a column for each of its variables.
     """
-    with one_line_errors(), progress("reading") as step:
+    with one_line_errors(), progress("reading") as step, processes_beside():
         check_output_folder(output)
         if dask is not None or fleet:
             return typer.echo(identified_on_cluster(context, step))

@@ -4,6 +4,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, get_args
 
+from .._processes import can_fork, computed_beside
 from ..motion import Recording
 from ..network import CSLC
 from ._identify_friction import friction_choice, with_friction_choice
@@ -17,7 +18,7 @@ from .possible import Choice
 from .prediction import file_coefficients, prediction_error
 from .prior import Prior
 from .report import Report
-from .solver import Previous
+from .solver import Previous, computed_on_host
 
 
 # From here on recordings are checked beside what follows: of shorter ones NumPy's operations take
@@ -152,14 +153,14 @@ def identify(
     lag = (options or {}).get("torque_lag", lag)
     together = len(by_name) > 1
     longest = max(by_name.values(), key=lambda recording: recording.samples)
-    beside = not together and longest.samples >= _SAMPLES_OF_THREADS
+    beside = checks and not together
+    threads = beside and longest.samples >= _SAMPLES_OF_THREADS
+    forked = beside and can_fork() and computed_on_host(network, longest.position)
+    progress_of_checks = without_progress if threads or forked else step
     with _computed(
-        lambda: (
-            _checked(network, by_name, validation, lag, without_progress if beside else step)
-            if checks
-            else None
-        ),
-        beside,
+        lambda: _checked(network, by_name, validation, lag, progress_of_checks) if checks else None,
+        forked=forked,
+        threads=threads,
     ) as data_check:
         if together:
             if previous is not None:
@@ -293,15 +294,18 @@ def _checked(
 
 @contextlib.contextmanager
 def _computed(
-    compute: Callable[[], DataCheck | None], beside: bool
+    compute: Callable[[], DataCheck | None], *, forked: bool, threads: bool
 ) -> Generator[Callable[[], DataCheck | None]]:
-    """A function that returns what `compute` does: at once, or in a thread beside other work."""
-    if not beside:
+    """A function that returns what `compute` does: at once, or beside other work."""
+    if forked:
+        with computed_beside(compute) as result:
+            yield result
+    elif threads:
+        with ThreadPoolExecutor(1) as pool:
+            yield pool.submit(compute).result
+    else:
         value = compute()
         yield lambda: value
-        return
-    with ThreadPoolExecutor(1) as pool:
-        yield pool.submit(compute).result
 
 
 def _by_name(training: Sequence[Recording] | Mapping[str, Recording]) -> dict[str, Recording]:

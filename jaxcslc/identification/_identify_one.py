@@ -1,23 +1,25 @@
 import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from .._processes import computed_beside
 from ..motion import Patterns, Preparation, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._settings import Settings
-from ._systematic import systematic_error
+from ._systematic import SystematicError, systematic_error
 from .checks import DataCheck
 from .friction import SlopeFit, fit_load, fit_slopes, linearised
 from .possible import Choice, Part, judged_bodies
-from .prior import Prior, with_knowledge
+from .prior import Known, Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import Candidates, Section, Selection, choose_settings, section_of
-from .solver import Identification, LeastSquares, Previous
+from .solver import Identification, LeastSquares, Previous, computed_on_host
 
 
 # Stretches that settings are chosen by, and how many samples each has at least.
@@ -140,25 +142,29 @@ def identify_one(
         vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
     known = {} if prior is None else prior.coefficient_values(network)
     fit = with_knowledge(fit, known)
-    shifts = None
     if systematic:
         step("computing systematic errors")
-        shifts = systematic_error(network, prepared.part, settings, fit, groups=groups)
-        shifts = shifts.without([i for i, entry in known.items() if entry.fixed])
     consequences: list[str] = []
     bodies, held_out = None, None
-    if previous is None:
-        bodies, held_out, sentences = judged_bodies(
-            network,
-            fit,
-            part_patterns,
-            lambda: Part.stretches(network, part_patterns, settings.solver, _FOLDS),
-            choice=possible,
-            prior=prior,
-            systematic=shifts,
-            step=step,
-        )
-        consequences += sentences
+    with computed_beside(
+        partial(_shifts, network, prepared.part, settings, fit, groups, known)
+        if systematic
+        else lambda: None,
+        allowed=systematic and computed_on_host(network, prepared.part.position),
+    ) as systematic_shifts:
+        if previous is None:
+            bodies, held_out, sentences = judged_bodies(
+                network,
+                fit,
+                part_patterns,
+                lambda: Part.stretches(network, part_patterns, settings.solver, _FOLDS),
+                choice=possible,
+                prior=prior,
+                systematic=systematic_shifts,
+                step=step,
+            )
+            consequences += sentences
+        shifts = systematic_shifts()
     if bodies is not None:
         fit, vectors = bodies.fit, bodies.other_coefficients
     if network.load_terms and previous is None:
@@ -202,6 +208,19 @@ def identify_one(
         judged_part=None if prepared.section is None else prepared.section.description,
         notes=prepared.notes,
     )
+
+
+def _shifts(
+    network: CSLC,
+    recording: Recording,
+    settings: Settings,
+    fit: Identification,
+    groups: Sequence[str] | None,
+    known: Mapping[int, Known],
+) -> SystematicError:
+    """The systematic errors of a fit; none of what was fixed."""
+    shifts = systematic_error(network, recording, settings, fit, groups=groups)
+    return shifts.without([i for i, entry in known.items() if entry.fixed])
 
 
 def _prepared(

@@ -100,7 +100,7 @@ def identify_several(
         choice=possible,
         prior=prior,
         source="left-out recording",
-        systematic=shifts,
+        systematic=lambda: shifts,
         step=step,
     )
     consequences = [*sentences]

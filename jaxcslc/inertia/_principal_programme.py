@@ -8,10 +8,11 @@ from jaxtyping import Float
 
 from ..manipulator import LinkInertia
 from ._bodies import body_of_pseudo_inertia, central_tensor, principal_body, pseudo_inertia
+from ._bounded_least_squares import bounded_least_squares
 
 
 _TOLERANCE = 1e-10
-_EVALUATIONS = 300
+_EVALUATIONS = 400
 _LOWER = [(a, b) for a in range(4) for b in range(a + 1)]
 
 
@@ -220,8 +221,6 @@ def nearest_in_charts(
 
     - Bodies, y, and whether the search converged.
     """
-    from scipy.optimize import least_squares  # half a second to import
-
     start = np.concatenate(
         [
             *(chart.start for chart in charts),
@@ -242,14 +241,7 @@ def nearest_in_charts(
         columns = np.concatenate([together.columns(by_link, z), of_others], axis=1)
         return np.concatenate([columns, np.diag(weights)])
 
-    optimum = least_squares(
-        residual,
-        start,
-        jacobian,
-        bounds=(low, np.full(len(low), np.inf)),
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-        max_nfev=_EVALUATIONS,
+    optimum = bounded_least_squares(
+        residual, jacobian, start, low, tolerance=_TOLERANCE, evaluations=_EVALUATIONS
     )
-    return together.bodies(optimum.x), optimum.x[size:], optimum.status > 0
+    return together.bodies(optimum.x), optimum.x[size:], optimum.converged

@@ -201,7 +201,7 @@ def possible_fit(
     parts: Sequence[Part],
     *,
     source: Source = "cross-validation",
-    systematic: SystematicError | None = None,
+    systematic: Callable[[], SystematicError | None] = lambda: None,
     always: bool = False,
     knowledge: Sequence[LinkKnowledge] = (),
     parameters: PhysicalParameters | None = None,
@@ -220,7 +220,8 @@ def possible_fit(
     - `fit`: of `training`.
     - `parts`: two or more, of which `training` consists.
     - `source`: what the parts are.
-    - `systematic`: of the fit: added to the standard errors that movements are counted in.
+    - `systematic`: of the fit, asked for at the end: added to the standard errors that movements
+      are counted in.
     - `always`: use the bodies, whatever their errors.
     - `knowledge`: what is known of single parameters of links.
     - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
@@ -256,6 +257,7 @@ def possible_fit(
     relative = RelativeError.of(errors, free_errors, masks)
     held_out = _held_out(network, fit, parameters.k, parts, errors, source)
     free_held_out = _held_out(network, fit, fit.k, parts, free_errors, source)
+    shifts = systematic()
     return PossibleFit(
         parameters,
         fit,
@@ -264,8 +266,8 @@ def possible_fit(
         relative.change,
         relative.change_error,
         always or relative.beyond_chance(_CHANCE),
-        movement_of(fit, parameters, systematic),
-        moved_bodies(network, fit, parameters, systematic),
+        movement_of(fit, parameters, shifts),
+        moved_bodies(network, fit, parameters, shifts),
     )
 
 
@@ -278,7 +280,7 @@ def judged_bodies(
     choice: Choice,
     prior: Prior | None,
     source: Source = "cross-validation",
-    systematic: SystematicError | None = None,
+    systematic: Callable[[], SystematicError | None] = lambda: None,
     parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:

@@ -1,5 +1,6 @@
+import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -8,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._environment import core_count, require, require_float64
+from ..._processes import SharedMap, can_fork
 from ...motion import Derivatives, Patterns, Preparation, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
 from ..checks import small_torque_lag
-from ..solver import HostColumns, columns_of
+from ..solver import HostColumns, columns_of, computed_on_host
 from ._alignment import settled_alignment
 from ._candidates import Candidates
 from ._scoring import Scoring
@@ -171,10 +173,8 @@ def choose_settings(
     if candidates is None:
         candidates = Candidates.suited_to(recording, network)
     trials = _Trials(network, recording, candidates, backlash=backlash, folds=folds, gap=gap)
-    # The same threads throughout: what new ones allocate, the process would keep.
-    with ThreadPoolExecutor(min(core_count(), _MOST_THREADS)) as pool:
-        several = recording.samples >= _SAMPLES_OF_THREADS
-        search = CoordinateSearch(partial(trials.scores, pool.map if several else map))
+    with trials.shared() as run:
+        search = CoordinateSearch(partial(trials.scores, run))
         best = search.run(trials.start, candidates.families(), candidates.options())
     best = settled_alignment(
         best,
@@ -226,25 +226,47 @@ class _Trials:
             recording, np.asarray(patterns.mask), candidates.cutoffs, folds=folds, gap=gap
         )
 
+    @contextlib.contextmanager
+    def shared(self) -> Generator[Callable[[Sequence[Settings]], Iterable[Trial]]]:
+        """The trials of candidates, by processes or threads where that is worth it."""
+        if can_fork() and computed_on_host(self.network, self.recording.position):
+            # What all processes need of the network is prepared once, with the first columns.
+            self._columns_of(self.start.preparation, self._patterns(self.start))
+            with SharedMap(self._trial) as run:
+                yield run
+        elif self.recording.samples >= _SAMPLES_OF_THREADS:
+            # The same threads throughout: what new ones allocate, the process would keep.
+            with ThreadPoolExecutor(min(core_count(), _MOST_THREADS)) as pool:
+                yield partial(self._in_threads, pool)
+        else:
+            yield partial(map, self._trial)
+
     def score_of(self, settings: Settings) -> float:
         """The score of settings, computed once."""
         trial = self.by_settings.get(settings)
-        return self.scores(map, [settings])[0] if trial is None else trial.score
+        return (
+            self.scores(partial(map, self._trial), [settings])[0] if trial is None else trial.score
+        )
 
     def scores(
-        self, run: Callable[..., Iterable[Trial]], candidates: Sequence[Settings]
+        self, run: Callable[[Sequence[Settings]], Iterable[Trial]], candidates: Sequence[Settings]
     ) -> list[float]:
         """The scores of candidates that have no trial yet.
 
-        - `run`: `map`, or that of a pool of threads.
+        - `run`: as of `shared`.
         """
+        trials = list(run(candidates))
+        self.by_settings |= {trial.settings: trial for trial in trials}
+        return [trial.score for trial in trials]
+
+    def _in_threads(
+        self, pool: ThreadPoolExecutor, candidates: Sequence[Settings]
+    ) -> Iterable[Trial]:
         by_motion = {_motion_part(settings.preparation): settings for settings in candidates}
         if len(by_motion) < len(candidates):  # threads would repeat what candidates share
             for settings in by_motion.values():
                 self._columns_of(settings.preparation, self._patterns(settings))
-        trials = list(run(self._trial, candidates))
-        self.by_settings |= {trial.settings: trial for trial in trials}
-        return [trial.score for trial in trials]
+        return pool.map(self._trial, candidates)
 
     def _trial(self, settings: Settings) -> Trial:
         """Fits settings to all stretches but one, for each, and judges them there."""

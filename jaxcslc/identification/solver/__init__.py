@@ -2,6 +2,7 @@ from ._compiled import (
     HostColumns as HostColumns,
     columns_in as columns_in,
     columns_of as columns_of,
+    computed_on_host as computed_on_host,
     filled_up as filled_up,
     regressor_of as regressor_of,
     rows_of as rows_of,

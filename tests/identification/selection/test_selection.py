@@ -48,15 +48,22 @@ def smoothing_of(selection: jc.Selection) -> AbstractSmoothing:
     return selection.settings.preparation.smoothing
 
 
+@pytest.mark.parametrize("by", ["threads", "processes"])
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_candidates_side_by_side_are_those_one_after_the_other(
-    pendulum: jc.CSLC, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+    pendulum: jc.CSLC, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, by: str
 ):
-    """Several motions, and several settings of one motion; on as many threads as there are."""
+    """Several motions, and several settings of one motion."""
     recording = swing(pendulum, rng, torque=0.01)
     candidates = jc.Candidates(smoothings=tuple(map(jc.AveragedSplines, (5, 9, 17, 25))))
     alone = jc.choose_settings(pendulum, recording, candidates)
-    monkeypatch.setattr(selection_module, "_SAMPLES_OF_THREADS", 1)
-    monkeypatch.setattr(selection_module, "core_count", lambda: 3)
+    if by == "threads":
+        monkeypatch.setattr(selection_module, "_SAMPLES_OF_THREADS", 1)
+        monkeypatch.setattr(selection_module, "core_count", lambda: 3)
+    else:
+        monkeypatch.setattr(selection_module, "can_fork", lambda: True)
+        monkeypatch.setattr("jaxcslc._processes.core_count", lambda: 3)
     together = jc.choose_settings(pendulum, recording, candidates)
     assert together.settings == alone.settings
     assert [x.settings for x in together.trials] == [x.settings for x in alone.trials]

@@ -1,0 +1,217 @@
+import contextlib
+import os
+import pickle
+import select
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from ._environment import core_count
+
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+
+_MOST_PROCESSES = 3  # beside this one; each holds what it computes with
+# Ends of pipes to processes that have not been closed.
+_DESCRIPTORS: set[int] = set()
+_ALLOWED: ContextVar[bool] = ContextVar("processes beside this one", default=False)
+
+
+@contextlib.contextmanager
+def processes_beside() -> Generator[None]:
+    """Allows processes beside this one, forked from it, inside of the `with`.
+
+    What takes less than some 50 ms at a time gains nothing by threads, which wait for the
+    interpreter. A program allows it that knows what else goes on in its process: a library does
+    not.
+    """
+    token = _ALLOWED.set(True)
+    try:
+        yield
+    finally:
+        _ALLOWED.reset(token)
+
+
+def can_fork() -> bool:
+    """Whether processes beside this one are allowed, possible and worth it.
+
+    A forked process would have the locks of XLA's threads and not the threads. Those of BLAS, of
+    Arrow and of memory allocators are made for it.
+    """
+    if not _ALLOWED.get() or core_count() < 2:
+        return False
+    try:
+        names = [path.read_text() for path in Path("/proc/self/task").glob("*/comm")]
+    except OSError:  # a thread that has just ended
+        return False
+    return bool(names) and not any("XLA" in name for name in names)  # none: not Linux
+
+
+class ForkedFunction(Generic[Argument, Result]):
+    """A function in a process of its own, which has what this one had when it was made.
+
+    Arguments and results are pickled; of what the function changes, nothing comes back. The
+    process ends with this one at the latest.
+
+    - `function`: of one argument.
+
+    >>> with ForkedFunction(lambda x: 2 * x) as twice:
+    ...     twice.send(21)
+    ...     twice.receive()
+    42
+    """
+
+    def __init__(self, function: Callable[[Argument], Result]) -> None:
+        from_parent, to_child = os.pipe()
+        from_child, to_parent = os.pipe()
+        self._process = os.fork()
+        if not self._process:
+            # What others hold open, their processes do not see the end of.
+            for descriptor in (to_child, from_child, *_DESCRIPTORS):
+                os.close(descriptor)
+            _serve(function, from_parent, to_parent)
+        os.close(from_parent)
+        os.close(to_parent)
+        self._arguments, self._results = open(to_child, "wb"), open(from_child, "rb")  # noqa: SIM115
+        _DESCRIPTORS.update((to_child, from_child))
+
+    def send(self, argument: Argument) -> None:
+        """Computes for an argument; only after the result for the one before was received."""
+        with contextlib.suppress(BrokenPipeError):  # receiving says so
+            pickle.dump(argument, self._arguments, pickle.HIGHEST_PROTOCOL)
+            self._arguments.flush()
+
+    def receive(self) -> Result:
+        """The result for the argument that was sent last.
+
+        **Raises**
+
+        - what the function raised.
+        - `ChildProcessError`: the process has ended.
+        """
+        try:
+            result, error = pickle.load(self._results)
+        except (EOFError, pickle.UnpicklingError):
+            raise ChildProcessError("a process that computed beside this one has ended") from None
+        if error is not None:
+            raise error
+        return result
+
+    def fileno(self) -> int:
+        """Becomes readable when there is a result."""
+        return self._results.fileno()
+
+    def close(self) -> None:
+        """Ends the process."""
+        if not self._process:
+            return
+        _DESCRIPTORS.difference_update((self._arguments.fileno(), self._results.fileno()))
+        with contextlib.suppress(BrokenPipeError):
+            self._arguments.close()
+        self._results.close()
+        os.waitpid(self._process, 0)
+        self._process = 0
+
+    def __enter__(self) -> "ForkedFunction[Argument, Result]":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _serve(function: Callable[[Any], Any], arguments: int, results: int) -> None:
+    """What a forked process does, until nobody sends any more; does not return."""
+    try:
+        with open(arguments, "rb") as reader, open(results, "wb") as writer:
+            while True:
+                argument = pickle.load(reader)
+                try:
+                    result = pickle.dumps((function(argument), None), pickle.HIGHEST_PROTOCOL)
+                except Exception as error:
+                    result = pickle.dumps((None, error), pickle.HIGHEST_PROTOCOL)
+                writer.write(result)
+                writer.flush()
+    except BaseException:  # the end of the arguments, an interruption, or a result nobody reads
+        pass
+    finally:
+        # Without what the parent does at its end, such as writing what it has buffered.
+        os._exit(0)
+
+
+@contextlib.contextmanager
+def computed_beside(
+    compute: Callable[[], Result], *, allowed: bool = True
+) -> Generator[Callable[[], Result]]:
+    """A function that returns what `compute` does: in a process beside this one, or at once where
+    `can_fork` says no.
+
+    - `allowed`: False asks for it at once.
+
+    >>> with computed_beside(lambda: 42) as answer:
+    ...     answer()
+    42
+    """
+    if not (allowed and can_fork()):
+        result = compute()
+        yield lambda: result
+        return
+    with ForkedFunction[None, Result](lambda _: compute()) as forked:
+        forked.send(None)
+        yield forked.receive
+
+
+class SharedMap(Generic[Argument, Result]):
+    """A map whose arguments this process and those beside it share.
+
+    - `function`: of one argument.
+    - `processes`: beside this one; by default one for each further core.
+    """
+
+    def __init__(
+        self, function: Callable[[Argument], Result], processes: int | None = None
+    ) -> None:
+        if processes is None:
+            processes = min(core_count() - 1, _MOST_PROCESSES)
+        self._function = function
+        self._forked = [ForkedFunction(function) for _ in range(processes)]
+
+    def __call__(self, arguments: Iterable[Argument]) -> list[Result]:
+        """The results, in the order of the arguments."""
+        listed = list(arguments)
+        todo, results = deque(range(len(listed))), dict[int, Result]()
+        idle, busy = deque(self._forked), dict[ForkedFunction[Argument, Result], int]()
+        while todo or busy:
+            while idle and len(todo) > 1:
+                index, forked = todo.pop(), idle.popleft()
+                busy[forked] = index
+                forked.send(listed[index])
+            if todo:
+                index = todo.popleft()
+                results[index] = self._function(listed[index])
+            for forked in _ready(list(busy), wait=not todo):
+                results[busy.pop(forked)] = forked.receive()
+                idle.append(forked)
+        return [results[index] for index in range(len(listed))]
+
+    def close(self) -> None:
+        """Ends the processes."""
+        for forked in self._forked:
+            forked.close()
+
+    def __enter__(self) -> "SharedMap[Argument, Result]":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _ready(
+    forked: Sequence[ForkedFunction[Any, Any]], *, wait: bool
+) -> list[ForkedFunction[Any, Any]]:
+    """Those that have a result; waits for one if there is nothing else to do."""
+    if not forked:
+        return []
+    return select.select(forked, [], [], None if wait else 0.0)[0]
