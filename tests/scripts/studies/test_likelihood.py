@@ -130,7 +130,7 @@ def test_links_of_the_wrong_file_and_the_table_of_bodies() -> None:
     network = possible_bodies.network_of((1.25, 0.8))
     assert possible_bodies.network_of(None).robot.links is None
     assert network.robot.links is not None
-    assert np.allclose([link.mass for link in network.robot.links], [2.5, 1.2])
+    assert np.allclose([float(link.mass) for link in network.robot.links], [2.5, 1.2])
     k, true = (
         np.asarray(network.coefficients_from(links, viscous=possible_bodies.VISCOUS))
         for links in (network.robot.links, possible_bodies.links_of())
