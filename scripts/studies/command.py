@@ -36,14 +36,14 @@ def new_parser(description: str | None, output: str) -> argparse.ArgumentParser:
 def parse(
     parser: argparse.ArgumentParser, arguments: Sequence[str] | None, **quick: Any
 ) -> argparse.Namespace:
-    """The options, with `--quick` for a trial run of less than a minute.
+    """The options, with `--quick` for a trial run of about a minute.
 
     **Arguments**
 
     - `arguments`: of the command line; the program's if none.
     - `quick`: defaults that `--quick` replaces; options beside it still count.
     """
-    parser.add_argument("--quick", action="store_true", help="a trial run of less than a minute")
+    parser.add_argument("--quick", action="store_true", help="a trial run of about a minute")
     options = parser.parse_args(arguments)
     if options.quick:
         parser.set_defaults(**quick)
