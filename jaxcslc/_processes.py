@@ -5,6 +5,7 @@ import select
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextvars import ContextVar
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -43,10 +44,10 @@ def can_fork() -> bool:
     """
     if not _ALLOWED.get() or core_count() < 2:
         return False
-    try:
-        names = [path.read_text() for path in Path("/proc/self/task").glob("*/comm")]
-    except OSError:  # a thread that has just ended
-        return False
+    names: list[str] = []
+    for path in Path("/proc/self/task").glob("*/comm"):
+        with contextlib.suppress(OSError):  # of a thread that has just ended
+            names.append(path.read_text())
     return bool(names) and not any("XLA" in name for name in names)  # none: not Linux
 
 
@@ -142,25 +143,55 @@ def _serve(function: Callable[[Any], Any], arguments: int, results: int) -> None
 
 
 @contextlib.contextmanager
+def function_beside(
+    function: Callable[[Argument], Result], *, allowed: bool = True
+) -> Generator[Callable[[Argument], Callable[[], Result]]]:
+    """A function that begins to compute for its argument, in a process beside this one, and returns
+    another one that waits for the result.
+
+    Computed at once where `can_fork` says no. The process has what this one has now.
+
+    - `function`: of one argument; called once at most.
+    - `allowed`: False computes at once.
+
+    >>> with function_beside(lambda x: 2 * x) as begin:
+    ...     result = begin(21)
+    ...     result()
+    42
+    """
+    if not (allowed and can_fork()):
+
+        def computed(argument: Argument) -> Callable[[], Result]:
+            result = function(argument)
+            return lambda: result
+
+        yield computed
+        return
+    with ForkedFunction(function) as forked:
+
+        def begun(argument: Argument) -> Callable[[], Result]:
+            forked.send(argument)
+            return lru_cache(maxsize=1)(forked.receive)
+
+        yield begun
+
+
+@contextlib.contextmanager
 def computed_beside(
     compute: Callable[[], Result], *, allowed: bool = True
 ) -> Generator[Callable[[], Result]]:
-    """A function that returns what `compute` does: in a process beside this one, or at once where
-    `can_fork` says no.
-
-    - `allowed`: False asks for it at once.
+    """`function_beside` for a function of no argument, which begins now.
 
     >>> with computed_beside(lambda: 42) as answer:
     ...     answer()
     42
     """
-    if not (allowed and can_fork()):
-        result = compute()
-        yield lambda: result
-        return
-    with ForkedFunction[None, Result](lambda _: compute()) as forked:
-        forked.send(None)
-        yield forked.receive
+
+    def without_argument(_: None) -> Result:
+        return compute()
+
+    with function_beside(without_argument, allowed=allowed) as begin:
+        yield begin(None)
 
 
 class SharedMap(Generic[Argument, Result]):

@@ -12,6 +12,7 @@ from jaxcslc._processes import (
     SharedMap,
     can_fork,
     computed_beside,
+    function_beside,
     processes_beside,
 )
 
@@ -84,6 +85,14 @@ def test_beside_is_another_process_where_it_is_allowed(monkeypatch: pytest.Monke
         assert result() != os.getpid()
     with computed_beside(os.getpid, allowed=False) as result:
         assert result() == os.getpid()
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_result_can_be_asked_for_again(monkeypatch: pytest.MonkeyPatch, beside: bool) -> None:
+    monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
+    with function_beside(lambda x: str(x), allowed=beside) as begin:
+        result = begin(1)
+        assert (result(), result()) == ("1", "1")
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are those of Linux")

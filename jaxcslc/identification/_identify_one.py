@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from .._processes import computed_beside
+from .._processes import function_beside
 from ..motion import Patterns, Preparation, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._settings import Settings
-from ._systematic import SystematicError, systematic_error
+from ._systematic import SystematicError, systematic_error_of
 from .checks import DataCheck
 from .friction import SlopeFit, fit_load, fit_slopes, linearised
 from .possible import Choice, Part, judged_bodies
@@ -124,34 +124,35 @@ def identify_one(
             slopes = _fitted_again(slopes, part_patterns, prepared.of_training.solver)
         network = slopes.network
     settings = prepared.of_training
-    step("fitting coefficients")
-    vectors = {}
-    if load is not None:
-        whole = prepared.section is None
-        fit = (
-            load.fit
-            if whole
-            else settings.fit(*linearised(network, load.fit.k, patterns["training"]))
-        )
-    elif slopes is not None and prepared.section is None:
-        fit = slopes.fit
-    elif previous is None or groups is None:
-        fit = settings.fit(network, patterns["training"])
-    else:
-        fit = settings.reidentify(network, patterns["training"], previous, groups)
-        vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
     known = {} if prior is None else prior.coefficient_values(network)
-    fit = with_knowledge(fit, known)
-    if systematic:
-        step("computing systematic errors")
+    step("fitting coefficients")
+    vectors: dict[str, Any] = {}
     consequences: list[str] = []
     bodies, held_out = None, None
-    with computed_beside(
-        partial(_shifts, network, prepared.part, settings, fit, groups, known)
-        if systematic
-        else lambda: None,
+    # Before the fit, since JAX's threads begin with it.
+    with function_beside(
+        partial(_shifts, network, prepared.part, settings, groups, known),
         allowed=systematic and computed_on_host(network, prepared.part.position),
-    ) as systematic_shifts:
+    ) as begin:
+        if load is not None:
+            whole = prepared.section is None
+            fit = (
+                load.fit
+                if whole
+                else settings.fit(*linearised(network, load.fit.k, patterns["training"]))
+            )
+        elif slopes is not None and prepared.section is None:
+            fit = slopes.fit
+        elif previous is None or groups is None:
+            fit = settings.fit(network, patterns["training"])
+        else:
+            fit = settings.reidentify(network, patterns["training"], previous, groups)
+            vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
+        fit = with_knowledge(fit, known)
+        systematic_shifts: Callable[[], SystematicError | None] = lambda: None
+        if systematic:
+            step("computing systematic errors")
+            systematic_shifts = begin((np.asarray(fit.k), np.asarray(fit.determined)))
         if previous is None:
             bodies, held_out, sentences = judged_bodies(
                 network,
@@ -214,12 +215,15 @@ def _shifts(
     network: CSLC,
     recording: Recording,
     settings: Settings,
-    fit: Identification,
     groups: Sequence[str] | None,
     known: Mapping[int, Known],
+    fitted: tuple[np.ndarray, np.ndarray],
 ) -> SystematicError:
-    """The systematic errors of a fit; none of what was fixed."""
-    shifts = systematic_error(network, recording, settings, fit, groups=groups)
+    """The systematic errors of a fit; none of what was fixed.
+
+    - `fitted`: coefficients, and which of them are determined.
+    """
+    shifts = systematic_error_of(network, recording, settings, *fitted, groups)
     return shifts.without([i for i, entry in known.items() if entry.fixed])
 
 

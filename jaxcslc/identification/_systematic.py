@@ -4,7 +4,7 @@ from types import MappingProxyType
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..motion import CubicSpline, Patterns, Preparation, Recording
 from ..network import CSLC
@@ -179,7 +179,20 @@ def systematic_error(
     >>> tuple(systematic_error(network, recording, settings, fit).parts)
     ('smoothing', 'torque timing', 'torque offset', 'static friction', 'motor saturation')
     """
-    preparation, solver, k = settings.preparation, settings.solver, np.asarray(fit.k)
+    k, determined = np.asarray(fit.k), np.asarray(fit.determined)
+    return systematic_error_of(network, recording, settings, k, determined, groups)
+
+
+def systematic_error_of(
+    network: CSLC,
+    recording: Recording,
+    settings: Settings,
+    k: Float[np.ndarray, " coefficients"],
+    determined: Bool[np.ndarray, " coefficients"],
+    groups: Sequence[str] | None,
+) -> SystematicError:
+    """That of `systematic_error`, of a fit's coefficients and which of them are determined."""
+    preparation, solver = settings.preparation, settings.solver
     free = tuple(range(network.size))
     if groups is not None:
         free = Fixed.except_for(network, k, groups).free
@@ -199,7 +212,6 @@ def systematic_error(
     terms = missing_terms(network, qd, np.asarray(smoothed.torque), mask, thresholds)
     for cause, inputs in filtered_inputs(terms, patterns, solver.cutoff).items():
         shifts[cause] = _shift(problem, inputs, len(patterns.q))
-    determined = np.asarray(fit.determined)
     parts: dict[str, np.ndarray] = {}
     for cause, shift in shifts.items():
         whole = np.zeros(network.size)

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._environment import core_count, require, require_float64
-from ..._processes import SharedMap, can_fork
+from ..._processes import SharedMap, can_fork, computed_beside
 from ...motion import Derivatives, Patterns, Preparation, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
-from ..checks import small_torque_lag
+from ..checks import TorqueLag, small_torque_lag
 from ..solver import HostColumns, columns_of, computed_on_host
 from ._alignment import settled_alignment
 from ._candidates import Candidates
@@ -173,16 +173,16 @@ def choose_settings(
     if candidates is None:
         candidates = Candidates.suited_to(recording, network)
     trials = _Trials(network, recording, candidates, backlash=backlash, folds=folds, gap=gap)
-    with trials.shared() as run:
+    with trials.shared() as run, trials.torque_lag() as lag:
         search = CoordinateSearch(partial(trials.scores, run))
         best = search.run(trials.start, candidates.families(), candidates.options())
-    best = settled_alignment(
-        best,
-        candidates.torque_alignments,
-        trials.score_of,
-        lambda: small_torque_lag(network, recording),
-        trials.scoring.interval,
-    )
+        best = settled_alignment(
+            best,
+            candidates.torque_alignments,
+            trials.score_of,
+            lag,
+            trials.scoring.interval,
+        )
     chosen_on = Sampling.of(recording)
     return Selection(
         dataclasses.replace(best, chosen_on=chosen_on), tuple(trials.by_settings.values())
@@ -229,7 +229,7 @@ class _Trials:
     @contextlib.contextmanager
     def shared(self) -> Generator[Callable[[Sequence[Settings]], Iterable[Trial]]]:
         """The trials of candidates, by processes or threads where that is worth it."""
-        if can_fork() and computed_on_host(self.network, self.recording.position):
+        if self._forks():
             # What all processes need of the network is prepared once, with the first columns.
             self._columns_of(self.start.preparation, self._patterns(self.start))
             with SharedMap(self._trial) as run:
@@ -240,6 +240,22 @@ class _Trials:
                 yield partial(self._in_threads, pool)
         else:
             yield partial(map, self._trial)
+
+    @contextlib.contextmanager
+    def torque_lag(self) -> Generator[Callable[[], TorqueLag]]:
+        """A function that estimates the lag of the torque, or waits for a process that does.
+
+        Beside the search it costs no time, and hardly a search does without it.
+        """
+        estimate = partial(small_torque_lag, self.network, self.recording)
+        if self._forks():
+            with computed_beside(estimate) as lag:
+                yield lag
+        else:
+            yield estimate
+
+    def _forks(self) -> bool:
+        return can_fork() and computed_on_host(self.network, self.recording.position)
 
     def score_of(self, settings: Settings) -> float:
         """The score of settings, computed once."""

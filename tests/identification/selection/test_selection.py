@@ -63,6 +63,7 @@ def test_candidates_side_by_side_are_those_one_after_the_other(
         monkeypatch.setattr(selection_module, "core_count", lambda: 3)
     else:
         monkeypatch.setattr(selection_module, "can_fork", lambda: True)
+        monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
         monkeypatch.setattr("jaxcslc._processes.core_count", lambda: 3)
     together = jc.choose_settings(pendulum, recording, candidates)
     assert together.settings == alone.settings
