@@ -36,6 +36,11 @@ def processes_beside() -> Generator[None]:
         _ALLOWED.reset(token)
 
 
+def allows_processes() -> bool:
+    """Whether `processes_beside` allows them; in this process, not in one beside another."""
+    return _ALLOWED.get()
+
+
 def can_fork() -> bool:
     """Whether processes beside this one are allowed, possible and worth it.
 
@@ -125,6 +130,7 @@ class ForkedFunction(Generic[Argument, Result]):
 
 def _serve(function: Callable[[Any], Any], arguments: int, results: int) -> None:
     """What a forked process does, until nobody sends any more; does not return."""
+    _ALLOWED.set(False)
     try:
         with open(arguments, "rb") as reader, open(results, "wb") as writer:
             while True:

@@ -302,6 +302,8 @@ class _Trials:
         """The columns of a motion; kept until those of another one are computed."""
         motion, latest = _motion_part(preparation), self._columns
         if latest is None or latest[0] != motion:
+            del latest
+            self._columns = None  # the next ones take its memory, whose pages are there
             latest = self._columns = motion, columns_of(self.network, patterns)
         return latest[1]
 

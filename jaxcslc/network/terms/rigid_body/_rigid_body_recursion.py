@@ -13,9 +13,9 @@ from ....derivation import BODY, Algebra, Coefficient
 from ....manipulator import Joint
 from ..._compilation import in_blocks
 from ...straight_line import (
+    CompiledProgram,
     LinkedBodies,
     Motion,
-    Program,
     StraightLine,
     Value,
     columns_code,
@@ -304,7 +304,7 @@ def _columns(bodies: LinkedBodies, support: tuple[tuple[int, ...], ...]) -> Stra
 
 
 @lru_cache(maxsize=64)
-def _program(bodies: LinkedBodies, support: tuple[tuple[int, ...], ...]) -> Program:
+def _program(bodies: LinkedBodies, support: tuple[tuple[int, ...], ...]) -> CompiledProgram:
     """The same for NumPy's arrays."""
     code = _columns(bodies, support)
-    return Program.of(code.motion, code.outputs)
+    return CompiledProgram(code.motion, tuple(code.outputs))

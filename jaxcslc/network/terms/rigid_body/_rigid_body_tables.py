@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ...._environment import array_namespace
 from ....derivation import Algebra, Coefficient, PositionRing, Table
 from ..._compilation import in_stage
-from ...straight_line import ClosedForm, Motion, Program, Value
+from ...straight_line import ClosedForm, CompiledProgram, Motion, Value
 from .._input_term import by_joint
 from .._term import (
     AbstractManipulatorTerm,
@@ -93,7 +93,7 @@ class RigidBodyTables(AbstractManipulatorTerm):
         for (joint, index), value in ClosedForm(motion, self.ring, **tables).entries().items():
             yield joint, index, value
 
-    def _program(self) -> Program:
+    def _program(self) -> CompiledProgram:
         return _program(self.ring, self.mass, self.velocity, self.gravity, self.joint_count)
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
@@ -215,12 +215,13 @@ def _support(
 @lru_cache(maxsize=64)
 def _program(
     ring: PositionRing, mass: Table, velocity: Table, gravity: Table, joints: int
-) -> Program:
+) -> CompiledProgram:
     """The columns of all joints, one behind the other, for NumPy's arrays."""
     motion = Motion(joints)
     entries = ClosedForm(motion, ring, mass=mass, velocity=velocity, gravity=gravity).entries()
     supports = enumerate(_support(mass, velocity, gravity, joints))
-    return Program.of(motion, [entries[joint, p] for joint, support in supports for p in support])
+    outputs = tuple(entries[joint, p] for joint, support in supports for p in support)
+    return CompiledProgram(motion, outputs)
 
 
 Inputs = Callable[[tuple[int, ...]], Samples]
