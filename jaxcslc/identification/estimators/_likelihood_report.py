@@ -65,6 +65,10 @@ def likelihood_report(
     if excitation is not None and network.names != report.network.names:
         # Regression leaves static friction out where slopes cannot be fitted to smooth motion.
         excitation = degree_of_excitation(network, joined)
+    systematic = None if report.systematic is None else likelihood.systematic
+    if systematic is not None:
+        fixed = np.flatnonzero(np.asarray(fit.standard_error) == 0.0)
+        systematic = systematic.without(fixed.tolist())
     return dataclasses.replace(
         report,
         excitation=excitation,
@@ -73,7 +77,7 @@ def likelihood_report(
         errors=MappingProxyType(errors),
         held_out=held_out,
         slopes=_slopes(likelihood),
-        systematic=None,
+        systematic=systematic,
         warnings=tuple(warnings),
         bodies=None if bodies is None else bodies.parameters,
         possible=bodies,

@@ -246,7 +246,7 @@ class _Judged:
             start, end = float(recording.time[0]), float(recording.time[-1])
             split = end - _HELD_OUT * (end - start)
             early.append(recording.between(0.0, split - start))
-            samples = np.arange(0, recording.samples, self._estimator.every)
+            samples = np.arange(0, recording.samples, likelihood.every)
             rows.append(samples < early[-1].samples)
             late.append(recording.between(split - start, end - start))
             patterns = on_time.patterns(calibrated(recording, likelihood))
@@ -291,6 +291,7 @@ class _Judged:
     def _relative(self, unfitted: _Unfitted, predicted: np.ndarray) -> RelativeError:
         """Misfits of maximum likelihood over those of least squares."""
         likelihood = unfitted.likelihood
+        estimator = self._estimator.as_of(likelihood)
         levels = (
             np.sqrt(np.mean(likelihood.torque_deviation**2, axis=0)),
             np.sqrt(np.mean(likelihood.position_noise**2, axis=0)),
@@ -299,7 +300,7 @@ class _Judged:
             likelihood.network, self.least_squares.network, unfitted.least_squares
         )
         ours, theirs = (
-            self._estimator.misfit(network, unfitted.recordings, k, *levels, likelihood)
+            estimator.misfit(network, unfitted.recordings, k, *levels, likelihood)
             for network, k in ((likelihood.network, predicted), other)
         )
         stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)

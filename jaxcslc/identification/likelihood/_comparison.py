@@ -75,6 +75,7 @@ class EstimatorComparison:
                 likelihood.torque_gain.tolist(),
                 likelihood.torque_gain_error.tolist(),
             ),
+            "selection": None if likelihood.selection is None else likelihood.selection.document(),
             "steps": self.likelihood.steps,
             "converged": self.likelihood.converged,
         }
@@ -92,6 +93,8 @@ class EstimatorComparison:
             f" {self.used}"
         )
         lines += [f"    {line}" for line in calibration_lines(self.document())]
+        if self.likelihood.selection is not None:
+            lines += [f"    {line}" for line in self.likelihood.selection.lines]
         return "\n".join(lines)
 
 

@@ -7,11 +7,19 @@ from jaxtyping import Array, Bool, Float
 
 from ..._environment import as_jax
 from ...network import CSLC
+from .._systematic import SystematicError
 from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
 from ._band import Spectrum
-from .errors import CorrelatedErrors, eliminated_rows, independent_covariance, reported_errors
+from .errors import (
+    CorrelatedErrors,
+    eliminated_rows,
+    independent_covariance,
+    reported_errors,
+    systematic_errors,
+)
 from .search import Minimum
+from .selection import ModelSelection
 from .torque import TorqueUnknown, Whitening
 
 
@@ -50,6 +58,12 @@ class LikelihoodFit(eqx.Module):
     - `bodies`: with `MaximumLikelihood.possible`, those whose coefficients `fit` has; its standard
       errors are those of coefficients that nothing confines, an upper bound. `free`: the fit
       without bodies. Both are None otherwise.
+    - `every`: positions were unknown at every so many samples.
+    - `systematic`: what a wrong time of torques, and terms that the network lacks, may do to `fit`
+      beyond its standard errors, by cause (`uncertainty_interval(fit, systematic)`); None with
+      `errors="independent"`.
+    - `selection`: what was tried of `MaximumLikelihood`'s `every` and `noise_order`, where one of
+      them was `"auto"`; None otherwise.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
@@ -83,6 +97,9 @@ class LikelihoodFit(eqx.Module):
     converged: bool = eqx.field(static=True)
     bodies: PhysicalParameters | None = None
     free: Identification | None = None
+    systematic: SystematicError | None = None
+    every: int = eqx.field(static=True, default=1)
+    selection: ModelSelection | None = eqx.field(static=True, default=None)
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -147,8 +164,12 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     rows, scores = eliminated_rows(minimum.linear, minimum.factored)
     bound = independent_covariance(minimum.linear, rows, inverse)
     reported = CorrelatedErrors(bound, max(float(counts.sum()) - p, 1.0), counts)
+    systematic = None
     if errors == "correlated":
         reported = reported_errors(minimum.linear, rows, scores, inverse, bound, used)
+        systematic = systematic_errors(
+            minimum.linear, minimum.factored, point, used, reported.effective
+        )
     independent, covariance = (
         matrix * border[:, None] * border[None, :] for matrix in (bound, reported.covariance)
     )
@@ -206,4 +227,5 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,
+        systematic=systematic,
     )

@@ -1,6 +1,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,13 +14,14 @@ from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._objective import Point
 from ._problem import Problem
+from ._spacing import EXCESS, excess_noise, spacing_trials
 from ._start import starting_point
 from .knowledge import check_prior, possible_bodies
-from .search import search
+from .search import Minimum, search
+from .selection import ModelSelection, NoiseOrders, SpacingTrial, best_spacing
 from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
 
 
-_FEWEST_SAMPLES = 10
 # A misfit is known well enough when the sum of squares falls by no more than this part in a step.
 _MISFIT_TOLERANCE = 1e-3
 
@@ -65,9 +66,12 @@ class MaximumLikelihood:
       residuals are, as a model that lacks something leaves them.
     - `every`: equations of motion hold over two times so many samples, and positions are unknown at
       every so many; torque between them counts, readings do not. Two or more for arms whose
-      transmission vibrates: a rigid model is right below those frequencies only.
+      transmission vibrates: a rigid model is right below those frequencies only. `"auto"`: 1, and
+      more where positions have more noise than readings explain and motion that was left out is
+      predicted better by more than chance.
     - `noise_order`: 0 for torque noise that is white; 1 or 2 for an autoregression of that order,
-      joint by joint, whose coefficients are estimated.
+      joint by joint, whose coefficients are estimated. `"auto"`: the order that torque residuals of
+      a fit with white noise support (Bayes's information criterion).
     - `unknowns`: of recorded torques, to be estimated too. `"torque_lag"`: how much later than
       positions they were measured, the same for all joints; negative for demands that act later
       than they are recorded. `"torque_gains"`: torque of each joint over what was recorded.
@@ -96,8 +100,8 @@ class MaximumLikelihood:
     settings: Settings | None = None
     resolution: tuple[float, ...] | None = None
     errors: Errors = "correlated"
-    every: int = 1
-    noise_order: int = 0
+    every: int | Literal["auto"] = "auto"
+    noise_order: int | Literal["auto"] = "auto"
     unknowns: tuple[TorqueUnknown, ...] = ()
     prior: Prior | None = None
     possible: bool = False
@@ -109,10 +113,12 @@ class MaximumLikelihood:
             )
         if self.errors not in ERRORS:
             raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
-        if self.every < 1:
-            raise ValueError(f"every: expected 1 or more, got {self.every}")
-        if not 0 <= self.noise_order <= MOST_ORDER:
-            raise ValueError(f"noise_order: expected 0 to {MOST_ORDER}, got {self.noise_order}")
+        if self.every != "auto" and self.every < 1:
+            raise ValueError(f"every: expected 1 or more or 'auto', got {self.every}")
+        if self.noise_order != "auto" and not 0 <= self.noise_order <= MOST_ORDER:
+            raise ValueError(
+                f"noise_order: expected 0 to {MOST_ORDER} or 'auto', got {self.noise_order}"
+            )
         for name in self.unknowns:
             if name not in get_args(TorqueUnknown):
                 expected = " or ".join(get_args(TorqueUnknown))
@@ -149,37 +155,118 @@ class MaximumLikelihood:
         """
         require_float64()
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
-        near = start if isinstance(start, LikelihoodFit) else None
-        coefficients = start.fit if isinstance(start, LikelihoodFit) else start
-        problem, point, torque_noise, position_noise = self._start(
-            network, recordings, coefficients
-        )
         report = progress or (lambda words: None)
-        if near is None:
+        if isinstance(start, LikelihoodFit):
+            return self.as_of(start)._near(network, recordings, start, report)
+        every = 1 if self.every == "auto" else self.every
+        problem, levels, minimum = self._minimum(network, recordings, start, every, report)
+        white = self.noise_order == "auto"
+        orders = NoiseOrders.of(problem, minimum) if white else None
+        excess, trials = None, ()
+        if self.every == "auto":
+            excess = excess_noise(problem, minimum)
+            # Vibration is taken for noise of positions, or of torque with a spectrum of its own.
+            if excess.max() > EXCESS or (orders is not None and orders.order):
+                trials = self._trials(network, recordings, minimum, report)
+            every = best_spacing(trials)
+            if every > 1:
+                problem, levels, minimum = self._minimum(network, recordings, start, every, report)
+                orders = NoiseOrders.of(problem, minimum) if white else None
+        if orders is not None and orders.order:
             minimum = search(
                 problem,
-                point,
-                torque_noise,
-                position_noise,
+                minimum.point,
+                minimum.torque_noise,
+                minimum.position_noise,
                 report,
-                noise_coefficients=np.zeros((self.noise_order, network.joint_count)),
+                noise_coefficients=np.zeros((orders.order, network.joint_count)),
             )
-        else:
-            minimum = search(
-                problem,
-                _near(point, near),
-                near.torque_noise,
-                near.position_noise,
-                report,
-                fixed_levels=True,
-                edge=near.edge,
-                noise_coefficients=near.noise_coefficients,
-            )
-        fit = likelihood_fit(network, minimum, self.errors)
+        fit = self._fit(network, minimum, every)
+        if self.every == "auto" or self.noise_order == "auto":
+            order = len(fit.noise_coefficients)
+            of_joints = None if excess is None else tuple(excess.tolist())
+            selection = ModelSelection(every, order, of_joints, trials, orders)
+            fit = dataclasses.replace(fit, selection=selection)
+        return self._with_bodies(network, problem, minimum, fit, levels, report)
+
+    def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
+        """The same with the spacing and the order of torque noise of a fit."""
+        return dataclasses.replace(self, every=fit.every, noise_order=len(fit.noise_coefficients))
+
+    def _minimum(
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        start: Identification | None,
+        every: int,
+        report: Callable[[str], None],
+    ) -> tuple[Problem, tuple[np.ndarray, np.ndarray], Minimum]:
+        """The problem, the noise of torque and positions that its search starts with, and its
+        minimum; for torque noise that is white unless its order is set."""
+        problem, point, *levels = self._start(network, recordings, start, every)
+        torque_noise, position_noise = levels
+        order = 0 if self.noise_order == "auto" else self.noise_order
+        coefficients = np.zeros((order, network.joint_count))
+        minimum = search(
+            problem, point, torque_noise, position_noise, report, noise_coefficients=coefficients
+        )
+        return problem, (torque_noise, position_noise), minimum
+
+    def _trials(
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        minimum: Minimum,
+        report: Callable[[str], None],
+    ) -> tuple[SpacingTrial, ...]:
+        """Spacings beside that of a minimum with positions at every sample."""
+        white = dataclasses.replace(self, noise_order=0, errors="independent", possible=False)
+        return spacing_trials(
+            lambda every: dataclasses.replace(white, every=every),
+            network,
+            recordings,
+            white._fit(network, minimum, 1),
+            report,
+        )
+
+    def _near(
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        near: LikelihoodFit,
+        report: Callable[[str], None],
+    ) -> LikelihoodFit:
+        """The minimum near a fit, with its noise levels."""
+        problem, point, _, _ = self._start(network, recordings, near.fit, near.every)
+        minimum = search(
+            problem,
+            _near(point, near),
+            near.torque_noise,
+            near.position_noise,
+            report,
+            fixed_levels=True,
+            edge=near.edge,
+            noise_coefficients=near.noise_coefficients,
+        )
+        fit = dataclasses.replace(self._fit(network, minimum, near.every), selection=near.selection)
+        return self._with_bodies(network, problem, minimum, fit, None, report)
+
+    def _fit(self, network: CSLC, minimum: Minimum, every: int) -> LikelihoodFit:
+        return dataclasses.replace(likelihood_fit(network, minimum, self.errors), every=every)
+
+    def _with_bodies(
+        self,
+        network: CSLC,
+        problem: Problem,
+        minimum: Minimum,
+        fit: LikelihoodFit,
+        levels: tuple[np.ndarray, np.ndarray] | None,
+        report: Callable[[str], None],
+    ) -> LikelihoodFit:
+        """With possible bodies if they are asked for; `levels` as of `possible_bodies`."""
         if not self.possible:
             return fit
-        levels = (torque_noise, position_noise) if near is None else None
-        return possible_bodies(
+        with_bodies = possible_bodies(
             network,
             problem,
             minimum,
@@ -189,6 +276,7 @@ class MaximumLikelihood:
             errors=self.errors,
             progress=report,
         )
+        return dataclasses.replace(with_bodies, every=fit.every, selection=fit.selection)
 
     def misfit(
         self,
@@ -220,7 +308,8 @@ class MaximumLikelihood:
         """
         require_float64()
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
-        problem, point, residual, noise = self._start(network, recordings, None)
+        every = 1 if self.every == "auto" else self.every
+        problem, point, residual, noise = self._start(network, recordings, None, every)
         shared = len(point.border) - point.offset.size
         scale = np.where(np.arange(len(problem.scale)) < shared, 0.0, problem.scale)
         slopes = network.static_slopes
@@ -246,10 +335,13 @@ class MaximumLikelihood:
         return Misfit(error, left.torque, minimum.counted)
 
     def _start(
-        self, network: CSLC, recordings: Sequence[Recording], start: Identification | None
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        start: Identification | None,
+        every: int,
     ) -> tuple[Problem, Point, np.ndarray, np.ndarray]:
         """As `starting_point` returns them."""
-        _check(network, recordings, self.every)
         return starting_point(
             network,
             recordings,
@@ -259,7 +351,7 @@ class MaximumLikelihood:
             start,
             self.unknowns,
             self.prior,
-            self.every,
+            every,
         )
 
 
@@ -285,28 +377,3 @@ def _values(point: Point, fit: LikelihoodFit | None) -> Float[np.ndarray, " unkn
     if fit is None or not len(point.calibration):
         return point.calibration
     return np.append(fit.torque_lag, fit.torque_gain)
-
-
-def _check(network: CSLC, recordings: Sequence[Recording], every: int) -> None:
-    """**Raises** `ValueError` as `MaximumLikelihood.fit`."""
-    n = network.joint_count
-    if network.payload is not None:
-        raise ValueError(f"{network.name!r} has a payload; expected a network without one")
-    if network.load_terms:
-        raise ValueError(
-            f"{network.name!r} has friction of kind 'load'; expected a network without"
-        )
-    if not recordings:
-        raise ValueError("got no recording; expected one or more")
-    for number, recording in enumerate(recordings, start=1):
-        which = "the recording" if len(recordings) == 1 else f"recording {number}"
-        if recording.position.shape[1] != n:
-            raise ValueError(
-                f"{which} has {recording.position.shape[1]} joints; expected {n}, those of"
-                f" {network.name!r}"
-            )
-        if recording.samples < _FEWEST_SAMPLES * every:
-            raise ValueError(
-                f"{which} has {recording.samples} samples; expected at least"
-                f" {_FEWEST_SAMPLES * every}"
-            )

@@ -18,6 +18,7 @@ from .knowledge._prior_values import prior_values
 from .torque import TorqueCalibration, TorqueSampling, TorqueUnknown
 
 
+_FEWEST_SAMPLES = 10
 # The share of its dry friction that static friction starts with; the speed at which it has gone to
 # 1/e as a part of the joint's greatest speed, at first, at most and at least.
 _STATIC_SHARE, _DECAY, _LEAST_DECAY, _MOST_DECAY = 0.1, 1 / 30, 1 / 1.5, 1 / 300
@@ -55,6 +56,7 @@ def starting_point(
 
     **Raises** as `MaximumLikelihood.fit`.
     """
+    _check(network, recordings, every)
     n, p = network.joint_count, network.size
     static = _Static(network)
     settings = settings.with_options(
@@ -206,3 +208,28 @@ def _scale(
         regressor = np.asarray(regressor_of(network, values)) * weights[None, :, None]
         square += np.sum(regressor**2, axis=(0, 1))
     return 1.0 / np.sqrt(np.where(square > 0.0, square, 1.0))
+
+
+def _check(network: CSLC, recordings: Sequence[Recording], every: int) -> None:
+    """**Raises** `ValueError` as `MaximumLikelihood.fit`."""
+    n = network.joint_count
+    if network.payload is not None:
+        raise ValueError(f"{network.name!r} has a payload; expected a network without one")
+    if network.load_terms:
+        raise ValueError(
+            f"{network.name!r} has friction of kind 'load'; expected a network without"
+        )
+    if not recordings:
+        raise ValueError("got no recording; expected one or more")
+    for number, recording in enumerate(recordings, start=1):
+        which = "the recording" if len(recordings) == 1 else f"recording {number}"
+        if recording.position.shape[1] != n:
+            raise ValueError(
+                f"{which} has {recording.position.shape[1]} joints; expected {n}, those of"
+                f" {network.name!r}"
+            )
+        if recording.samples < _FEWEST_SAMPLES * every:
+            raise ValueError(
+                f"{which} has {recording.samples} samples; expected at least"
+                f" {_FEWEST_SAMPLES * every}"
+            )

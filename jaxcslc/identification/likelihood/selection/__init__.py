@@ -1,0 +1,6 @@
+from ._noise_order import NoiseOrders as NoiseOrders
+from ._selection import (
+    ModelSelection as ModelSelection,
+    SpacingTrial as SpacingTrial,
+    best_spacing as best_spacing,
+)

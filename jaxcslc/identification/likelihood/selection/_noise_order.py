@@ -10,6 +10,8 @@ from ..search import Minimum
 from ..torque import MOST_ORDER, TorqueRecord
 
 
+# The difference of criteria that is evidence enough.
+_STRONG = 10.0
 # Frequencies of one band: the share of noise that residuals keep is that of a draw in its band.
 _BAND = 24
 # Residuals count as no larger than this, in robust standard deviations.
@@ -22,23 +24,24 @@ _FAR, _STEEP = 12.0, 2.5
 class NoiseOrders:
     """Orders of the autoregression of torque noise, compared after a fit for which it is white.
 
-    Residuals at a minimum are noise less what positions take up of it. A draw of white noise, fitted
-    alike, says which share g of the noise residuals keep at each frequency. For noise of spectrum S,
-    where it was S₀ in the fit, and noise of positions whose power is c times that of the fit,
-    periodograms of residuals have the mean
+    Residuals at a minimum are noise less what positions take up of it. A draw of white noise,
+    fitted alike, says which share g of the noise residuals keep at each frequency. For noise of
+    spectrum S, where it was S₀ in the fit, and noise of positions whose power is c times that of
+    the fit, periodograms of residuals have the mean
 
         g² S + c g (1 - g) S₀
 
     Whittle's likelihood (1953) of that is maximised over c and over level and coefficients of
-    autoregressions of orders 0, 1, 2, joint by joint, and a coefficient costs the logarithm of the number of
-    equations (Bayes's information criterion, Schwarz 1978). Equations average recorded torques:
-    for each order, noise counts as it is or as such averages, whichever is more likely, so that
-    white noise of torques that are held is white.
+    autoregressions of orders 0, 1, 2, joint by joint, and a coefficient costs the logarithm of the
+    number of equations (Bayes's information criterion, Schwarz 1978). Equations average recorded
+    torques: for each order, noise counts as it is or as such averages, whichever is more likely,
+    so that white noise of torques that are held is white.
+
+    Beside counts that are intervals, torque is nearly exact, and its noise is white.
 
     **Attributes**
 
-    - `criterion`: (orders, n) of each joint, for orders from 0 on, over that of order 0; a
-      difference of ten is strong.
+    - `criterion`: (orders, n) of each joint, for orders from 0 on, over that of order 0.
 
     >>> import numpy as np
     >>> orders = NoiseOrders(np.array([[0.0, 0.0], [7.0, -31.0], [14.0, -25.0]]))
@@ -52,6 +55,9 @@ class NoiseOrders:
     def of(cls, problem: Problem, minimum: Minimum) -> "NoiseOrders":
         """Of a minimum with white torque noise."""
         part = problem.readings.part
+        if minimum.objective.intervals is not None:
+            orders = np.arange(MOST_ORDER + 1.0)
+            return cls(orders[:, None] * np.log(np.maximum(minimum.counted.sum(axis=0), 1)))
         draws = NoiseDraws.of(
             minimum.linear, minimum.factored, part, minimum.torque_noise, minimum.position_noise
         )
@@ -75,8 +81,11 @@ class NoiseOrders:
 
     @property
     def by_joint(self) -> tuple[int, ...]:
-        """The order of each joint with the least criterion."""
-        return tuple(int(order) for order in np.argmin(self.criterion, axis=0))
+        """The order of each joint with the least criterion, if the evidence against white noise is
+        very strong: a difference of 10 (Kass and Raftery 1995)."""
+        strong = self.criterion.min(axis=0) < -_STRONG
+        orders = np.where(strong, np.argmin(self.criterion, axis=0), 0)
+        return tuple(int(order) for order in orders)
 
     @property
     def order(self) -> int:

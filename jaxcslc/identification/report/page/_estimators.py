@@ -41,6 +41,9 @@ def estimators_section(data: Mapping[str, Any]) -> Section:
         Paragraph(text),
         Table(tuple(columns), rows, "Torque errors by estimator", "estimators"),
     ]
+    if selection := estimators.get("selection"):
+        tried = "; ".join(selection["lines"])
+        blocks.append(Paragraph(f"What maximum likelihood tried of its own model: {tried}."))
     return Section(
         "Estimators",
         "Least squares regresses torque on smoothed motion. Maximum likelihood estimates the true"

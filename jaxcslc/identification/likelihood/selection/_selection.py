@@ -1,0 +1,113 @@
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..._held_out import RelativeError
+from ._noise_order import NoiseOrders
+
+
+@dataclasses.dataclass(frozen=True)
+class SpacingTrial:
+    """A spacing of positions, judged on motion that was not fitted.
+
+    **Attributes**
+
+    - `every`: positions are unknown at every so many samples.
+    - `relative`: misfit of coefficients from a fit with this spacing over that from a fit with
+      positions at every sample, both at the largest spacing that was tried.
+    """
+
+    every: int
+    relative: RelativeError
+
+
+def best_spacing(trials: Sequence[SpacingTrial]) -> int:
+    """The spacing with the least misfit, of those that are better than 1 by more than chance.
+
+    >>> two = SpacingTrial(2, RelativeError(-0.2, 0.03, 8))
+    >>> trials = [two, SpacingTrial(3, RelativeError(-0.3, 0.5, 8))]
+    >>> best_spacing(trials), best_spacing(trials[1:]), best_spacing([])
+    (2, 1, 1)
+    """
+    chance = 0.05 / max(len(trials), 1)
+    better = [trial for trial in trials if trial.relative.beyond_chance(chance)]
+    return min(better, key=lambda trial: trial.relative.change).every if better else 1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ModelSelection:
+    """What maximum likelihood selected of its own model, and what else it tried.
+
+    **Attributes**
+
+    - `every`: positions are unknown at every so many samples; `noise_order`: of torque noise.
+    - `excess`: by joint, noise of positions over what readings explain, with `every` 1; None if
+      `every` was set.
+    - `trials`: of spacings above 1; none where readings explain the noise of positions.
+    - `orders`: of torque noise, compared; None if `noise_order` was set.
+
+    >>> import numpy as np
+    >>> from jaxcslc.identification.likelihood.selection import ModelSelection, NoiseOrders
+    >>> orders = NoiseOrders(np.array([[0.0, 0.0], [7.0, -31.0], [14.0, -25.0]]))
+    >>> for line in ModelSelection(1, 1, (1.0, 1.02), (), orders).lines:
+    ...     print(line)
+    every 1, used: noise of positions is 1, 1.02 times what readings explain
+    noise order 1, used: criterion (Bayes) over that of white noise 7, -31
+    noise order 2: criterion (Bayes) over that of white noise 14, -25
+    """
+
+    every: int
+    noise_order: int
+    excess: tuple[float, ...] | None
+    trials: tuple[SpacingTrial, ...]
+    orders: NoiseOrders | None
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What was tried and what each was worth, a line each, joint by joint."""
+        lines: list[str] = []
+        if self.excess is not None:
+            values = ", ".join(f"{value:.3g}" for value in self.excess)
+            lines.append(
+                f"every 1{_used(self.every == 1)}: noise of positions is {values} times what"
+                " readings explain"
+            )
+        lines += [
+            f"every {trial.every}{_used(self.every == trial.every)}: misfit of motion left out"
+            f" {trial.relative} beside every 1"
+            for trial in self.trials
+        ]
+        if self.orders is not None:
+            for order, criterion in enumerate(self.orders.criterion[1:], start=1):
+                values = ", ".join(f"{value:.4g}" for value in criterion)
+                lines.append(
+                    f"noise order {order}{_used(self.noise_order == order)}: criterion (Bayes) over"
+                    f" that of white noise {values}"
+                )
+        return tuple(lines)
+
+    def document(self) -> dict[str, Any]:
+        """It as plain data."""
+        return {
+            "every": self.every,
+            "noise_order": self.noise_order,
+            "excess_position_noise": None if self.excess is None else list(self.excess),
+            "spacings": [
+                {
+                    "every": trial.every,
+                    "change": trial.relative.change,
+                    "change_error": trial.relative.change_error,
+                }
+                for trial in self.trials
+            ],
+            "noise_criterion": None
+            if self.orders is None
+            else np.asarray(self.orders.criterion).tolist(),
+            "lines": list(self.lines),
+        }
+
+
+def _used(used: bool) -> str:
+    return ", used" if used else ""

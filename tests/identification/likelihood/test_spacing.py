@@ -1,0 +1,59 @@
+"""The spacing of positions that maximum likelihood selects for an arm that vibrates."""
+
+import numpy as np
+import pytest
+import scipy
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+
+
+STEP, SAMPLES, COUNT = 2e-3, 1200, 2e-5
+INERTIA, VISCOUS, FREQUENCY, DAMPING = 0.2, 0.3, 40.0, 0.03  # of rotor and of link; Hz
+
+
+def compliant_joint(seed: int) -> jc.Recording:
+    """A rotor and a link with a spring between them, in closed form; counts of the rotor."""
+    rng = np.random.default_rng(seed)
+    stiffness = (2 * np.pi * FREQUENCY) ** 2 * INERTIA / 2
+    damping = 2 * DAMPING * np.sqrt(stiffness * INERTIA / 2)
+    matrix = np.zeros((5, 5))
+    matrix[:2, 2:4] = np.eye(2)
+    spring = np.array([[-1.0, 1.0], [1.0, -1.0]]) / INERTIA
+    matrix[2:4, :2], matrix[2:4, 2:4] = stiffness * spring, damping * spring
+    matrix[2, 2] -= VISCOUS / INERTIA
+    matrix[2, 4] = 1.0 / INERTIA
+    advance = scipy.linalg.expm(STEP * matrix)
+    time = STEP * np.arange(SAMPLES)
+    torque = 2.0 * np.sin(3.1 * time) + 0.5 * rng.normal(size=SAMPLES)
+    state, positions = np.zeros(5), np.zeros(SAMPLES)
+    for sample, value in enumerate(torque):
+        positions[sample] = state[0]
+        state[4] = value
+        state = advance @ state
+    position = COUNT * np.round(positions / COUNT + rng.uniform(-0.5, 0.5))
+    return jc.Recording(time, position[:, None], torque[:, None])
+
+
+@pytest.fixture(scope="module")
+def disc() -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    return jc.derive(robot.with_friction("viscous"), lengths="numeric")
+
+
+def test_vibration_needs_positions_further_apart(disc: jc.CSLC) -> None:
+    recording = compliant_joint(10)
+    result = jc.MaximumLikelihood().fit(disc, recording)
+    assert result.every > 1
+    assert_allclose(result.k, [2 * INERTIA, VISCOUS], rtol=2e-3)
+    # At every sample, vibration passes for torque noise, and rotor and link for something lighter.
+    plain = jc.MaximumLikelihood(every=1).fit(disc, recording)
+    assert float(plain.k[0]) < INERTIA
+    selection = result.selection
+    assert selection is not None and selection.every == result.every
+    assert [trial.every for trial in selection.trials] == [2, 3, 6]
+    assert sum(", used" in line for line in selection.lines if line.startswith("every")) == 1
+    assert selection.document()["every"] == result.every
+    near = jc.MaximumLikelihood().fit(disc, recording, start=result)
+    assert near.every == result.every and near.selection is selection
+    assert near.steps < 5
