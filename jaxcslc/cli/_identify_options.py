@@ -24,12 +24,15 @@ LikelihoodEveryOption = Annotated[
     int | None,
     typer.Option(
         help="Maximum likelihood: equations of motion over two times so many samples, for arms"
-        " whose transmission vibrates.",
+        " whose transmission vibrates. Selected on motion that is left out if omitted.",
     ),
 ]
 NoiseOrderOption = Annotated[
     int | None,
-    typer.Option(help="Maximum likelihood: order of the autoregression of torque noise, 0 to 2."),
+    typer.Option(
+        help="Maximum likelihood: order of the autoregression of torque noise, 0 to 2. Selected by"
+        " Bayes's information criterion if omitted."
+    ),
 ]
 LikelihoodUnknownsOption = Annotated[
     str | None,

@@ -81,7 +81,8 @@ def spacing_trials(
     - `plain`: a fit to everything with positions at every sample.
     - `progress`: is called with a few words at each step.
 
-    **Returns** a trial for each spacing above 1; none where a recording is too short to be divided.
+    **Returns** a trial for each spacing above 1; none where a recording is too short to be divided,
+    or one of its parts has too little motion.
     """
     if min(recording.samples for recording in recordings) < _FEWEST_SAMPLES:
         return ()
@@ -98,23 +99,27 @@ def spacing_trials(
     for every in (1, *_SPACINGS):
         words = f"maximum likelihood: trying every {every}"
         start = near if every == 1 else None
-        # Where rounding ends a search, there is no fit to be judged.
+        # Where too little motion is left, or rounding ends a search, there is no fit to be judged.
         try:
             fits[every] = estimator(every).fit(
                 network, early, start, lambda _, words=words: progress(words)
             )
-        except RuntimeError:
+        except (ValueError, RuntimeError):
             continue
+    if 1 not in fits:
+        return ()
     largest = max(fits)
     levels = (
         np.sqrt(np.mean(fits[largest].torque_noise ** 2, axis=0)),
         np.sqrt(np.mean(fits[largest].position_noise ** 2, axis=0)),
     )
-    misfits = {
-        every: estimator(largest).misfit(fit.network, late, fit.k, *levels, fit)
-        for every, fit in fits.items()
-    }
-    if 1 not in misfits:
+    judge = estimator(largest)
+    try:
+        misfits = {
+            every: judge.misfit(fit.network, late, fit.k, *levels, fit)
+            for every, fit in fits.items()
+        }
+    except (ValueError, RuntimeError):
         return ()
     counted = np.all([misfit.mask for misfit in misfits.values()], axis=0)
     stretches = np.array_split(np.arange(len(counted)), _STRETCHES)

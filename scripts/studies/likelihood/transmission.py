@@ -7,23 +7,27 @@ moves.
 
 - **regression**: settings chosen within the training recording, as `jaxcslc identify` does.
 - **maximum likelihood**: with static friction in the model, `jaxcslc.MaximumLikelihood`, equations
-  of motion over so many samples (`every`) with torque noise of so high an order.
-- **all terms**: the same with complete tensors of inertia, for axes that are tilted, and friction
-  that differs between directions: viscous friction of each direction, and an offset. Offsets are
+  of motion over so many samples (`every`) with torque noise of so high an order; or both as it
+  selects them.
+- **all terms**, of both: complete tensors of inertia, for axes that are tilted, and friction that
+  differs between directions: viscous friction of each direction, and an offset. Offsets are
   known beforehand to be no larger than a tenth of the regression's dry friction (a standard
   deviation): motion in a small range, as joint 2's, does not tell an offset from gravity.
+- **friction selected**, of both: what `jaxcslc identify --friction auto` selects of the training
+  recording, beginning with viscous and dry friction.
 - **true**: the machine's coefficients, in the model of the regression.
 
-Beside ε, how many 95 % intervals cover the true coefficient, of 43 and of 52: regression's with
-systematic errors. Of viscous friction by direction the mean counts.
+Beside ε, how many 95 % intervals cover the true coefficient, of 43 and of 52, with systematic
+errors. Of viscous friction by direction the mean counts.
 
 Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
 """
 
 import argparse
+import functools
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +38,13 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import Known, Prior, systematic_error, uncertainty_interval
+from jaxcslc.identification import (
+    Known,
+    Prior,
+    SystematicError,
+    systematic_error,
+    uncertainty_interval,
+)
 from jaxcslc.identification.report import text_table, write_csv
 from scripts.studies import command
 from scripts.studies.puma560.machines import MOVING, machines
@@ -45,8 +55,7 @@ from scripts.studies.truth import true_coefficients
 jax.config.update("jax_enable_x64", True)
 
 # Samples that equations are over, and the order of torque noise.
-VARIANTS = ((3, 0), (3, 1))
-_EVERY, _ORDER = VARIANTS[-1]
+_EVERY, _ORDER = 3, 1
 # Standard deviation of an offset beforehand, as a part of the joint's dry friction.
 _OFFSET = 0.1
 LAST = f"likelihood, every {_EVERY}, order {_ORDER}, all terms"
@@ -93,12 +102,18 @@ def rows_of(machine: sim.Machine, samples: int, seed: int) -> Iterator[dict[str,
     fit = settings.fit(plain, settings.patterns(trained))
     interval = uncertainty_interval(fit, systematic_error(plain, trained, settings, fit))
     yield row("regression", plain, fit.k, interval, started)
-    for every, order in VARIANTS:
+    for name, estimator in (
+        (
+            f"likelihood, every {_EVERY}, order {_ORDER}",
+            jc.MaximumLikelihood(every=_EVERY, noise_order=_ORDER),
+        ),
+        ("likelihood, every and order selected", jc.MaximumLikelihood()),
+    ):
         started = time.perf_counter()
-        result = jc.MaximumLikelihood(every=every, noise_order=order).fit(network, trained)
-        name = f"likelihood, every {every}, order {order}"
-        low_high = means_of_directions(plain, result)
+        result = estimator.fit(network, trained)
+        low_high = means_of_directions(plain, result.fit, result.systematic)
         yield row(name, result.network, result.k, low_high, started, result.converged)
+    yield from _friction_selected(row, plain, trained)
     started = time.perf_counter()
     tilted = jc.puma560().with_inertia("full")
     reference = jc.derive(tilted, lengths="numeric")
@@ -106,23 +121,58 @@ def rows_of(machine: sim.Machine, samples: int, seed: int) -> Iterator[dict[str,
         tilted.with_friction("asymmetric_viscous", "dry", "static", "offset"), lengths="numeric"
     )
     dry = np.abs(np.asarray(fit.k)[plain.layout.indices("dry")])
-    offsets = {f"ko{i}": Known(0.0, _OFFSET * float(value)) for i, value in enumerate(dry, start=1)}
-    result = jc.MaximumLikelihood(every=_EVERY, noise_order=_ORDER, prior=Prior(offsets)).fit(
+    prior = Prior(
+        {f"ko{i}": Known(0.0, _OFFSET * float(value)) for i, value in enumerate(dry, start=1)}
+    )
+    expected = np.asarray(true_coefficients(reference, machine))
+    report = jc.identify(complete, trained, possible="never", checks=False, prior=prior)
+    low_high = means_of_directions(reference, report.fit, report.systematic)
+    name = "regression, all terms"
+    yield row(name, report.network, report.k, low_high, started, expected=expected)
+    started = time.perf_counter()
+    result = jc.MaximumLikelihood(every=_EVERY, noise_order=_ORDER, prior=prior).fit(
         complete, trained
     )
-    low_high = means_of_directions(reference, result)
-    expected = np.asarray(true_coefficients(reference, machine))
+    low_high = means_of_directions(reference, result.fit, result.systematic)
     yield row(LAST, result.network, result.k, low_high, started, result.converged, expected)
 
 
+def _friction_selected(
+    row: Callable[..., dict[str, Any]], plain: jc.CSLC, trained: jc.Recording
+) -> Iterator[dict[str, Any]]:
+    """Both estimators with the friction that the training recording selects.
+
+    - `row`: makes one, from estimator, network, coefficients, intervals and when it was started.
+    """
+    started = time.perf_counter()
+    identify = functools.partial(jc.identify, possible="never", checks=False)
+    report = identify(plain, trained, friction="auto", estimator="maximum-likelihood")
+    assert report.friction is not None and report.estimators is not None
+    low_high = means_of_directions(plain, report.fit, report.systematic)
+    converged = report.estimators.likelihood.converged
+    selected = row(
+        "likelihood, friction, every and order selected",
+        report.network,
+        report.k,
+        low_high,
+        started,
+        converged,
+    )
+    started = time.perf_counter()
+    report = identify(report.friction.network, trained)
+    low_high = means_of_directions(plain, report.fit, report.systematic)
+    yield row("regression, friction selected", report.network, report.k, low_high, started)
+    yield selected
+
+
 def means_of_directions(
-    plain: jc.CSLC, result: jc.LikelihoodFit
+    plain: jc.CSLC, fit: jc.Identification, systematic: SystematicError | None
 ) -> Float[np.ndarray, "coefficients 2"]:
     """Intervals of the coefficients of a network whose friction is the same both ways.
 
     A coefficient that has one value for each direction counts by the mean of the two.
     """
-    fit, names = result.fit, result.fit.names
+    names = fit.names
     mean = np.zeros((plain.size, len(names)))
     for i, name in enumerate(plain.names):
         for part in (name,) if name in names else (f"kvp{name[2:]}", f"kvn{name[2:]}"):
@@ -131,7 +181,10 @@ def means_of_directions(
     error = np.asarray(fit.standard_error)
     quantile = np.median(((high - low) / 2)[error > 0] / error[error > 0])
     value = mean @ np.asarray(fit.k)
-    reach = quantile * np.sqrt(np.diag(mean @ np.asarray(fit.covariance) @ mean.T))
+    variance = np.diag(mean @ np.asarray(fit.covariance) @ mean.T)
+    if systematic is not None:
+        variance = variance + (mean @ systematic.total) ** 2
+    reach = quantile * np.sqrt(variance)
     return np.stack([value - reach, value + reach], axis=1)
 
 

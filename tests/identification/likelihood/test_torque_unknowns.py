@@ -155,7 +155,7 @@ class TestBadInput:
             jc.MaximumLikelihood(prior=Prior(links={"1": {"mass": Known(1.0)}}))
 
     def test_every(self, disc: jc.CSLC) -> None:
-        with pytest.raises(ValueError, match="every: expected 1 or more, got 0"):
+        with pytest.raises(ValueError, match="every: expected 1 or more or 'auto', got 0"):
             jc.MaximumLikelihood(every=0)
         with pytest.raises(ValueError, match="has 600 samples; expected at least 1000"):
             jc.MaximumLikelihood(every=100).fit(disc, rotor(0.0))

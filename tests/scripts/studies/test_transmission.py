@@ -58,7 +58,7 @@ def test_intervals_of_means_of_two_directions() -> None:
     result = jc.MaximumLikelihood(torque_sampling="sampled").fit(
         both, jc.Recording(t[:, 0], q, torque)
     )
-    interval = transmission.means_of_directions(plain, result)
+    interval = transmission.means_of_directions(plain, result.fit, None)
     low, high = np.asarray(result.fit.confidence_interval()).T
     # The others are as they were; the mean's middle is the mean of the two middles.
     np.testing.assert_allclose(interval[:3], np.stack([low, high], axis=1)[:3])
