@@ -83,6 +83,9 @@ def export_command(
                     progress=step,
                 )
             )
+    if saved.pre_sliding is not None:
+        names = ", ".join(saved.pre_sliding.joint_names)
+        text += f"\nnote: pre-sliding of {names} is left out: dry friction is a step"
     typer.echo(with_notes(text, saved.network.robot))
 
 

@@ -63,17 +63,12 @@ def with_friction_choice(
     except (ValueError, RuntimeError) as error:  # too little motion is left in some stretch
         return _without(report, choice, str(error))
     friction = choice.with_pre_sliding(fit)
-    names = [
-        name
-        for name, length in zip(report.network.output_names, fit.lengths, strict=True)
-        if length > 0.0
-    ]
-    if not names:
+    if not fit.joint_names:
         return dataclasses.replace(report, friction=friction)
     note = (
-        f"{PRE_SLIDING} of {', '.join(names)}: a state along the motion, in report.pre_sliding and"
-        " identification.json; all else, C code and robot files included, has dry friction as a"
-        " step"
+        f"{PRE_SLIDING} of {', '.join(fit.joint_names)}: a state along the motion, in"
+        " report.pre_sliding and identification.json; all else, C code, robot files and simulated"
+        " motion included, has dry friction as a step"
     )
     return dataclasses.replace(
         report, friction=friction, pre_sliding=fit, notes=(*report.notes, note)

@@ -53,6 +53,12 @@ class PreSlidingFit(eqx.Module):
     relative: dict[int, RelativeError]
     tried_lengths: Float[np.ndarray, " joints"]
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Of joints whose friction has a length."""
+        pairs = zip(self.network.output_names, self.lengths, strict=True)
+        return tuple(name for name, length in pairs if length > 0.0)
+
     def torque(
         self,
         q: Float[Array | np.ndarray, "samples joints"],

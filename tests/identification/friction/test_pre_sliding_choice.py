@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from typer.testing import CliRunner
 
 import jaxcslc as jc
+from jaxcslc.cli._app import app
 
 
 LENGTH = 0.04
@@ -149,3 +151,13 @@ def test_it_is_not_of_a_part_of_the_coefficients(network: jc.CSLC) -> None:
             groups=["dry"],
             friction="auto",
         )
+
+
+def test_exported_code_says_that_it_is_left_out(report: jc.Report, tmp_path: Path) -> None:
+    report.save(tmp_path, pictures=False)
+    robot = tmp_path / "arm.toml"
+    robot.write_text("gravity = [0, -9.81, 0]\n[[joint]]\n[[joint]]\na = 0.5\n", "utf-8")
+    arguments = ["export", str(robot), str(tmp_path), "--c", "-o", str(tmp_path / "arm.c")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "note: pre-sliding of joint 1 is left out: dry friction is a step" in result.output
