@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ..export import CCode, c_code, export_robot, write_c
-from ..identification.report import load_report
+from ..identification.report import SavedReport, load_report
 from ._common import (
     BUNDLED,
     BaseOption,
@@ -83,10 +83,7 @@ def export_command(
                     progress=step,
                 )
             )
-    if saved.pre_sliding is not None:
-        names = ", ".join(saved.pre_sliding.joint_names)
-        text += f"\nnote: pre-sliding of {names} is left out: dry friction is a step"
-    typer.echo(with_notes(text, saved.network.robot))
+    typer.echo(with_notes(text + _left_out(saved), saved.network.robot))
 
 
 def _written_c(code: CCode, output: Path | None) -> str:
@@ -94,6 +91,14 @@ def _written_c(code: CCode, output: Path | None) -> str:
     source, header = write_c(code, output)
     counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
     return f"operations: {counts}\nwrote {source} and {header}"
+
+
+def _left_out(saved: SavedReport) -> str:
+    """A line of what neither robot files nor C code have."""
+    if saved.pre_sliding is None:
+        return ""
+    names = ", ".join(saved.pre_sliding.joint_names)
+    return f"\nnote: pre-sliding of {names} is left out: dry friction is a step"
 
 
 def _check_is_another(path: Path, file: Path) -> None:

@@ -70,6 +70,9 @@ from .likelihood import (
     LikelihoodFit as LikelihoodFit,
     MaximumLikelihood as MaximumLikelihood,
     Misfit as Misfit,
+    ModelSelection as ModelSelection,
+    NoiseOrders as NoiseOrders,
+    SpacingTrial as SpacingTrial,
     TorqueSampling as TorqueSampling,
     TorqueUnknown as TorqueUnknown,
 )

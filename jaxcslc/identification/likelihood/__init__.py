@@ -6,4 +6,9 @@ from ._comparison import (
 from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._signs import runs as runs
+from .selection import (
+    ModelSelection as ModelSelection,
+    NoiseOrders as NoiseOrders,
+    SpacingTrial as SpacingTrial,
+)
 from .torque import TorqueSampling as TorqueSampling, TorqueUnknown as TorqueUnknown

@@ -44,6 +44,7 @@ class NoiseOrders:
     - `criterion`: (orders, n) of each joint, for orders from 0 on, over that of order 0.
 
     >>> import numpy as np
+    >>> from jaxcslc.identification import NoiseOrders
     >>> orders = NoiseOrders(np.array([[0.0, 0.0], [7.0, -31.0], [14.0, -25.0]]))
     >>> orders.by_joint, orders.order
     ((0, 1), 1)

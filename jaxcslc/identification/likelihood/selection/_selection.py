@@ -17,6 +17,11 @@ class SpacingTrial:
     - `every`: positions are unknown at every so many samples.
     - `relative`: misfit of coefficients from a fit with this spacing over that from a fit with
       positions at every sample, both at the largest spacing that was tried.
+
+    >>> from jaxcslc.identification import SpacingTrial
+    >>> trial = SpacingTrial(3, RelativeError(-0.1, 0.02, 8))
+    >>> f"every {trial.every}: {trial.relative}"
+    'every 3: -9.5 % ± 2 %'
     """
 
     every: int
@@ -49,7 +54,7 @@ class ModelSelection:
     - `orders`: of torque noise, compared; None if `noise_order` was set.
 
     >>> import numpy as np
-    >>> from jaxcslc.identification.likelihood.selection import ModelSelection, NoiseOrders
+    >>> from jaxcslc.identification import ModelSelection, NoiseOrders
     >>> orders = NoiseOrders(np.array([[0.0, 0.0], [7.0, -31.0], [14.0, -25.0]]))
     >>> for line in ModelSelection(1, 1, (1.0, 1.02), (), orders).lines:
     ...     print(line)
