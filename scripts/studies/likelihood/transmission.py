@@ -8,13 +8,13 @@ moves.
 - **regression**: settings chosen within the training recording, as `jaxcslc identify` does.
 - **maximum likelihood**: with static friction in the model, `jaxcslc.MaximumLikelihood`, equations
   of motion over so many samples (`every`) with torque noise of so high an order; or both as it
-  selects them.
+  selects them (`--selected`).
 - **all terms**, of both: complete tensors of inertia, for axes that are tilted, and friction that
   differs between directions: viscous friction of each direction, and an offset. Offsets are
   known beforehand to be no larger than a tenth of the regression's dry friction (a standard
   deviation): motion in a small range, as joint 2's, does not tell an offset from gravity.
-- **friction selected**, of both: what `jaxcslc identify --friction auto` selects of the training
-  recording, beginning with viscous and dry friction.
+- **friction selected** (`--selected`), of both: what `jaxcslc identify --friction auto` selects of
+  the training recording, beginning with viscous and dry friction.
 - **true**: the machine's coefficients, in the model of the regression.
 
 Beside ε, how many 95 % intervals cover the true coefficient, of 43 and of 52, with systematic
@@ -61,8 +61,13 @@ _OFFSET = 0.1
 LAST = f"likelihood, every {_EVERY}, order {_ORDER}, all terms"
 
 
-def rows_of(machine: sim.Machine, samples: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Everything of one machine and seed: one row an estimator."""
+def rows_of(
+    machine: sim.Machine, samples: int, seed: int, selected: bool
+) -> Iterator[dict[str, Any]]:
+    """Everything of one machine and seed: one row an estimator.
+
+    - `selected`: whether what is selected on the recording has rows.
+    """
     # Two numbers a seed: the encoders of the two recordings start elsewhere.
     trained, performed = (
         sim.simulate(machine, trajectory, seed=2 * seed + i).recording
@@ -102,18 +107,20 @@ def rows_of(machine: sim.Machine, samples: int, seed: int) -> Iterator[dict[str,
     fit = settings.fit(plain, settings.patterns(trained))
     interval = uncertainty_interval(fit, systematic_error(plain, trained, settings, fit))
     yield row("regression", plain, fit.k, interval, started)
-    for name, estimator in (
-        (
-            f"likelihood, every {_EVERY}, order {_ORDER}",
-            jc.MaximumLikelihood(every=_EVERY, noise_order=_ORDER),
-        ),
-        ("likelihood, every and order selected", jc.MaximumLikelihood()),
-    ):
+    estimators = {
+        f"likelihood, every {_EVERY}, order {_ORDER}": jc.MaximumLikelihood(
+            every=_EVERY, noise_order=_ORDER
+        )
+    }
+    if selected:
+        estimators["likelihood, every and order selected"] = jc.MaximumLikelihood()
+    for name, estimator in estimators.items():
         started = time.perf_counter()
         result = estimator.fit(network, trained)
         low_high = means_of_directions(plain, result.fit, result.systematic)
         yield row(name, result.network, result.k, low_high, started, result.converged)
-    yield from _friction_selected(row, plain, trained)
+    if selected:
+        yield from _friction_selected(row, plain, trained)
     started = time.perf_counter()
     tilted = jc.puma560().with_inertia("full")
     reference = jc.derive(tilted, lengths="numeric")
@@ -226,7 +233,7 @@ def table(rows: Sequence[dict[str, Any]], machine: str) -> str:
 
 def study(options: argparse.Namespace) -> int:
     """Makes what is missing, prints the tables and writes the rows."""
-    digest = made_of({"samples": options.samples}, [Path(__file__)])
+    digest = made_of({"samples": options.samples, "selected": options.selected}, [Path(__file__)])
     finished = Rows(options.output / "rows.jsonl", ("machine", "seed", "estimator"), digest)
     both = machines()
     seeds = command.seeds_of(options)
@@ -234,7 +241,7 @@ def study(options: argparse.Namespace) -> int:
         for name, machine in both.items():
             if (name, seed, LAST) in finished:
                 continue
-            for row in rows_of(machine, options.samples, seed):
+            for row in rows_of(machine, options.samples, seed, options.selected):
                 finished.add({"machine": name, "seed": seed, **row})
                 tqdm.write(
                     f"{name}, seed {seed}, {row['estimator']}: epsilon {row['epsilon']:.4f} N m",
@@ -252,13 +259,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "transmission")
     command.add_seeds(parser, 10)
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
+    parser.add_argument(
+        "--selected",
+        action="store_true",
+        help="also spacing, order and friction that are selected: three times as long",
+    )
     options = command.parse(parser, argv, seeds=1, samples=1000)
     command.require_least(parser, options, seeds=1, first=0, samples=600)
     return command.run(
         parser,
         lambda: study(options),
         options.output / "rows.jsonl",
-        seconds=30.0 + options.seeds * 150.0 * options.samples / 3300,
+        seconds=30.0
+        + options.seeds * (300.0 if options.selected else 90.0) * options.samples / 3300,
     )
 
 

@@ -11,9 +11,11 @@ import jaxcslc as jc
 from scripts.studies.likelihood import limits, transmission
 
 
-def known_rows(machine: object, samples: int, seed: int) -> Iterator[dict[str, Any]]:
+def known_rows(
+    machine: object, samples: int, seed: int, selected: bool
+) -> Iterator[dict[str, Any]]:
     """Maximum likelihood has nine tenths of regression's error, and does not converge once."""
-    del machine, samples
+    del machine, samples, selected
     regression = 0.1 + 0.01 * seed
     last = transmission.LAST
     for name, part in (("true", 1.5), ("regression", 1.0), (last, 0.9)):
