@@ -136,7 +136,17 @@ def test_links_of_the_wrong_file_and_the_table_of_bodies() -> None:
         for links in (network.robot.links, possible_bodies.links_of())
     )
     assert 0.1 < possible_bodies.torque_error(network, k, true) < 0.3
-    row = {"without": 2.0, "nearest": 0.3, "search": 0.2, "moves": 3.0, "converged": True}
+    q, qd, qdd = possible_bodies.motion(1.2, 300, (1.3, 2.1))
+    for values, rate in ((q, qd), (qd, qdd)):
+        np.testing.assert_allclose(np.gradient(values, 0.01, axis=0)[1:-1], rate[1:-1], atol=0.02)
+    row = {
+        "regression": 3.0,
+        "without": 2.0,
+        "nearest": 0.3,
+        "search": 0.2,
+        "moves": 3.0,
+        "converged": True,
+    }
     rows = [{"case": "short", "file": "none", "seed": seed, **row} for seed in range(2)]
     line = possible_bodies.table(rows).splitlines()[-1].split()
     assert line[:2] == ["short", "none"] and line[-6:] == ["2", "of", "2", "2", "of", "2"]
