@@ -71,19 +71,27 @@ def panda_urdf() -> Path | None:
 _designs: Designs = {}
 
 
-def begin(parameters: dict[str, list[Any]], cache: str) -> None:
+def begin(cache: str) -> None:
     """What each process does first."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    _designs.update({name: [path_of(x) for x in draws] for name, draws in parameters.items()})
 
 
-def row_of(task: Task, urdf: str, steps: int, quick: bool) -> dict[str, Any]:
-    """A task's row."""
+def load_designs(parameters: dict[str, list[Any]]) -> None:
+    """Makes motions of the parameters of designs, when they are all there."""
+    if not _designs:
+        _designs.update({name: [path_of(x) for x in draws] for name, draws in parameters.items()})
+
+
+def row_of(
+    task: Task, parameters: dict[str, list[Any]], urdf: str, steps: int, quick: bool
+) -> dict[str, Any]:
+    """A task's row; `parameters`: of the designs, by name."""
     from . import tasks  # in the process that needs them
 
+    load_designs(parameters)
     part, name, number = task
     if part == "design":
         row = tasks.designed(name, number, quick)
@@ -200,13 +208,24 @@ def study(options: argparse.Namespace) -> int:
     designs: list[Task] = [
         ("design", name, i) for i in range(options.designs) for name in _designed(options)
     ]
-    _run(designs, finished, {}, str(urdf or ""), options, end)
     parameters: dict[str, list[Any]] = {}
-    for task in designs:
-        if task in finished:
-            parameters.setdefault(task[1], []).append(finished[task]["parameters"])
-    begin(parameters, options.cache)
-    _run(_tasks(options, bool(urdf)), finished, parameters, str(urdf or ""), options, end)
+    context = multiprocessing.get_context("spawn")
+    pool: Callable[..., ProcessPoolExecutor] = ProcessPoolExecutor
+    # The same processes make designs and what follows: a new one imports and compiles again.
+    with pool(options.jobs, context, begin, (options.cache,)) as executor:
+
+        def run(tasks: Sequence[Task]) -> bool:
+            missing = [task for task in tasks if task not in finished]
+            return _run(executor, missing, finished, (parameters, str(urdf or "")), options, end)
+
+        in_time = run(designs)
+        for task in designs:
+            if task in finished:
+                parameters.setdefault(task[1], []).append(finished[task]["parameters"])
+        if in_time:
+            run(_tasks(options, bool(urdf)))
+    begin(options.cache)
+    load_designs(parameters)
     rows = [row for row in finished.all()]
     for text in tables(rows):
         print(text, end="\n\n")
@@ -241,34 +260,32 @@ def _tasks(options: argparse.Namespace, with_panda: bool) -> list[Task]:
 
 
 def _run(
+    executor: ProcessPoolExecutor,
     tasks: Sequence[Task],
     finished: Rows,
-    parameters: dict[str, list[Any]],
-    urdf: str,
+    inputs: tuple[dict[str, list[Any]], str],
     options: argparse.Namespace,
     end: float,
-) -> None:
-    """What is missing, in processes, until all is done or the time is over."""
-    missing = [task for task in tasks if task not in finished]
-    if not missing:
-        return
-    context = multiprocessing.get_context("spawn")
-    pool: Callable[..., ProcessPoolExecutor] = ProcessPoolExecutor
-    with pool(options.jobs, context, begin, (parameters, options.cache)) as executor:
-        futures = [
-            executor.submit(row_of, task, urdf, options.steps, options.quick) for task in missing
-        ]
-        bar = command.progress(total=len(futures), desc="tasks")
-        try:
-            for future in as_completed(futures, timeout=max(end - time.monotonic(), 1.0)):
-                finished.add(future.result())
-                bar.update()
-        except TimeoutError:
-            print("the time is over; what is missing can be made later")
-            processes = list(executor._processes.values())  # pyright: ignore
-            executor.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
-                process.kill()
+) -> bool:
+    """Makes rows until all are made or the time is over; whether all are."""
+    if not tasks:
+        return True
+    futures = [
+        executor.submit(row_of, task, *inputs, options.steps, options.quick) for task in tasks
+    ]
+    bar = command.progress(total=len(futures), desc="tasks")
+    try:
+        for future in as_completed(futures, timeout=max(end - time.monotonic(), 1.0)):
+            finished.add(future.result())
+            bar.update()
+    except TimeoutError:
+        print("the time is over; what is missing can be made later")
+        processes = list(executor._processes.values())  # pyright: ignore
+        executor.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.kill()
+        return False
+    return True
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -295,7 +312,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command.require_least(parser, options, designs=1, sequences=0, directions=0, auto=0)
     command.require_least(parser, options, directional=0)
     seconds = (
-        150 * options.designs
+        240 * options.designs
         + 120 * options.sequences
         + 25 * (options.seeds + options.directions + options.directional + 2 * options.auto)
         + options.repeats
@@ -303,7 +320,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     seconds += 60 * options.arms + 60 * options.pandas
     if options.quick:
-        seconds /= 2  # one criterion of four
+        seconds /= 4  # one design of seven, and from one start
     return command.run(
         parser, lambda: study(options), options.output / "rows.jsonl", seconds=seconds
     )
