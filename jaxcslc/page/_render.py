@@ -1,8 +1,12 @@
+import contextlib
 import importlib.util
 import itertools
+import os
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import jax
 
 from .._environment import require
 from ._blocks import Page
@@ -60,5 +64,20 @@ def _template() -> "jinja2.Template":
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
+        bytecode_cache=_bytecode_cache(),
     )
     return environment.get_template("page.html")
+
+
+def _bytecode_cache() -> "jinja2.BytecodeCache | None":
+    """Where JAX keeps compiled programs on disk, compiled templates are kept beside them."""
+    import jinja2
+
+    config: Any = jax.config
+    folder = config.jax_compilation_cache_dir
+    if not folder:
+        return None
+    with contextlib.suppress(OSError):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    writable = os.access(folder, os.W_OK)
+    return jinja2.FileSystemBytecodeCache(folder, "jaxcslc-%s.jinja") if writable else None
