@@ -153,9 +153,28 @@ class AbstractLinearNetwork(eqx.Module):
         - `q`, `qd`, `qdd`: (m, samples), JAX's arrays, or NumPy's if the network
           `has_host_columns`.
         """
+        host = isinstance(q, np.ndarray) and np.issubdtype(q.dtype, np.floating)
+        if host and self.has_host_columns:
+            return self._host_columns(np.asarray(q), np.asarray(qd), np.asarray(qdd))
         columns = [term.columns(q, qd, qdd) for term in self.terms]
         xp = array_namespace(*(rows for of_term in columns for rows in of_term))
         return tuple(xp.concatenate(rows) for rows in zip(*columns, strict=True))
+
+    def _host_columns(
+        self,
+        q: Float[np.ndarray, "motion samples"],
+        qd: Float[np.ndarray, "motion samples"],
+        qdd: Float[np.ndarray, "motion samples"],
+    ) -> Columns:
+        """`columns`, which each term writes where they belong: there is nothing to join."""
+        columns = tuple(np.empty((len(support), q.shape[1]), q.dtype) for support in self.support)
+        starts = [0] * len(columns)
+        for term in self.terms:
+            ends = [start + len(part) for start, part in zip(starts, term.support, strict=True)]
+            parts = zip(columns, starts, ends, strict=True)
+            term.write_columns([rows[start:end] for rows, start, end in parts], q, qd, qdd)
+            starts = ends
+        return columns
 
     def _sum(
         self,

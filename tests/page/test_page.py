@@ -3,8 +3,10 @@
 import base64
 import importlib.util
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import plotly.graph_objects
 import pytest
@@ -27,6 +29,7 @@ from jaxcslc.page import (
     intervals,
     render,
 )
+from jaxcslc.page._render import _template
 
 
 NAME = "<b>&\"'</script>$x$"
@@ -166,3 +169,25 @@ def test_an_ellipsoid_is_drawn_where_it_is() -> None:
     outline = body.outline(0, 1) - body.centre[:2, None]
     shadow = np.linalg.inv(body.axes[:2] @ body.axes[:2].T)
     np.testing.assert_allclose(np.einsum("ai,ab,bi->i", outline, shadow, outline), 1.0)
+
+
+def test_templates_are_kept_where_jax_keeps_its_programs(tmp_path: Path) -> None:
+    """And a file that is cut off is no reason to fail."""
+    page = Page(NAME, "", "", "plain", (), (Section("errors", "", (Paragraph(NAME),)),))
+    without = render(page, interactive=False)
+    config: Any = jax.config
+    before = config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
+    try:
+        for _ in range(2):
+            _template.cache_clear()
+            assert render(page, interactive=False) == without
+            kept = list((tmp_path / "cache").glob("*.jinja"))
+            assert kept
+            for path in kept:
+                path.write_bytes(path.read_bytes()[:40])
+        _template.cache_clear()
+        assert render(page, interactive=False) == without
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+        _template.cache_clear()

@@ -51,18 +51,29 @@ class CompiledProgram:
         qdd: Float[np.ndarray, "joints samples"],
     ) -> Float[np.ndarray, "outputs samples"]:
         """The values at all samples, in the precision of the motion."""
+        result = np.empty((len(self.outputs), q.shape[1]), q.dtype)
+        self.write(list(result), q, qd, qdd)
+        return result
+
+    def write(
+        self,
+        rows: Sequence[Float[np.ndarray, " samples"]],
+        q: Float[np.ndarray, "joints samples"],
+        qd: Float[np.ndarray, "joints samples"],
+        qdd: Float[np.ndarray, "joints samples"],
+    ) -> None:
+        """Writes the values at all samples into rows, each of numbers one behind the other."""
         library = kept_c_library(self.source, _OPTIONS) if q.dtype == np.float64 else None
         if library is None:
-            return self.program(q, qd, qdd)
-        samples = q.shape[1]
-        result = np.empty((len(self.outputs), samples))
+            for row, values in zip(rows, self.program(q, qd, qdd), strict=True):
+                row[...] = values
+            return
         functions = self.functions(q, qd, qdd)
-        rows = [np.ascontiguousarray(row) for x in (q, qd, qdd, functions) for row in x]
-        memory = np.zeros((len(rows) + len(result), _BLOCK))
+        inputs = [np.ascontiguousarray(row) for x in (q, qd, qdd, functions) for row in x]
+        memory = np.zeros((len(inputs) + len(rows), _BLOCK))
         library.columns(
-            _addresses(rows), _addresses(result), _address(memory), ctypes.c_long(samples)
+            _addresses(inputs), _addresses(rows), _address(memory), ctypes.c_long(q.shape[1])
         )
-        return result
 
     @cached_property
     def program(self) -> Program:
@@ -111,7 +122,7 @@ def _address(array: np.ndarray) -> Any:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def _addresses(rows: Sequence[np.ndarray] | np.ndarray) -> Any:
+def _addresses(rows: Sequence[np.ndarray]) -> Any:
     """Of rows of numbers that lie one behind the other."""
     return (ctypes.c_void_p * len(rows))(*(row.ctypes.data for row in rows))
 

@@ -1,4 +1,5 @@
 import abc
+from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
@@ -69,6 +70,13 @@ class AbstractTerm(eqx.Module):
         Joints first, samples last, and nothing that is always zero: the shape that a
         factorisation of many patterns wants.
         """
+
+    def write_columns(
+        self, into: Sequence[Float[np.ndarray, "_ samples"]], q: Rows, qd: Rows, qdd: Rows
+    ) -> None:
+        """Writes `columns` of NumPy's arrays into others of their shapes."""
+        for rows, columns in zip(into, self.columns(q, qd, qdd), strict=True):
+            rows[...] = columns
 
     @abc.abstractmethod
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:

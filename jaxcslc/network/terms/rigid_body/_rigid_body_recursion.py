@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -126,6 +126,14 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
             code = _columns(self.linked_bodies, self.support)
             return tuple(jnp.split(unrolled(code, None, q.T, qd.T, qdd.T), ends))
         return self._compiled_columns(q, qd, qdd)
+
+    def write_columns(
+        self, into: Sequence[Float[np.ndarray, "_ samples"]], q: Rows, qd: Rows, qdd: Rows
+    ) -> None:
+        rows = [row for of_joint in into for row in of_joint]
+        _program(self.linked_bodies, self.support).write(
+            rows, np.asarray(q), np.asarray(qd), np.asarray(qdd)
+        )
 
     def entries(self, motion: Motion) -> Iterator[tuple[int, int, Value]]:
         """Joint, coefficient and value of the regressor's entries, as expressions."""

@@ -87,6 +87,12 @@ class RigidBodyTables(AbstractManipulatorTerm):
             for joint, support in enumerate(self.support)
         )
 
+    def write_columns(
+        self, into: Sequence[Float[np.ndarray, "_ samples"]], q: Rows, qd: Rows, qdd: Rows
+    ) -> None:
+        rows = [row for of_joint in into for row in of_joint]
+        self._program().write(rows, np.asarray(q), np.asarray(qd), np.asarray(qdd))
+
     def entries(self, motion: Motion) -> Iterator[tuple[int, int, Value]]:
         """Joint, coefficient and value of the regressor's entries, as expressions."""
         tables = {"mass": self.mass, "velocity": self.velocity, "gravity": self.gravity}
