@@ -37,8 +37,8 @@ NoiseOrderOption = Annotated[
 LikelihoodUnknownsOption = Annotated[
     str | None,
     typer.Option(
-        help="Maximum likelihood: what of torques is estimated too, torque_lag or torque_gains or"
-        " both with a comma; gains need a coefficient's value in --prior.",
+        help="Maximum likelihood: what is estimated too, with commas: torque_lag, torque_gains,"
+        " which need a coefficient's value in --prior, and transmission, gears that give way.",
     ),
 ]
 OffsetsOption = Annotated[

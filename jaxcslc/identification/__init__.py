@@ -75,6 +75,7 @@ from .likelihood import (
     SpacingTrial as SpacingTrial,
     TorqueSampling as TorqueSampling,
     TorqueUnknown as TorqueUnknown,
+    Transmission as Transmission,
 )
 from .possible import (
     POSSIBILITY as POSSIBILITY,

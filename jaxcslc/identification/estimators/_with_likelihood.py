@@ -258,8 +258,7 @@ class _Judged:
         if report.possible is not None and report.possible.used:
             k = self._possible(report.network, fit, report.possible.parameters)
         # Near the fit to everything, whose noise levels it has.
-        position = likelihood.position[np.concatenate(rows)]
-        near = dataclasses.replace(likelihood, position=position)
+        near = likelihood.at(np.concatenate(rows))
         shorter = self._estimator.fit(self.network, early, near, self.step)
         return _Unfitted("held-out stretch", late, joined_patterns(unfitted), k, shorter)
 
@@ -299,9 +298,13 @@ class _Judged:
         other = _with_coefficients(
             likelihood.network, self.least_squares.network, unfitted.least_squares
         )
+        rigid = dataclasses.replace(likelihood, transmission=None)
         ours, theirs = (
-            estimator.misfit(network, unfitted.recordings, k, *levels, likelihood)
-            for network, k in ((likelihood.network, predicted), other)
+            estimator.misfit(network, unfitted.recordings, k, *levels, fit)
+            for network, k, fit in (
+                (likelihood.network, predicted, likelihood),
+                (*other, rigid),
+            )
         )
         stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)
         return RelativeError.of(

@@ -12,3 +12,4 @@ from .selection import (
     SpacingTrial as SpacingTrial,
 )
 from .torque import TorqueSampling as TorqueSampling, TorqueUnknown as TorqueUnknown
+from .transmission import Transmission as Transmission

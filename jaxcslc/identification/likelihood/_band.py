@@ -157,6 +157,11 @@ class Factored:
         self._diagonal = np.diag(border)
         self.information = border - gram(self._half)
 
+    @property
+    def log_determinant(self) -> float:
+        """Of the banded part."""
+        return 2.0 * float(np.sum(np.log(self._factor[0])))
+
     @cached_property
     def eliminated(self) -> Float[np.ndarray, "inner border"]:
         """Minus the reply of unknowns in order of time to the border."""

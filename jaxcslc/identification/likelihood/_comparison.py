@@ -7,6 +7,8 @@ from jaxtyping import Float
 
 from .._held_out import RelativeError, Source
 from ._likelihood_fit import LikelihoodFit
+from .transmission import transmission_lines
+from .transmission._choice import choice_line
 
 
 Estimator = Literal["least-squares", "maximum-likelihood"]
@@ -76,6 +78,14 @@ class EstimatorComparison:
                 likelihood.torque_gain_error.tolist(),
             ),
             "selection": None if likelihood.selection is None else likelihood.selection.document(),
+            "transmission": (
+                None if likelihood.transmission is None else likelihood.transmission.document()
+            ),
+            "transmission_choice": (
+                None
+                if likelihood.transmission_choice is None
+                else likelihood.transmission_choice.document()
+            ),
             "steps": self.likelihood.steps,
             "converged": self.likelihood.converged,
         }
@@ -99,7 +109,7 @@ class EstimatorComparison:
 
 
 def calibration_lines(comparison: Mapping[str, Any]) -> list[str]:
-    """Lag and gains of torque in words, with standard errors; nothing of what was not asked for.
+    """Lag and gains of torque, and gears, in words; nothing of what was not asked for.
 
     **Arguments**
 
@@ -116,7 +126,9 @@ def calibration_lines(comparison: Mapping[str, Any]) -> list[str]:
         pairs = zip(gains["value"], gains["error"], strict=True)
         values = ", ".join(f"{value:.4g} ± {error:.2g}" for value, error in pairs)
         lines.append(f"torque over what was recorded, joint by joint: {values}")
-    return lines
+    if choice := comparison.get("transmission_choice"):
+        lines.append(choice_line(choice))
+    return lines + transmission_lines(comparison.get("transmission"))
 
 
 def _pair(asked: bool, value: Any, error: Any) -> dict[str, Any] | None:

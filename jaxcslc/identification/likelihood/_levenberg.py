@@ -159,4 +159,9 @@ def _bounded(problem: Problem, point: Point, before: Point) -> Point:
         slopes=np.clip(near, low, high),
         calibration=problem.calibration.bounded(point.calibration, before.calibration),
         turn=np.clip(point.turn, -LATEST_TURN, LATEST_TURN),
+        transmission=(
+            point.transmission
+            if problem.transmission is None
+            else problem.transmission.bounded(point.transmission)
+        ),
     )

@@ -21,6 +21,12 @@ from .errors import (
 from .search import Minimum
 from .selection import ModelSelection
 from .torque import TorqueUnknown, Whitening
+from .transmission import (
+    Transmission,
+    TransmissionEquations,
+    TransmissionParameters,
+)
+from .transmission._choice import TransmissionChoice
 
 
 # A coefficient that shares this part of a unit null vector is not determined by itself.
@@ -55,13 +61,16 @@ class LikelihoodFit(eqx.Module):
     - `unknowns`: which of lag and gains were asked for.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
+    - `transmission`: gears that give way; None if they are rigid. The network's coefficients are
+      those of links and rotors together. `transmission_choice`: whether the recording supports
+      them, if that was asked for.
     - `bodies`: with `MaximumLikelihood.possible`, those whose coefficients `fit` has; its standard
       errors are those of coefficients that nothing confines, an upper bound. `free`: the fit
       without bodies. Both are None otherwise.
     - `every`: positions were unknown at every so many samples.
     - `systematic`: what a wrong time of torques, and terms that the network lacks, may do to `fit`
       beyond its standard errors, by cause (`uncertainty_interval(fit, systematic)`); None with
-      `errors="independent"`.
+      `errors="independent"` and with `transmission`.
     - `selection`: what was tried of `MaximumLikelihood`'s `every` and `noise_order`, where one of
       them was `"auto"`; None otherwise.
 
@@ -95,6 +104,8 @@ class LikelihoodFit(eqx.Module):
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
+    transmission: Transmission | None = None
+    transmission_choice: TransmissionChoice | None = None
     bodies: PhysicalParameters | None = None
     free: Identification | None = None
     systematic: SystematicError | None = None
@@ -105,6 +116,15 @@ class LikelihoodFit(eqx.Module):
     def k(self) -> Float[Array, " coefficients"]:
         """The coefficients, (p,)."""
         return self.fit.k
+
+    def at(self, samples: Bool[np.ndarray, " samples"]) -> "LikelihoodFit":
+        """The same with some of the estimated positions."""
+        gears = self.transmission
+        if gears is not None:
+            gears = eqx.tree_at(
+                lambda gears: gears.link_position, gears, gears.link_position[samples]
+            )
+        return dataclasses.replace(self, position=self.position[samples], transmission=gears)
 
     @property
     def torque_deviation(self) -> Float[np.ndarray, "recordings joints"]:
@@ -159,7 +179,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     point, p, n = minimum.point, network.size, network.joint_count
     spectrum, border = Spectrum.of(minimum.factored.information), minimum.objective.scale
     residual, used = minimum.linear.residuals.torque, minimum.counted
-    counts = used.sum(axis=0).astype(float)
+    counts = used[:, :n].sum(axis=0).astype(float)
     inverse = spectrum.covariance
     rows, scores = eliminated_rows(minimum.linear, minimum.factored)
     bound = independent_covariance(minimum.linear, rows, inverse)
@@ -167,9 +187,10 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     systematic = None
     if errors == "correlated":
         reported = reported_errors(minimum.linear, rows, scores, inverse, bound, used)
-        systematic = systematic_errors(
-            minimum.linear, minimum.factored, point, used, reported.effective
-        )
+        if not isinstance(minimum.objective.equations, TransmissionEquations):
+            systematic = systematic_errors(
+                minimum.linear, minimum.factored, point, used, reported.effective
+            )
     independent, covariance = (
         matrix * border[:, None] * border[None, :] for matrix in (bound, reported.covariance)
     )
@@ -189,9 +210,9 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
             "standard_error": error[:p],
             "covariance": covariance[:p, :p],
             "independent_covariance": independent[:p, :p],
-            "torque_error": np.sqrt(squares / np.maximum(counts, 1.0)),
+            "torque_error": np.sqrt(squares[:n] / np.maximum(counts, 1.0)),
             "equations": counts,
-            "effective_equations": reported.effective,
+            "effective_equations": reported.effective[:n],
             "degrees_of_freedom": np.float64(reported.degrees_of_freedom),
             "rank": p - len(null),
             "condition": np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0]),
@@ -205,27 +226,49 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     slopes = np.exp(point.slopes) if static else np.zeros(n)
     calibration, values = minimum.objective.torque, point.calibration
     intervals, part = minimum.objective.intervals, minimum.objective.part
-    first = p + n + len(values)
-    of_calibration = error[p + n : first] if len(values) else np.zeros(1 + n)
+    of_gears = p + n + len(point.transmission)
+    first = of_gears + len(values)
+    of_calibration = error[of_gears:first] if len(values) else np.zeros(1 + n)
     return LikelihoodFit(
         network=network.with_static_slopes(slopes) if static else network,
         fit=fit,
         slopes=slopes,
         slope_error=slopes * error[p : p + n],
-        offset=point.offset,
-        offset_error=error[first:].reshape(point.offset.shape),
+        offset=point.offset[:, :n],
+        offset_error=error[first:].reshape(point.offset.shape)[:, :n],
         torque_lag=calibration.lag(values),
         torque_lag_error=float(of_calibration[0]),
-        torque_gain=calibration.gain(values),
-        torque_gain_error=of_calibration[1:],
-        position=point.q,
-        torque_noise=minimum.torque_noise,
-        position_noise=minimum.position_noise,
-        noise_coefficients=minimum.objective.whitening.coefficients,
-        edge=np.zeros_like(point.offset) if intervals is None else intervals.edges(part),
+        torque_gain=calibration.gain(values)[:n],
+        torque_gain_error=of_calibration[1 : 1 + n],
+        position=point.q[:, :n],
+        torque_noise=minimum.torque_noise[:, :n],
+        position_noise=minimum.position_noise[:, :n],
+        noise_coefficients=minimum.objective.whitening.coefficients[:, :n],
+        edge=(np.zeros_like(point.offset) if intervals is None else intervals.edges(part))[:, :n],
         unknowns=calibration.unknowns,
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,
         systematic=systematic,
+        transmission=_transmission(minimum, error[p + n : of_gears]),
+    )
+
+
+def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> Transmission | None:
+    """Gears that give way, with standard errors of their parameters; None of rigid ones."""
+    point, equations = minimum.point, minimum.objective.equations
+    if not isinstance(equations, TransmissionEquations):
+        return None
+    values, errors = map(TransmissionParameters.of, (point.transmission, error))
+    return Transmission(
+        joints=tuple(int(joint) + 1 for joint in equations.joints),
+        compliance=values.compliance,
+        compliance_error=errors.compliance,
+        lag=values.lag,
+        lag_error=errors.lag,
+        play=values.play,
+        play_error=errors.play,
+        rotor_inertia=values.rotor_inertia,
+        rotor_inertia_error=errors.rotor_inertia,
+        link_position=point.q[:, len(point.slopes) :],
     )

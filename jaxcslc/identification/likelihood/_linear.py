@@ -44,7 +44,7 @@ class Linear:
         signs, scale = objective.signs, objective.scale
         samples, n = point.q.shape
         derivatives = objective.equations.linearised(
-            point.k, point.slopes, point.q, signs.turns(point.turn), signs.direction
+            point.k, point.laws, point.q, signs.turns(point.turn), signs.direction
         )
         gain = objective.torque.gain(point.calibration)
         predicted = np.asarray(derivatives.torque)

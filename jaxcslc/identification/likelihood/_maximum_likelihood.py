@@ -12,6 +12,7 @@ from .._settings import Settings
 from ..prior import Prior
 from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
+from ._near_fit import calibration_values, point_near
 from ._objective import Point
 from ._problem import Problem
 from ._spacing import EXCESS, excess_noise, spacing_trials
@@ -20,6 +21,15 @@ from .knowledge import check_prior, possible_bodies
 from .search import Minimum, search
 from .selection import ModelSelection, NoiseOrders, SpacingTrial, best_spacing
 from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
+from .transmission._apart import apart_minimum, check_transmission
+from .transmission._choice import TransmissionChoice
+from .transmission._search_start import SearchStart
+from .transmission._widened import near_transmission
+
+
+LikelihoodUnknown = TorqueUnknown | Literal["transmission"]
+"""What may be estimated beside coefficients: of recorded torques, or gears that give way."""
+_UNKNOWNS = (*get_args(TorqueUnknown), "transmission")
 
 
 # A misfit is known well enough when the sum of squares falls by no more than this part in a step.
@@ -54,7 +64,7 @@ class MaximumLikelihood:
       the noise count by size, not square (Huber).
 
     Right where torque acts on rigid bodies. Compliance and backlash make errors that are neither
-    white nor small: see `noise_order`, and `docs/likelihood.md` for what that costs.
+    white nor small: see `transmission`, `noise_order`, and `docs/likelihood.md`.
 
     **Attributes**
 
@@ -75,14 +85,19 @@ class MaximumLikelihood:
     - `unknowns`: of recorded torques, to be estimated too. `"torque_lag"`: how much later than
       positions they were measured, the same for all joints; negative for demands that act later
       than they are recorded. `"torque_gains"`: torque of each joint over what was recorded.
-      Gains and coefficients scale together, so that gains need a `prior`.
+      Gains and coefficients scale together, so that gains need a `prior`. `"transmission"`: gears
+      that give way, where the likelihood supports them.
+    - `transmission`: joints, from 1, whose rotor and link are two bodies, with a spring, a damper
+      and play between them; readings are of rotors. With `"transmission"` among `unknowns`, those
+      that may be, all of them if there are none here. Automatic spacing is then one sample.
     - `prior`: values of coefficients that are known beforehand, with their errors, or fixed; with
       `possible`, of links, too.
     - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
       recording says nothing (`physical_parameters`), with positions that belong to them.
 
     **Raises** `ValueError`: a `torque_sampling`, `errors` or `unknowns` that are none of these,
-    gains without a value that is known, bounds in a prior, or links without `possible`.
+    gains without a value that is known, bounds in a prior, links without `possible`, or a
+    transmission with gains, `possible` or `noise_order`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -102,7 +117,8 @@ class MaximumLikelihood:
     errors: Errors = "correlated"
     every: int | Literal["auto"] = "auto"
     noise_order: int | Literal["auto"] = "auto"
-    unknowns: tuple[TorqueUnknown, ...] = ()
+    unknowns: tuple[LikelihoodUnknown, ...] = ()
+    transmission: tuple[int, ...] = ()
     prior: Prior | None = None
     possible: bool = False
 
@@ -120,9 +136,12 @@ class MaximumLikelihood:
                 f"noise_order: expected 0 to {MOST_ORDER} or 'auto', got {self.noise_order}"
             )
         for name in self.unknowns:
-            if name not in get_args(TorqueUnknown):
-                expected = " or ".join(get_args(TorqueUnknown))
+            if name not in _UNKNOWNS:
+                expected = " or ".join(_UNKNOWNS)
                 raise ValueError(f"unknowns: expected {expected}, got {name!r}")
+        check_transmission(
+            self.transmission, self.unknowns, possible=self.possible, noise_order=self.noise_order
+        )
         check_prior(self.prior, gains="torque_gains" in self.unknowns, possible=self.possible)
 
     def fit(
@@ -159,6 +178,20 @@ class MaximumLikelihood:
         if isinstance(start, LikelihoodFit):
             return self.as_of(start)._near(network, recordings, start, report)
         every = 1 if self.every == "auto" else self.every
+        choice: TransmissionChoice | None = None
+        if self.transmission or "transmission" in self.unknowns:
+            problem, point, *noise = self._start(network, recordings, start, every)
+            torque_noise, position_noise = noise
+            minimum, choice = apart_minimum(
+                problem,
+                SearchStart(point, torque_noise, position_noise),
+                self.transmission,
+                report,
+                optional="transmission" in self.unknowns,
+            )
+            if minimum is not None:
+                fit = self._fit(network, minimum, every)
+                return dataclasses.replace(fit, transmission_choice=choice)
         problem, levels, minimum = self._minimum(network, recordings, start, every, report)
         white = self.noise_order == "auto"
         orders = NoiseOrders.of(problem, minimum) if white else None
@@ -187,6 +220,7 @@ class MaximumLikelihood:
             of_joints = None if excess is None else tuple(excess.tolist())
             selection = ModelSelection(every, order, of_joints, trials, orders)
             fit = dataclasses.replace(fit, selection=selection)
+        fit = dataclasses.replace(fit, transmission_choice=choice)
         return self._with_bodies(network, problem, minimum, fit, levels, report)
 
     def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
@@ -238,15 +272,18 @@ class MaximumLikelihood:
     ) -> LikelihoodFit:
         """The minimum near a fit, with its noise levels."""
         problem, point, _, _ = self._start(network, recordings, near.fit, near.every)
+        first = SearchStart(point_near(point, near), near.torque_noise, near.position_noise)
+        edge, coefficients = near.edge, near.noise_coefficients
+        if near.transmission is not None:
+            problem, first, edge = near_transmission(problem, first, near.transmission, edge)
+            coefficients = None
         minimum = search(
             problem,
-            _near(point, near),
-            near.torque_noise,
-            near.position_noise,
+            *first,
             report,
             fixed_levels=True,
-            edge=near.edge,
-            noise_coefficients=near.noise_coefficients,
+            edge=edge,
+            noise_coefficients=coefficients,
         )
         fit = dataclasses.replace(self._fit(network, minimum, near.every), selection=near.selection)
         return self._with_bodies(network, problem, minimum, fit, None, report)
@@ -300,7 +337,8 @@ class MaximumLikelihood:
         - `k`: (p,) coefficients.
         - `torque_noise`: (n,) standard deviations [N m or N].
         - `position_noise`: (n,) [rad or m]; of encoders, at least that of their steps counts.
-        - `calibration`: a fit whose lag and gains of torque hold; by default there are none.
+        - `calibration`: a fit whose lag and gains of torque, and whose gears, hold; by default
+          there are none, and gears are rigid.
 
         **Returns** a `Misfit`.
 
@@ -310,29 +348,32 @@ class MaximumLikelihood:
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
         every = 1 if self.every == "auto" else self.every
         problem, point, residual, noise = self._start(network, recordings, None, every)
-        shared = len(point.border) - point.offset.size
+        slopes, encoders = network.static_slopes, problem.encoder_step > 0.0
+        point = dataclasses.replace(
+            point,
+            k=np.asarray(k, float),
+            slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
+            calibration=calibration_values(point, calibration),
+        )
+        noise = np.where(encoders, np.maximum(noise, position_noise), position_noise)
+        first = SearchStart(point, np.broadcast_to(torque_noise, residual.shape), noise)
+        if calibration is not None and calibration.transmission is not None:
+            problem, first, _ = near_transmission(problem, first, calibration.transmission)
+        shared = len(first.point.border) - first.point.offset.size
         scale = np.where(np.arange(len(problem.scale)) < shared, 0.0, problem.scale)
-        slopes = network.static_slopes
         minimum = search(
             dataclasses.replace(problem, scale=scale),
-            dataclasses.replace(
-                point,
-                k=np.asarray(k, float),
-                slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
-                calibration=_values(point, calibration),
-            ),
-            np.broadcast_to(torque_noise, residual.shape),
-            np.where(problem.encoder_step > 0.0, np.maximum(noise, position_noise), position_noise),
+            *first,
             lambda words: None,
             fixed_levels=True,
             tolerance=_MISFIT_TOLERANCE,
         )
-        part, left = problem.readings.part[1:-1], minimum.linear.residuals
+        part, left, n = problem.readings.part[1:-1], minimum.linear.residuals, problem.joints
         error = np.hypot(
             left.torque / minimum.torque_noise[part],
             left.position[1:-1] / minimum.position_noise[part],
         )
-        return Misfit(error, left.torque, minimum.counted)
+        return Misfit(error[:, :n], left.torque[:, :n], minimum.counted[:, :n])
 
     def _start(
         self,
@@ -349,31 +390,7 @@ class MaximumLikelihood:
             self.torque_sampling,
             None if self.resolution is None else np.array(self.resolution),
             start,
-            self.unknowns,
+            tuple(name for name in self.unknowns if name != "transmission"),
             self.prior,
             every,
         )
-
-
-def _near(point: Point, fit: LikelihoodFit) -> Point:
-    """**Raises** `ValueError` if the fit's positions are at other samples than the point's."""
-    if fit.position.shape != point.q.shape or fit.offset.shape != point.offset.shape:
-        raise ValueError(
-            f"start: its positions are {fit.position.shape} of {len(fit.offset)} recordings;"
-            f" expected {point.q.shape} of {len(point.offset)}"
-        )
-    return dataclasses.replace(
-        point,
-        k=np.asarray(fit.k),
-        slopes=np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes,
-        calibration=_values(point, fit),
-        offset=fit.offset,
-        q=fit.position,
-    )
-
-
-def _values(point: Point, fit: LikelihoodFit | None) -> Float[np.ndarray, " unknowns"]:
-    """The calibration of a fit where a point has one."""
-    if fit is None or not len(point.calibration):
-        return point.calibration
-    return np.append(fit.torque_lag, fit.torque_gain)

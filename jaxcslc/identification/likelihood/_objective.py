@@ -8,6 +8,7 @@ from ._signs import Signs
 from ._sticking import Sticking
 from .equations import Stretches
 from .torque import TorqueCalibration, Whitening
+from .transmission import TransmissionEquations
 
 
 # Prior standard deviation of a reversal about where velocity crosses zero, in intervals.
@@ -24,19 +25,29 @@ class Point:
     - `calibration`: (unknowns,) of recorded torques, see `TorqueCalibration`.
     - `offset`: (recordings, n) of the encoders.
     - `q`: (samples, n) positions; `turn`: (reversals,) moments of the reversals.
+    - `transmission`: (parameters,) of gears that give way, see `TransmissionParameters`; n is then
+      the number of joints and of links that move apart from their rotors, together.
     """
 
     k: Float[np.ndarray, " coefficients"]
-    slopes: Float[np.ndarray, " joints"]
+    slopes: Float[np.ndarray, " slopes"]
     calibration: Float[np.ndarray, " unknowns"]
     offset: Float[np.ndarray, "recordings joints"]
     q: Float[np.ndarray, "samples joints"]
     turn: Float[np.ndarray, " reversals"]
+    transmission: Float[np.ndarray, " parameters"] = dataclasses.field(
+        default_factory=lambda: np.zeros(0)
+    )
+
+    @property
+    def laws(self) -> Float[np.ndarray, " laws"]:
+        """Slopes, and parameters of gears if there are any."""
+        return np.concatenate([self.slopes, self.transmission])
 
     @property
     def border(self) -> Float[np.ndarray, " border"]:
-        """Coefficients, slopes, calibration and offsets: what all equations share."""
-        return np.concatenate([self.k, self.slopes, self.calibration, self.offset.ravel()])
+        """Coefficients, laws, calibration and offsets: what all equations share."""
+        return np.concatenate([self.k, self.laws, self.calibration, self.offset.ravel()])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +101,7 @@ class Objective:
     - `truncation`: (equations, n) torque that is added to what equations predict [N m or N].
     """
 
-    equations: Stretches
+    equations: Stretches | TransmissionEquations
     position: Float[np.ndarray, "samples joints"]
     torque: TorqueCalibration
     part: Int[np.ndarray, " samples"]
@@ -106,7 +117,7 @@ class Objective:
     def residuals(self, point: Point) -> Residuals:
         """Recorded minus predicted."""
         predicted = self.equations.torque(
-            point.k, point.slopes, point.q, self.signs.turns(point.turn), self.signs.direction
+            point.k, point.laws, point.q, self.signs.turns(point.turn), self.signs.direction
         )
         return self.residuals_of(point, np.asarray(predicted))
 
@@ -138,15 +149,17 @@ class Objective:
         """The point after a step."""
         border = point.border + self.scale * step.border
         p, n = len(point.k), point.q.shape[1]
-        last = p + len(point.slopes)
+        of_slopes = p + len(point.slopes)
+        last = p + len(point.laws)
         first = last + len(point.calibration)
         return Point(
             border[:p],
-            border[p:last],
+            border[p:of_slopes],
             border[last:first],
             border[first:].reshape(-1, n),
             point.q + step.position,
             point.turn + step.turn,
+            border[of_slopes:last],
         )
 
     def residuals_of(

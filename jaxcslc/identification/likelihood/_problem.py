@@ -2,13 +2,14 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ._objective import Point
 from ._readings import Readings
 from ._signs import runs
 from .equations import Stretches
 from .torque import TorqueCalibration
+from .transmission import TransmissionEquations, TransmissionModel
 
 
 # No torque noise is below this part of the torque, where errors of second differences are: 1e-6 to
@@ -34,19 +35,35 @@ class Problem:
     - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts.
     - `least_position_noise`: (recordings, n) [rad or m]; of counts, that of their steps.
     - `scatter`: (recordings, n) of readings about smooth motion [rad or m]; 0 of counts.
+    - `transmission`: of links that move apart from their rotors. They are further columns behind
+      the joints, whose positions nothing reads. None if gears are rigid.
     """
 
-    equations: Stretches
+    equations: Stretches | TransmissionEquations
     readings: Readings
     calibration: TorqueCalibration
     stuck: Bool[np.ndarray, "intervals joints"]
     scale: Float[np.ndarray, " border"]
     known: Callable[[Point], tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]]
-    slope_bounds: tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]
+    slope_bounds: tuple[Float[np.ndarray, " slopes"], Float[np.ndarray, " slopes"]]
     breakaway: Callable[[Point], Float[np.ndarray, " joints"]]
     encoder_step: Float[np.ndarray, "recordings joints"]
     least_position_noise: Float[np.ndarray, "recordings joints"]
     scatter: Float[np.ndarray, "recordings joints"]
+    transmission: TransmissionModel | None = None
+
+    @property
+    def joints(self) -> int:
+        """How many columns are joints, whose positions are read."""
+        return self.stuck.shape[1] if self.transmission is None else self.transmission.joints
+
+    @property
+    def transmission_indices(self) -> Int[np.ndarray, " parameters"]:
+        """Which unknowns of the border are parameters of gears."""
+        if self.transmission is None:
+            return np.zeros(0, int)
+        first = self.equations.network.size + self.joints
+        return np.arange(first, first + len(self.transmission.least))
 
     @property
     def at_rest(self) -> Bool[np.ndarray, "equations joints"]:
@@ -56,7 +73,9 @@ class Problem:
     @property
     def moving(self) -> Bool[np.ndarray, "samples joints"]:
         """Readings of joints that are not."""
-        return ~np.concatenate([self.stuck, np.zeros_like(self.stuck[:1])])
+        moving = ~np.concatenate([self.stuck, np.zeros_like(self.stuck[:1])])
+        moving[:, self.joints :] = False
+        return moving
 
     @property
     def reading_shares(self) -> Float[np.ndarray, "samples joints"]:

@@ -16,7 +16,7 @@ from ._weighting import outlier_weights
 
 # Noise levels go all the way to where residuals would have them in so many steps, then half of it;
 # they are fixed when they change by less than this part in a step, or after so many steps.
-_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS = 6, 0.05, 14
+_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS, _MOST_STEPS_OF_GEARS = 6, 0.05, 14, 40
 # Counts become intervals when a step moves no coefficient by more than this part of its standard
 # error. Where all of them will, the level of torque noise need not be settled: it follows later.
 NEAR = 0.3
@@ -45,7 +45,7 @@ def with_levels(
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
         position_noise = np.sqrt(position_noise * state.position_noise)
     change = max(
-        np.abs(np.log(new / old)).max()
+        np.abs(np.log(new / old))[:, : problem.joints].max()
         for new, old in (
             (torque_noise, state.torque_noise),
             (position_noise, state.position_noise),
@@ -59,7 +59,11 @@ def with_levels(
         )
         moved = whitening.coefficients - state.whitening.coefficients
         change = max(change, float(np.abs(moved).max()))
-    final = number >= _MOST_LEVEL_STEPS or (modelled and bool(change <= _LEVEL_TOLERANCE))
+    settled = modelled and bool(change <= _LEVEL_TOLERANCE)
+    if problem.transmission is None:
+        final = settled or number >= _MOST_LEVEL_STEPS
+    else:  # what gears let links do shows little by little
+        final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_GEARS
     if modelled and not whitening.order and step.change <= NEAR:
         final |= _all_sharp(problem, draws, position_noise)
     if final:

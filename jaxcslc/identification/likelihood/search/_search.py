@@ -11,7 +11,7 @@ from .._linear import Linear
 from .._objective import Objective, Point
 from .._problem import Problem
 from ._noise import NEAR, with_intervals, with_levels, with_refined_intervals
-from ._state import MARGINS, Mask, State, with_signs
+from ._state import MARGINS, Mask, State, with_link_levels, with_signs
 from ._weighting import objective_of, outlier_weights, with_sticking
 
 
@@ -57,6 +57,7 @@ def search(
     fixed_levels: bool = False,
     edge: Levels | None = None,
     tolerance: float = 0.0,
+    most_steps: int = _MOST_STEPS,
     noise_coefficients: Float[np.ndarray, "order joints"] | None = None,
 ) -> Minimum:
     """Minimises step by step: signs, weights and noise levels are fixed within each step.
@@ -71,6 +72,7 @@ def search(
     - `edge`: (recordings, n) widths of intervals' edges in steps, 0 where counts are none. The
       start is then near the minimum. None with fixed levels: no count is an interval.
     - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
+    - `most_steps`: after so many it ends wherever it is.
     - `noise_coefficients`: (order, n) of the autoregression of torque noise to start from; by
       default torque noise is white.
     """
@@ -82,6 +84,7 @@ def search(
     while True:
         number += 1
         state, same = with_signs(problem, state, number)
+        state = with_link_levels(problem, state)
         objective, counted = objective_of(problem, state)
         if number >= len(MARGINS):
             objective = with_sticking(problem, state, objective)
@@ -95,7 +98,7 @@ def search(
         # Rounding lets the sum grow: without a tolerance, that is no end.
         small = tolerance > 0.0 and state.final and number >= len(MARGINS)
         small = small and step.fall < tolerance
-        if converged or small or number == _MOST_STEPS - 1:
+        if converged or small or number == most_steps - 1:
             linear = Linear.of(objective, state.point)
             return Minimum(
                 state.point,

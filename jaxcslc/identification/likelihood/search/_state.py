@@ -85,14 +85,14 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
     ambiguous = state.ambiguous
     while True:
         signs = Signs.of(
-            point.q,
+            point.q[:, : problem.joints],
             readings.time,
-            problem.stuck,
+            problem.stuck[:, : problem.joints],
             margin=MARGINS[min(number, len(MARGINS) - 1)],
             modelled=modelled,
             joined=readings.joined,
-            ambiguous=ambiguous,
-        )
+            ambiguous=ambiguous[:, : problem.joints],
+        ).widened(point.q.shape[1])
         if before is None or number <= len(MARGINS):
             break
         unmatched = signs.unmatched(before)
@@ -104,6 +104,14 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
     turn = signs.turn if before is None else signs.carried(before, point.turn)
     point = dataclasses.replace(point, turn=turn)
     return dataclasses.replace(state, signs=signs, point=point, ambiguous=ambiguous), False
+
+
+def with_link_levels(problem: Problem, state: State) -> State:
+    """With noise of gears' equations that is as large as that of motors lets it be."""
+    model = problem.transmission
+    if model is None:
+        return state
+    return dataclasses.replace(state, torque_noise=model.levels(state.torque_noise))
 
 
 def intervals_of(problem: Problem, edge: Levels) -> Intervals | None:

@@ -9,7 +9,7 @@ from .._objective import TURN, Objective, Point, Residuals
 from .._problem import Problem
 from .._signs import Signs
 from .._sticking import Sticking, sticking_equations
-from ..equations import truncation
+from ..equations import Stretches, truncation
 from ._state import Mask, State
 
 
@@ -61,12 +61,12 @@ def _truncation(
     problem: Problem, signs: Signs, point: Point
 ) -> Float[np.ndarray, "equations joints"] | float:
     """What equations of sampled torque leave out at present positions."""
-    readings = problem.readings
-    if readings.torque.sampling == "held":
+    readings, equations = problem.readings, problem.equations
+    if readings.torque.sampling == "held" or not isinstance(equations, Stretches):
         return 0.0
     turns, direction = signs.turns(point.turn), signs.direction
     return truncation(
-        problem.equations,
+        equations,
         point.k,
         point.slopes,
         point.q,
@@ -123,5 +123,6 @@ def outlier_weights(
     extra = state.whitening.variance(extra)
     deviation = np.sqrt(noise**2 + extra)
     robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
+    robust[:, problem.joints :] = False
     size = np.maximum(np.abs(step.residuals.torque), 1e-300)
     return np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)

@@ -1,0 +1,34 @@
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from ._likelihood_fit import LikelihoodFit
+from ._objective import Point
+
+
+def point_near(point: Point, fit: LikelihoodFit) -> Point:
+    """A point with the values of a fit that is near.
+
+    **Raises** `ValueError` if the fit's positions are at other samples than the point's.
+    """
+    if fit.position.shape != point.q.shape or fit.offset.shape != point.offset.shape:
+        raise ValueError(
+            f"start: its positions are {fit.position.shape} of {len(fit.offset)} recordings;"
+            f" expected {point.q.shape} of {len(point.offset)}"
+        )
+    return dataclasses.replace(
+        point,
+        k=np.asarray(fit.k),
+        slopes=np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes,
+        calibration=calibration_values(point, fit),
+        offset=fit.offset,
+        q=fit.position,
+    )
+
+
+def calibration_values(point: Point, fit: LikelihoodFit | None) -> Float[np.ndarray, " unknowns"]:
+    """The calibration of a fit where a point has one."""
+    if fit is None or not len(point.calibration):
+        return point.calibration
+    return np.append(fit.torque_lag, fit.torque_gain)
