@@ -2,6 +2,7 @@ import contextlib
 import importlib.util
 import itertools
 import os
+import pickle
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -79,5 +80,14 @@ def _bytecode_cache() -> "jinja2.BytecodeCache | None":
         return None
     with contextlib.suppress(OSError):
         Path(folder).mkdir(parents=True, exist_ok=True)
-    writable = os.access(folder, os.W_OK)
-    return jinja2.FileSystemBytecodeCache(folder, "jaxcslc-%s.jinja") if writable else None
+    if not os.access(folder, os.W_OK):
+        return None
+
+    class Kept(jinja2.FileSystemBytecodeCache):
+        def load_bytecode(self, bucket: "jinja2.bccache.Bucket") -> None:
+            try:
+                super().load_bytecode(bucket)
+            except (pickle.UnpicklingError, EOFError, ValueError, TypeError):  # cut off
+                bucket.reset()
+
+    return Kept(folder, "jaxcslc-%s.jinja")

@@ -29,7 +29,7 @@ from jaxcslc.page import (
     intervals,
     render,
 )
-from jaxcslc.page._render import _template
+from jaxcslc.page._render import _template  # pyright: ignore[reportPrivateUsage]
 
 
 NAME = "<b>&\"'</script>$x$"
