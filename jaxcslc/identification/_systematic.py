@@ -67,7 +67,7 @@ class SystematicError:
 def standard_uncertainty(
     fit: Identification, systematic: SystematicError | None
 ) -> Float[np.ndarray, " coefficients"]:
-    """Standard error and systematic error of each coefficient together, (p,).
+    """Standard error and systematic error of each coefficient together, (p,), in its unit.
 
     The root of the sum of their squares, as the Guide to the Expression of Uncertainty in
     Measurement (JCGM 100:2008, 5.1) combines uncertainties of independent causes.
@@ -76,6 +76,18 @@ def standard_uncertainty(
 
     - `fit`: p coefficients.
     - `systematic`: of the fit; the standard error alone if None.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import SystematicError, standard_uncertainty
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(pendulum.with_friction(), lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> torque = -0.5 * np.sin(t) + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> systematic = SystematicError({"smoothing": np.array([0.003])})
+    >>> np.round(standard_uncertainty(fit, systematic), 4).tolist()
+    [0.0031]
     """
     error = np.asarray(fit.standard_error)
     return error if systematic is None else np.sqrt(error**2 + systematic.total**2)

@@ -46,6 +46,12 @@ class CSLC(AbstractTermSum):
 
     - `algebra`: the exact derivation: tables of inputs and links.
     - `terms`: the rigid body, then friction, springs and coupled joints, then a payload.
+
+    >>> import jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> network.names, [term.kind for term in network.terms]
+    (('kB1', 'kB2', 'kB3', 'kv1', 'kd1'), ['rigid_body', 'viscous', 'dry'])
     """
 
     algebra: Algebra = eqx.field(static=True)
