@@ -231,8 +231,8 @@ def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
 
 def _offset(before: _Before, torque: tuple[float, ...]) -> tuple[float, ...]:
     """What differs between directions is unknown before a first recording, and never nothing; but
-    where the model has a coefficient for it, it is no error: a design against an error that no
-    motion can tell from a coefficient gives up the other coefficients too."""
+    where the model has a coefficient for it, it is no error: no motion tells it from the
+    coefficient, and a criterion that counts both sees less of the others."""
     noise = torque if len(torque) > 1 else torque * before.network.joint_count
     return tuple(
         0.0 if _CONSTANTS & set(kinds) else value

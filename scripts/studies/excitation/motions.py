@@ -96,7 +96,7 @@ def puma_design(name: str, seed: int, quick: bool = False) -> Design:
     """A designed motion by its name in `DESIGNED`, or among those of `DIRECTIONAL`.
 
     In ours, errors of the model count, unless the model has friction of each direction: designs
-    against offsets, which such a model cannot tell from its own, had ten times the ε.
+    of such a model against noise so slow had ten times the ε.
     """
     directional = name in DIRECTIONAL.values()
     criterion = DESIGNED[name.removesuffix(", directional")]
