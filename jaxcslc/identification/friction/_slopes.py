@@ -26,8 +26,9 @@ _GONE_AT = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02, 0.01, 0.005)
 # Rounds of weighting joints by residual, and of reweighting for a robust loss.
 _ROUNDS = 3
 _ROBUST_ROUNDS = 30
-# The search ends with a step of this part of a slope; rounds of reweighting with a larger one.
-_TOLERANCE = 1e-8
+# The search ends with a step of this part of a slope: of a round of weights that others follow, of
+# the last one, and of rounds of a robust loss, which end with a change of this part themselves.
+_TOLERANCE_BEFORE, _TOLERANCE, _ROBUST_TOLERANCE = 1e-3, 1e-6, 1e-8
 _ROUND_TOLERANCE = 1e-6
 # Levenberg and Marquardt's damping: at first, and its factors after a good and a bad step.
 _DAMPING = 1e-3
@@ -239,7 +240,9 @@ def _fitted_slopes(
         if not from_start and number == 0:
             slopes = _best_start(equations, slopes, weights, solver.rcond)
         before = slopes
-        search = _searched(equations, slopes, weights, solver.rcond, max_steps)
+        last = _TOLERANCE if number + 1 == rounds else _TOLERANCE_BEFORE
+        tolerance = _ROBUST_TOLERANCE if robust else last
+        search = _searched(equations, slopes, weights, solver.rcond, max_steps, tolerance)
         slopes, steps, k = search.slopes, steps + search.steps, search.solution.k[: len(k)]
         if robust and np.max(np.abs(np.log(slopes / before))) < _ROUND_TOLERANCE:
             break
@@ -283,6 +286,7 @@ def _searched(
     weights: Float[np.ndarray, " joints"],
     rcond: float | None,
     max_steps: int,
+    tolerance: float,
 ) -> _Search:
     """Levenberg and Marquardt's method on the logarithms of the slopes, within their bounds.
 
@@ -305,7 +309,7 @@ def _searched(
                 break
             moving &= ~stuck
         size = float(np.max(np.abs(np.log(proposed / slopes))))
-        if size < _TOLERANCE:
+        if size < tolerance:
             return _Search(slopes, solution, step + 1, True)
         tried, remaining = _evaluated(equations, proposed, weights, rcond)
         if remaining <= squares:

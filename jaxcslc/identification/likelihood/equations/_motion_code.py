@@ -122,19 +122,20 @@ def motion_code(network: CSLC) -> MotionCode | None:
     """
     if network.static_slopes is not None:  # arguments of the code
         network = network.with_static_slopes(np.ones(network.joint_count))
-    code = _of_network(network)
+    # Its layout is kept once it was asked for, and networks with and without it are not equal.
+    code = _of_network(network, network.layout.size)
     return None if code is None or c_library(code.source) is None else code
 
 
 @lru_cache(maxsize=16)
-def _of_network(network: CSLC) -> MotionCode | None:
+def _of_network(network: CSLC, p: int) -> MotionCode | None:
     if not network.has_column_entries:
         return None
     smooth = smooth_code(network, _BLOCK)
     if smooth.operations > _MOST_OPERATIONS:
         return None
     friction = friction_code(network)
-    n, p = network.joint_count, network.size
+    n = network.joint_count
     columns = [(p + n) * joint + index for joint, index in smooth.entries]
     source = SOURCE.format(
         block=_BLOCK,
