@@ -153,7 +153,7 @@ class Factored:
     ) -> None:
         self._factor = factor
         # Half of a solution: a step needs the other half of one column alone.
-        self._half = solved(factor, mixed)
+        self._half = solved(factor, mixed, overwrite=True)
         self._diagonal = np.diag(border)
         self.information = border - gram(self._half)
 

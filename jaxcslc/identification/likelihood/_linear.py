@@ -48,13 +48,15 @@ class Linear:
         )
         gain = objective.torque.gain(point.calibration)
         predicted = np.asarray(derivatives.torque)
-        of_coefficients = np.asarray(derivatives.by_coefficient) / gain[:, None]
+        of_coefficients = np.asarray(derivatives.by_coefficient)
         of_calibration = objective.torque.by_values(point.calibration, predicted / gain)
         first = of_coefficients.shape[2]
         last = first + of_calibration.shape[2]
-        by_border = np.zeros((samples - 2, n, len(scale)))
-        by_border[:, :, :first] = of_coefficients * scale[:first]
+        # Long arrays: each pass over them counts.
+        by_border = np.empty((samples - 2, n, len(scale)))
+        np.multiply(of_coefficients, scale[:first] / gain[:, None], out=by_border[:, :, :first])
         by_border[:, :, first:last] = of_calibration * scale[first:last]
+        by_border[:, :, last:] = 0.0
         all_by_turn = np.asarray(derivatives.by_turn) / gain
         by_turn = np.zeros((3, len(signs.samples)))
         for index, offset in enumerate((-1, 0, 1)):
@@ -135,11 +137,12 @@ class Linear:
     def after(self, step: Step, residuals: Residuals) -> Residuals:
         """The residuals that a step leaves, were all equations linear."""
         objective = self.objective
-        torque = self.by_border @ step.border
+        torque = (self._flat_border @ step.border).reshape(residuals.torque.shape)
         n = step.position.shape[1]
+        near = np.zeros((len(torque), self.by_position.shape[2]))
         for i, equations, of_equation in self.stencil_parts:
-            block = self.by_position[equations, :, i * n : (i + 1) * n]
-            torque[equations] += np.einsum("ijk,ik->ij", block, step.position[of_equation])
+            near[equations, i * n : (i + 1) * n] = step.position[of_equation]
+        torque += np.matmul(self.by_position, near[:, :, None])[:, :, 0]
         for reversals, rows, joints, derivative in self.turn_parts:
             np.add.at(torque, (rows, joints), derivative * step.turn[reversals])
         change = objective.scale * step.border
@@ -150,6 +153,11 @@ class Linear:
             residuals.turn - step.turn,
             residuals.border - change,
         )
+
+    @property
+    def _flat_border(self) -> Float[np.ndarray, "rows border"]:
+        """Of all equations' joints, one after the other."""
+        return self.by_border.reshape(-1, self.by_border.shape[2])
 
     @property
     def offset(self) -> Int[np.ndarray, "samples joints"]:
@@ -200,7 +208,7 @@ class Linear:
         n = weights.position.shape[1]
         inner = np.zeros(order.size)
         force = weights.torque * residuals.torque
-        by_position = np.einsum("ijk,ij->ik", self.by_position, force)
+        by_position = np.matmul(force[:, None, :], self.by_position)[:, 0]
         for i, equations, of_equation in self.stencil_parts:
             inner[order.position[of_equation]] += by_position[equations, i * n : (i + 1) * n]
         reading = weights.position * residuals.position
@@ -211,7 +219,7 @@ class Linear:
         inner[order.turn] += weights.turn * residuals.turn
         for reversals, rows, joints, derivative in self.turn_parts:
             inner[order.turn[reversals]] += derivative * force[rows, joints]
-        border = np.einsum("ijk,ij->k", self.by_border, force)
+        border = force.ravel() @ self._flat_border
         np.add.at(border, self.offset, reading * scale[self.offset])
         border += scale * weights.border * residuals.border
         return inner, border

@@ -13,6 +13,7 @@ def solved(
     right: Float[np.ndarray, "inner columns"],
     *,
     transposed: bool = False,
+    overwrite: bool = False,
 ) -> Float[np.ndarray, "inner columns"]:
     """The solution for the triangle of a banded factorisation, or for its transpose.
 
@@ -23,7 +24,7 @@ def solved(
     **Arguments**
 
     - `factor`: lower, as of `scipy.linalg.cholesky_banded`.
-    - `right`: stays as it is.
+    - `right`: stays as it is, unless it is one to `overwrite`.
 
     >>> import numpy as np
     >>> factor = np.asfortranarray([[2.0, 1.0], [3.0, 0.0]])  # ((2, 0), (3, 1))
@@ -34,7 +35,8 @@ def solved(
     if library is None:
         return dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")[0]
     columns = np.ascontiguousarray(factor.T)
-    result = np.array(right, float, order="C")
+    whole = overwrite and right.flags.c_contiguous
+    result = right if whole else np.array(right, float, order="C")
     sizes = (*result.shape[:1], columns.shape[1], result.shape[1], int(transposed))
     library.solve(
         columns.ctypes.data_as(ctypes.c_void_p),

@@ -17,10 +17,13 @@ from ._weighting import objective_of, outlier_weights, with_sticking
 
 _MOST_STEPS = 60
 # It has converged when a step moves no coefficient by more than this part of a standard error, and
-# linear equations promise less than this of the sum of squares, in units of variances.
-_SETTLED = 1e-2
-# Beside intervals, edges and the level of torque noise follow steps of less than this part of one.
-_NEARER = 1.0
+# linear equations promise less than `PROMISE` of the sum of squares, in units of variances; or less
+# than this where coefficients move by a tenth of that part. Then positions alone are left, which
+# take some steps more in intervals, and nothing follows these.
+_SETTLED, _PROMISE_OF_POSITIONS = 1e-2, 1.0
+# Beside intervals, edges and the level of torque noise follow steps of less than so many of these:
+# while the level is far too large, steps are short.
+_NEARER = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +97,7 @@ def search(
         progress(f"maximum likelihood: step {number + 1 - first}")
         quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
+        settled |= step.change <= 0.1 * _SETTLED and step.promise <= _PROMISE_OF_POSITIONS
         converged = quiet and settled and state.final and (edge is None or number > first)
         # Rounding lets the sum grow: without a tolerance, that is no end.
         small = tolerance > 0.0 and state.final and number >= len(MARGINS)
