@@ -12,7 +12,14 @@ from ._identify_one import identify_one, without_lag, without_progress
 from ._identify_several import identify_several
 from ._settings import Settings
 from .checks import DataCheck, check
-from .estimators import EstimatorChoice, check_estimator, with_instruments, with_likelihood
+from .estimators import (
+    EstimatorChoice,
+    check_estimator,
+    fits_beside,
+    with_instruments,
+    with_likelihood,
+    within_memory,
+)
 from .likelihood import MaximumLikelihood
 from .possible import Choice
 from .prediction import file_coefficients, prediction_error
@@ -157,67 +164,83 @@ def identify(
     threads = beside and longest.samples >= _SAMPLES_OF_THREADS
     forked = beside and can_fork() and computed_on_host(network, longest.position)
     progress_of_checks = without_progress if threads or forked else step
-    with _computed(
-        lambda: _checked(network, by_name, validation, lag, progress_of_checks) if checks else None,
-        forked=forked,
-        threads=threads,
-    ) as data_check:
-        if together:
-            if previous is not None:
-                raise ValueError("identify: previous is for one recording, got several")
-            report = identify_several(
+    with fits_beside(
+        network,
+        by_name,
+        likelihood or MaximumLikelihood(),
+        held_out=validation is None,
+        allowed=(
+            not together
+            and estimator in ("maximum-likelihood", "auto")
+            and not _with_bodies(possible, prior, likelihood)
+            and within_memory(network, by_name, memory)
+        ),
+    ) as fits:
+        with _computed(
+            lambda: (
+                _checked(network, by_name, validation, lag, progress_of_checks) if checks else None
+            ),
+            forked=forked,
+            threads=threads,
+        ) as data_check:
+            if together:
+                if previous is not None:
+                    raise ValueError("identify: previous is for one recording, got several")
+                report = identify_several(
+                    network,
+                    by_name,
+                    validation,
+                    settings,
+                    options=options or {},
+                    folds=folds,
+                    memory=memory,
+                    offsets=offsets,
+                    systematic=systematic,
+                    possible=possible,
+                    prior=prior,
+                    data_check=data_check(),
+                    step=step,
+                )
+            else:
+                if offsets:
+                    raise ValueError(
+                        "identify: offsets are of several recordings; for one use the friction term"
+                        " 'offset'"
+                    )
+                report = identify_one(
+                    network,
+                    next(iter(by_name.values())),
+                    validation,
+                    settings,
+                    previous=previous,
+                    groups=groups,
+                    options=options or {},
+                    folds=folds,
+                    systematic=systematic,
+                    possible=possible,
+                    prior=prior,
+                    memory=memory,
+                    data_check=data_check,
+                    step=step,
+                    begin=(lambda settings: None) if fits is None else fits.begin,
+                )
+        if estimator == "instrumental-variables":
+            recording = next(iter(by_name.values()))
+            report = with_instruments(report, recording, prior=prior, step=step)
+        elif estimator != "least-squares":
+            report = with_likelihood(
+                report,
                 network,
                 by_name,
                 validation,
-                settings,
-                options=options or {},
-                folds=folds,
-                memory=memory,
-                offsets=offsets,
-                systematic=systematic,
-                possible=possible,
-                prior=prior,
-                data_check=data_check(),
-                step=step,
-            )
-        else:
-            if offsets:
-                raise ValueError(
-                    "identify: offsets are of several recordings; for one use the friction term"
-                    " 'offset'"
-                )
-            report = identify_one(
-                network,
-                next(iter(by_name.values())),
-                validation,
-                settings,
-                previous=previous,
-                groups=groups,
-                options=options or {},
-                folds=folds,
-                systematic=systematic,
+                estimator=estimator,
+                likelihood=likelihood,
                 possible=possible,
                 prior=prior,
                 memory=memory,
-                data_check=data_check,
                 step=step,
+                beside=fits,
             )
-    if estimator == "instrumental-variables":
-        recording = next(iter(by_name.values()))
-        report = with_instruments(report, recording, prior=prior, step=step)
-    elif estimator != "least-squares":
-        report = with_likelihood(
-            report,
-            network,
-            by_name,
-            validation,
-            estimator=estimator,
-            likelihood=likelihood,
-            possible=possible,
-            prior=prior,
-            memory=memory,
-            step=step,
-        )
     if horizon:
         step("simulating")
         coefficients = {"fit": report.k, **file_coefficients(report.network)}
@@ -228,6 +251,14 @@ def identify(
     if choice is not None:
         report = with_friction_choice(report, choice, estimator=estimator, prior=prior, step=step)
     return report
+
+
+def _with_bodies(
+    possible: Choice, prior: Prior | None, likelihood: MaximumLikelihood | None
+) -> bool:
+    """Whether the search of maximum likelihood may be one of possible bodies."""
+    priors = (prior, None if likelihood is None else likelihood.prior)
+    return possible == "always" or any(prior is not None and prior.links for prior in priors)
 
 
 def _check_arguments(

@@ -91,14 +91,18 @@ def identify_one(
     memory: float,
     data_check: Callable[[], DataCheck | None],
     step: Callable[[str], None],
+    begin: Callable[[Settings], None] = lambda settings: None,
 ) -> Report:
     """What `identify` does with one recording; arguments as there.
+
+    - `begin`: is called with settings once these are known.
 
     - `data_check`: waits for the check of all recordings, if they are checked.
     """
     automatic_masks = settings is None or settings.preparation.threshold_fraction is None
     step("choosing settings")
     prepared = _prepared(network, training, validation, settings, options, folds, memory)
+    begin(prepared.of_training)
     step("preparing patterns")
     patterns, part_patterns = prepared.patterns()
     slopes, load = None, None

@@ -45,14 +45,25 @@ def check_estimator(
             raise ValueError(f"estimator {estimator!r}: fits no possible bodies; got 'always'")
 
 
+def within_memory(network: CSLC, training: Mapping[str, Recording], memory: float) -> bool:
+    """Whether the matrices of a fit fit into memory [GB]."""
+    return _needed(network, training) <= memory
+
+
 def check_size(network: CSLC, training: Mapping[str, Recording], memory: float) -> None:
     """**Raises** `ValueError` if the matrices of a fit do not fit into memory [GB]."""
+    if not within_memory(network, training, memory):
+        samples = sum(recording.samples for recording in training.values())
+        needed = _needed(network, training)
+        raise ValueError(
+            f"maximum likelihood of {samples} samples needs {needed:.2g} GB; expected at most"
+            f" {memory:g} GB, about {int(memory / (needed / samples))} samples: thin the recording,"
+            " or allow more memory"
+        )
+
+
+def _needed(network: CSLC, training: Mapping[str, Recording]) -> float:
+    """Memory of matrices of positions times coefficients [GB]."""
     samples = sum(recording.samples for recording in training.values())
     n = network.joint_count
-    numbers = samples * n * (network.size + 2 * n) * _MATRICES
-    if 8e-9 * numbers > memory:
-        most = int(memory / (8e-9 * numbers / samples))
-        raise ValueError(
-            f"maximum likelihood of {samples} samples needs {8e-9 * numbers:.2g} GB; expected at"
-            f" most {memory:g} GB, about {most} samples: thin the recording, or allow more memory"
-        )
+    return 8e-9 * samples * n * (network.size + 2 * n) * _MATRICES

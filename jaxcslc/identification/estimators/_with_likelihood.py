@@ -8,7 +8,6 @@ import numpy as np
 from ...motion import Patterns, Recording, joined_patterns
 from ...network import CSLC
 from .._held_out import RelativeError, Source
-from .._identify_one import without_lag
 from ..likelihood import Estimator, EstimatorComparison, LikelihoodFit, MaximumLikelihood
 from ..possible import (
     Choice,
@@ -24,14 +23,21 @@ from ..report import Report
 from ..solver import Identification, torque_of
 from ._calibration import calibrated, calibrated_report
 from ._checks import EstimatorChoice, check_size
+from ._likelihood_fits import (
+    FEWEST_SAMPLES,
+    FitsBeside,
+    LikelihoodFits,
+    estimator_for,
+    fit_before,
+    on_time,
+    split_of,
+    start_of,
+)
 from ._likelihood_report import JudgedErrors, likelihood_report
 
 
-# Without a validation recording, estimators are judged on this part of each recording, its last;
-# in as many stretches, whose spread says what is chance.
-_HELD_OUT, _STRETCHES = 0.25, 8
-# A recording of fewer samples is not divided.
-_FEWEST_SAMPLES = 400
+# Estimators are judged in as many stretches, whose spread says what is chance.
+_STRETCHES = 8
 
 
 def with_likelihood(
@@ -46,6 +52,7 @@ def with_likelihood(
     prior: Prior | None,
     memory: float,
     step: Callable[[str], None],
+    beside: FitsBeside | None = None,
 ) -> Report:
     """A report of least squares with maximum likelihood beside it, and the better one's numbers.
 
@@ -58,6 +65,7 @@ def with_likelihood(
       not fitted better than least squares, by more than chance and by 1 %. They are judged by
       `MaximumLikelihood.misfit`: torque errors of smoothed motion favour regression on such.
     - `likelihood`, `possible`, `prior`, `memory`, `step`: as of `identify`.
+    - `beside`: fits that have begun; they are computed now if None.
 
     **Returns** the report; `report.estimators` compares the two.
 
@@ -76,6 +84,7 @@ def with_likelihood(
             possible,
             prior,
             step,
+            beside,
         )
         return judged.report(estimator)
     except (ValueError, RuntimeError) as error:
@@ -113,18 +122,25 @@ class _Judged:
     possible: Choice
     prior: Prior | None
     step: Callable[[str], None]
+    beside: FitsBeside | None
 
     def report(self, estimator: EstimatorChoice) -> Report:
         """The report of the estimator that is asked for, or better."""
         self.step("maximum likelihood")
         training = self._on_time(self.training.values())
-        likelihood = self._with_bodies.fit(self.network, training, self._first, self.step)
+        if self.beside is None:
+            start = start_of(self.network, self.least_squares.fit)
+            likelihood = self._with_bodies.fit(self.network, training, start, self.step)
+            fits = LikelihoodFits(likelihood, None)
+        else:
+            fits = self.beside.result()
+        likelihood = fits.whole
         if not likelihood.unknowns:
-            return self._beside(likelihood, estimator)
+            return self._compared(fits, estimator)
         base = self.least_squares
         validation = [] if self.validation is None else self._on_time([self.validation])
         right = calibrated_report(base, likelihood, training, validation)
-        report = dataclasses.replace(self, least_squares=right)._beside(likelihood, estimator)
+        report = dataclasses.replace(self, least_squares=right)._compared(fits, estimator)
         comparison = report.estimators
         assert comparison is not None
         if comparison.used == "least-squares":
@@ -132,10 +148,10 @@ class _Judged:
         lag = base.settings.preparation.torque_lag + likelihood.torque_lag
         return dataclasses.replace(report, settings=base.settings.with_options(torque_lag=lag))
 
-    def _beside(self, likelihood: LikelihoodFit, estimator: EstimatorChoice) -> Report:
-        """The same from the fit to everything, with patterns of torques as it says they were."""
-        base = self.least_squares
-        unfitted = self._unfitted(likelihood)
+    def _compared(self, fits: LikelihoodFits, estimator: EstimatorChoice) -> Report:
+        """The same from these fits, with patterns of torques as they say they were."""
+        base, likelihood = self.least_squares, fits.whole
+        unfitted = self._unfitted(fits)
         parts = Part.held_out(
             likelihood.network, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES
         )
@@ -190,13 +206,7 @@ class _Judged:
 
     @property
     def _estimator(self) -> MaximumLikelihood:
-        settings = self.least_squares.settings
-        alignment = settings.preparation.torque_alignment
-        return dataclasses.replace(
-            self.options,
-            torque_sampling="sampled" if alignment == "sample" else "held",
-            settings=settings.with_options(torque_lag=0.0),
-        )
+        return estimator_for(self.options, self.least_squares.settings)
 
     @property
     def _with_bodies(self) -> MaximumLikelihood:
@@ -210,18 +220,11 @@ class _Judged:
             return self._estimator
         return dataclasses.replace(self._estimator, possible=True, prior=prior)
 
-    @property
-    def _first(self) -> Identification | None:
-        """The fit to start from: regression with static friction starts from other slopes."""
-        static = "static" in self.network.robot.friction_terms
-        return None if static else self.least_squares.fit
-
     def _on_time(self, recordings: Iterable[Recording]) -> list[Recording]:
-        lag = self.least_squares.settings.preparation.torque_lag
-        return [without_lag(recording, lag) for recording in recordings]
+        return on_time(self.least_squares.settings, recordings)
 
-    def _unfitted(self, likelihood: LikelihoodFit) -> _Unfitted:
-        report = self.least_squares
+    def _unfitted(self, fits: LikelihoodFits) -> _Unfitted:
+        report, likelihood = self.least_squares, fits.whole
         if self.validation is not None:
             return _Unfitted(
                 "validation",
@@ -231,35 +234,30 @@ class _Judged:
                 likelihood,
             )
         shortest = min(recording.samples for recording in self.training.values())
-        if shortest < _FEWEST_SAMPLES:
+        if shortest < FEWEST_SAMPLES:
             raise ValueError(
                 f"{shortest} samples are too few to hold a stretch out; expected"
-                f" {_FEWEST_SAMPLES} or a validation recording"
+                f" {FEWEST_SAMPLES} or a validation recording"
             )
-        on_time = report.settings.with_options(torque_lag=0.0)
-        early: list[Recording] = []
+        settings = report.settings.with_options(torque_lag=0.0)
+        training = self._on_time(self.training.values())
         late: list[Recording] = []
-        rows: list[np.ndarray] = []
         fitted: list[Patterns] = []
         unfitted: list[Patterns] = []
-        for recording in self._on_time(self.training.values()):
-            start, end = float(recording.time[0]), float(recording.time[-1])
-            split = end - _HELD_OUT * (end - start)
-            early.append(recording.between(0.0, split - start))
-            samples = np.arange(0, recording.samples, likelihood.every)
-            rows.append(samples < early[-1].samples)
-            late.append(recording.between(split - start, end - start))
-            patterns = on_time.patterns(calibrated(recording, likelihood))
-            fitted.append(patterns.between(start, split))
-            unfitted.append(patterns.between(split, end))
+        for recording in training:
+            start, end, split = recording.time[0], recording.time[-1], split_of(recording)
+            late.append(recording.between(split - float(start), float(end - start)))
+            patterns = settings.patterns(calibrated(recording, likelihood))
+            fitted.append(patterns.between(float(start), split))
+            unfitted.append(patterns.between(split, float(end)))
         fit = report.settings.solver.fit(report.network, joined_patterns(fitted))
         fit = with_knowledge(fit, self._known)
         k = np.asarray(fit.k)
         if report.possible is not None and report.possible.used:
             k = self._possible(report.network, fit, report.possible.parameters)
-        # Near the fit to everything, whose noise levels it has.
-        near = likelihood.at(np.concatenate(rows))
-        shorter = self._estimator.fit(self.network, early, near, self.step)
+        shorter = fits.before
+        if shorter is None:
+            shorter = fit_before(self._estimator, self.network, training, likelihood, self.step)
         return _Unfitted("held-out stretch", late, joined_patterns(unfitted), k, shorter)
 
     def _informed(self, fit: Identification) -> Identification:

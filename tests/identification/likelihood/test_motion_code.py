@@ -72,5 +72,6 @@ def test_it_is_the_equations_in_jax(arm: jc.CSLC, code: MotionCode) -> None:
 
 def test_a_network_of_too_many_operations_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_motion_code, "_MOST_OPERATIONS", 3)
+    _motion_code._of_network.cache_clear()
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
     assert motion_code(jc.derive(robot.with_friction("viscous"), lengths="numeric")) is None

@@ -1,5 +1,4 @@
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -46,7 +45,7 @@ def systematic_errors(
     for cause, inputs in _inputs(linear, point, counted).items():
         change = _change(linear, factored, inputs, components) * linear.objective.scale
         parts[cause] = np.abs(change[:p])
-    return SystematicError(MappingProxyType(parts))
+    return SystematicError(parts)
 
 
 def _inputs(
