@@ -1,0 +1,68 @@
+"""Fits of maximum likelihood that begin before least squares are done."""
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.identification.estimators import _likelihood_fits
+from jaxcslc.identification.estimators._likelihood_fits import fits_beside
+from jaxcslc.identification.likelihood import MaximumLikelihood
+
+
+OPTIONS = MaximumLikelihood(torque_sampling="held", every=1, noise_order=0)
+
+
+@pytest.fixture(scope="module")
+def network() -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.derive(robot.with_friction("viscous", "dry", "static"), lengths="numeric")
+
+
+@pytest.fixture(scope="module")
+def recording(network: jc.CSLC) -> jc.Recording:
+    t = 0.01 * np.arange(500)[:, None]
+    q, qd, qdd = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
+    k = np.array([0.5, 0.3, -0.1, 0.2, 0.4, 0.1])
+    torque = np.asarray(network.with_static_slopes([5.0]).torque(k, q, qd, qdd))
+    noise = 0.01 * np.random.default_rng(0).normal(size=q.shape)
+    return jc.Recording(t[:, 0], 1e-3 * np.round(q / 1e-3), torque + noise)
+
+
+def test_they_are_those_of_one_process(
+    network: jc.CSLC, recording: jc.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Computed at once, for XLA has threads here; sent as from another process.
+    monkeypatch.setattr(_likelihood_fits, "can_fork", lambda: True)
+    monkeypatch.setattr(
+        _likelihood_fits,
+        "_with_network",
+        lambda network, fields, made=_likelihood_fits._with_network: made(
+            network, pickle.loads(pickle.dumps(fields))
+        ),
+    )
+    settings = jc.Settings()
+    with fits_beside(network, {"swing": recording}, OPTIONS, held_out=True, allowed=True) as beside:
+        assert beside is not None
+        beside.begin(settings)
+        whole, before = beside.result()
+    expected = _likelihood_fits.estimator_for(OPTIONS, settings).fit(network, recording)
+    assert_allclose(whole.k, expected.k)
+    assert_allclose(whole.slopes, expected.slopes)
+    assert whole.network.static_slopes is not None
+    assert whole.fit.result == expected.fit.result
+    assert before is not None
+    assert len(before.position) == 375
+
+
+def test_least_squares_are_waited_for_where_a_fit_starts_from_them(
+    network: jc.CSLC, recording: jc.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_likelihood_fits, "can_fork", lambda: True)
+    without = network.without_law("static", (1,))
+    for which, allowed in ((without, True), (network, False)):
+        training = {"swing": recording}
+        with fits_beside(which, training, OPTIONS, held_out=True, allowed=allowed) as beside:
+            assert beside is None
