@@ -24,7 +24,7 @@ class TransmissionChoice(eqx.Module):
 
     - `rigid`, `apart`: Schwarz's criterion: minus twice the logarithm of the likelihood, and the
       logarithm of the number of equations for each further parameter. The latter is infinite if no
-      compliance is significant, or the search did not converge.
+      compliance is significant.
     - `joints`: whose links were apart in the latter, from 1.
     """
 
@@ -88,10 +88,9 @@ def chosen_minimum(
         error = np.sqrt(np.diag(spectrum.covariance)[index]) * scale[index]
         significant = parameters.compliance > _SIGNIFICANT * error
         if np.all(significant):
-            value = criterion(apart) if apart.converged else np.inf
-            choice = TransmissionChoice(
-                criterion(rigid), float(value), tuple(link + 1 for link in links)
-            )
+            # Short of its minimum, a search only understates what its likelihood is.
+            criteria = criterion(rigid), criterion(apart)
+            choice = TransmissionChoice(*criteria, tuple(link + 1 for link in links))
             return (apart if choice.supported else rigid), choice
         links = [link for link, keep in zip(links, significant, strict=True) if keep]
     return rigid, TransmissionChoice(criterion(rigid), float(np.inf), ())

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from tests.identification.likelihood.transmission.conftest import TwoMasses
+from scripts.studies.likelihood.two_masses import TwoMasses
 
 
 STEP, NOISE = 5e-5, 0.05
