@@ -222,7 +222,7 @@ def identify(
                     memory=memory,
                     data_check=data_check,
                     step=step,
-                    begin=(lambda settings: None) if fits is None else fits.begin,
+                    with_settings=(lambda settings: None) if fits is None else fits.begin,
                 )
         if estimator == "instrumental-variables":
             recording = next(iter(by_name.values()))

@@ -91,18 +91,17 @@ def identify_one(
     memory: float,
     data_check: Callable[[], DataCheck | None],
     step: Callable[[str], None],
-    begin: Callable[[Settings], None] = lambda settings: None,
+    with_settings: Callable[[Settings], None] = lambda settings: None,
 ) -> Report:
     """What `identify` does with one recording; arguments as there.
 
-    - `begin`: is called with settings once these are known.
-
     - `data_check`: waits for the check of all recordings, if they are checked.
+    - `with_settings`: is called with settings once these are known.
     """
     automatic_masks = settings is None or settings.preparation.threshold_fraction is None
     step("choosing settings")
     prepared = _prepared(network, training, validation, settings, options, folds, memory)
-    begin(prepared.of_training)
+    with_settings(prepared.of_training)
     step("preparing patterns")
     patterns, part_patterns = prepared.patterns()
     slopes, load = None, None
@@ -137,7 +136,7 @@ def identify_one(
     with function_beside(
         partial(_shifts, network, prepared.part, settings, groups, known),
         allowed=systematic and computed_on_host(network, prepared.part.position),
-    ) as begin:
+    ) as begin_systematic:
         if load is not None:
             whole = prepared.section is None
             fit = (
@@ -156,7 +155,7 @@ def identify_one(
         systematic_shifts: Callable[[], SystematicError | None] = lambda: None
         if systematic:
             step("computing systematic errors")
-            systematic_shifts = begin((np.asarray(fit.k), np.asarray(fit.determined)))
+            systematic_shifts = begin_systematic((np.asarray(fit.k), np.asarray(fit.determined)))
         if previous is None:
             bodies, held_out, sentences = judged_bodies(
                 network,
