@@ -64,10 +64,8 @@ class ForkedFunction(Generic[Argument, Result]):
 
     - `function`: of one argument.
 
-    >>> with ForkedFunction(lambda x: 2 * x) as twice:
-    ...     twice.send(21)
-    ...     twice.receive()
-    42
+    To be made only where `can_fork` says so, as `function_beside` does. Not of `multiprocessing`:
+    processes that it forks outlive one that is killed, whose end of a pipe they hold open.
     """
 
     def __init__(self, function: Callable[[Argument], Result]) -> None:

@@ -71,6 +71,7 @@ from .likelihood import (
     MaximumLikelihood as MaximumLikelihood,
     Misfit as Misfit,
     ModelSelection as ModelSelection,
+    NoiseExcitation as NoiseExcitation,
     NoiseOrders as NoiseOrders,
     SpacingTrial as SpacingTrial,
     TorqueSampling as TorqueSampling,

@@ -60,6 +60,13 @@ def likelihood_report(
             f"maximum likelihood: not converged after {likelihood.steps} steps; coefficients"
             " may be off by more than their intervals"
         )
+    noise = likelihood.noise_excitation
+    if noise is not None and noise.excessive:
+        warnings.append(
+            f"maximum likelihood, {noise.line}: the motion hardly shows this coefficient. Likely"
+            " cause: slow motion, or a single sine a joint. Remedy: faster or richer motion"
+            " (jaxcslc excite), or --estimator least-squares"
+        )
     warnings += fit_warnings(network, recording, fit, errors["training"])
     excitation = report.excitation
     if excitation is not None and network.names != report.network.names:

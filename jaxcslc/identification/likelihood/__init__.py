@@ -8,6 +8,7 @@ from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._signs import runs as runs
 from .selection import (
     ModelSelection as ModelSelection,
+    NoiseExcitation as NoiseExcitation,
     NoiseOrders as NoiseOrders,
     SpacingTrial as SpacingTrial,
 )

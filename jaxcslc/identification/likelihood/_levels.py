@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._band import Factored
 from ._linear import Linear
 from ._objective import Residuals
+from .band import Factored
 
 
 # A noise level falls to no less than this part in a step (continuation: while torque counts for

@@ -4,11 +4,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from ._band import Factored
 from ._linear import Linear
 from ._objective import Point, Residuals, Step
 from ._problem import Problem
 from ._signs import LATEST_TURN
+from .band import Factored
 
 
 _MOST_TRIALS, _MOST_HALVINGS = 8, 4

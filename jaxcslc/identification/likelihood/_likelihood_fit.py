@@ -3,14 +3,14 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._environment import as_jax
 from ...network import CSLC
 from .._systematic import SystematicError
 from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
-from ._band import Spectrum
+from .band import Spectrum
 from .errors import (
     CorrelatedErrors,
     eliminated_rows,
@@ -19,7 +19,7 @@ from .errors import (
     systematic_errors,
 )
 from .search import Minimum
-from .selection import ModelSelection
+from .selection import ModelSelection, NoiseExcitation
 from .torque import TorqueUnknown, Whitening
 from .transmission import (
     Transmission,
@@ -111,6 +111,7 @@ class LikelihoodFit(eqx.Module):
     systematic: SystematicError | None = None
     every: int = eqx.field(static=True, default=1)
     selection: ModelSelection | None = eqx.field(static=True, default=None)
+    noise_excitation: NoiseExcitation | None = eqx.field(static=True, default=None)
 
     @property
     def k(self) -> Float[Array, " coefficients"]:
@@ -172,6 +173,16 @@ class Misfit:
     error: Float[np.ndarray, "equations joints"]
     torque: Float[np.ndarray, "equations joints"]
     mask: Bool[np.ndarray, "equations joints"]
+
+    @classmethod
+    def of(cls, minimum: Minimum, part: Int[np.ndarray, " samples"], joints: int) -> "Misfit":
+        """At the minimum of a search; `part`: number of the recording of each sample."""
+        left, of_equation = minimum.linear.residuals, part[1:-1]
+        error = np.hypot(
+            left.torque / minimum.torque_noise[of_equation],
+            left.position[1:-1] / minimum.position_noise[of_equation],
+        )
+        return cls(error[:, :joints], left.torque[:, :joints], minimum.counted[:, :joints])
 
 
 def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> LikelihoodFit:

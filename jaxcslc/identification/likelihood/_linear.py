@@ -3,9 +3,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._band import BandedEquations, Factored, Order, gram
 from ._objective import Objective, Point, Residuals, Step
-from .band import add_equations
+from .band import BandedEquations, Factored, Order, add_equations, gram
 
 
 # Equations whose squares are added up at a time.

@@ -19,7 +19,7 @@ from ._spacing import EXCESS, excess_noise, spacing_trials
 from ._start import starting_point
 from .knowledge import check_prior, possible_bodies
 from .search import Minimum, search
-from .selection import ModelSelection, NoiseOrders, SpacingTrial, best_spacing
+from .selection import ModelSelection, NoiseExcitation, NoiseOrders, SpacingTrial, best_spacing
 from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
 from .transmission._apart import apart_minimum, check_transmission
 from .transmission._choice import TransmissionChoice
@@ -30,8 +30,6 @@ from .transmission._widened import near_transmission
 LikelihoodUnknown = TorqueUnknown | Literal["transmission"]
 """What may be estimated beside coefficients: of recorded torques, or gears that give way."""
 _UNKNOWNS = (*get_args(TorqueUnknown), "transmission")
-
-
 # A misfit is known well enough when the sum of squares falls by no more than this part in a step.
 _MISFIT_TOLERANCE = 1e-3
 
@@ -78,7 +76,7 @@ class MaximumLikelihood:
       every so many; torque between them counts, readings do not. Two or more for arms whose
       transmission vibrates: a rigid model is right below those frequencies only. `"auto"`: 1, and
       more where positions have more noise than readings explain and motion that was left out is
-      predicted better by more than chance.
+      predicted better by more than chance, or where noise excites (`NoiseExcitation`).
     - `noise_order`: 0 for torque noise that is white; 1 or 2 for an autoregression of that order,
       joint by joint, whose coefficients are estimated. `"auto"`: the order that torque residuals of
       a fit with white noise support (Bayes's information criterion).
@@ -192,9 +190,8 @@ class MaximumLikelihood:
             if minimum is not None:
                 fit = self._fit(network, minimum, every)
                 return dataclasses.replace(fit, transmission_choice=choice)
-        problem, levels, minimum = self._minimum(network, recordings, start, every, report)
-        white = self.noise_order == "auto"
-        orders = NoiseOrders.of(problem, minimum) if white else None
+        problem, first, minimum = self._minimum(network, recordings, start, every, report)
+        orders = NoiseOrders.of(problem, minimum) if self.noise_order == "auto" else None
         excess, trials = None, ()
         if self.every == "auto":
             excess = excess_noise(problem, minimum)
@@ -203,8 +200,17 @@ class MaximumLikelihood:
                 trials = self._trials(network, recordings, minimum, report)
             every = best_spacing(trials)
             if every > 1:
-                problem, levels, minimum = self._minimum(network, recordings, start, every, report)
-                orders = NoiseOrders.of(problem, minimum) if white else None
+                problem, first, minimum = self._minimum(network, recordings, start, every, report)
+        noise = NoiseExcitation.of(network, minimum, first.point.q, every)
+        noisy: tuple[NoiseExcitation, ...] = ()
+        samples = min(recording.samples for recording in recordings)
+        while self.every == "auto" and noise.excessive and noise.wider_spacing(samples):
+            noisy += (noise,)
+            every = noise.wider_spacing(samples) or every
+            problem, first, minimum = self._minimum(network, recordings, start, every, report)
+            noise = NoiseExcitation.of(network, minimum, first.point.q, every)
+        if orders is not None and every > 1 and self.every == "auto":
+            orders = NoiseOrders.of(problem, minimum)
         if orders is not None and orders.order:
             minimum = search(
                 problem,
@@ -218,10 +224,10 @@ class MaximumLikelihood:
         if self.every == "auto" or self.noise_order == "auto":
             order = len(fit.noise_coefficients)
             of_joints = None if excess is None else tuple(excess.tolist())
-            selection = ModelSelection(every, order, of_joints, trials, orders)
+            selection = ModelSelection(every, order, of_joints, trials, orders, noisy)
             fit = dataclasses.replace(fit, selection=selection)
-        fit = dataclasses.replace(fit, transmission_choice=choice)
-        return self._with_bodies(network, problem, minimum, fit, levels, report)
+        fit = dataclasses.replace(fit, transmission_choice=choice, noise_excitation=noise)
+        return self._with_bodies(network, problem, minimum, fit, first[1:], report)
 
     def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
         """The same with the spacing and the order of torque noise of a fit."""
@@ -234,17 +240,14 @@ class MaximumLikelihood:
         start: Identification | None,
         every: int,
         report: Callable[[str], None],
-    ) -> tuple[Problem, tuple[np.ndarray, np.ndarray], Minimum]:
-        """The problem, the noise of torque and positions that its search starts with, and its
-        minimum; for torque noise that is white unless its order is set."""
+    ) -> tuple[Problem, SearchStart, Minimum]:
+        """The problem, what its search starts with, and its minimum; for torque noise that is white
+        unless its order is set."""
         problem, point, *levels = self._start(network, recordings, start, every)
-        torque_noise, position_noise = levels
+        first = SearchStart(point, *levels)
         order = 0 if self.noise_order == "auto" else self.noise_order
         coefficients = np.zeros((order, network.joint_count))
-        minimum = search(
-            problem, point, torque_noise, position_noise, report, noise_coefficients=coefficients
-        )
-        return problem, (torque_noise, position_noise), minimum
+        return problem, first, search(problem, *first, report, noise_coefficients=coefficients)
 
     def _trials(
         self,
@@ -285,7 +288,11 @@ class MaximumLikelihood:
             edge=edge,
             noise_coefficients=coefficients,
         )
-        fit = dataclasses.replace(self._fit(network, minimum, near.every), selection=near.selection)
+        fit = dataclasses.replace(
+            self._fit(network, minimum, near.every),
+            selection=near.selection,
+            noise_excitation=near.noise_excitation,
+        )
         return self._with_bodies(network, problem, minimum, fit, None, report)
 
     def _fit(self, network: CSLC, minimum: Minimum, every: int) -> LikelihoodFit:
@@ -313,7 +320,8 @@ class MaximumLikelihood:
             errors=self.errors,
             progress=report,
         )
-        return dataclasses.replace(with_bodies, every=fit.every, selection=fit.selection)
+        kept = {name: getattr(fit, name) for name in ("every", "selection", "noise_excitation")}
+        return dataclasses.replace(with_bodies, **kept)
 
     def misfit(
         self,
@@ -368,12 +376,7 @@ class MaximumLikelihood:
             fixed_levels=True,
             tolerance=_MISFIT_TOLERANCE,
         )
-        part, left, n = problem.readings.part[1:-1], minimum.linear.residuals, problem.joints
-        error = np.hypot(
-            left.torque / minimum.torque_noise[part],
-            left.position[1:-1] / minimum.position_noise[part],
-        )
-        return Misfit(error[:, :n], left.torque[:, :n], minimum.counted[:, :n])
+        return Misfit.of(minimum, problem.readings.part, problem.joints)
 
     def _start(
         self,

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...solver import CosineSums, components_for, correlated_covariance, effective_counts
-from .._band import gram
 from .._linear import Linear
+from ..band import gram
 from ._rows import score_gram
 from ._whiteness import Whiteness
 

@@ -1,9 +1,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from .._band import Factored, gram
 from .._linear import Linear
 from .._readings import score_share
+from ..band import Factored, gram
 
 
 def eliminated_rows(

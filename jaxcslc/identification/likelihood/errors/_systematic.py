@@ -6,9 +6,9 @@ from jaxtyping import Bool, Float
 from ..._missing_terms import missing_terms
 from ..._systematic import SystematicError
 from ...solver import components_for
-from .._band import Factored
 from .._linear import Linear
 from .._objective import Point, Residuals
+from ..band import Factored
 
 
 Inputs = Float[np.ndarray, "equations joints inputs"]

@@ -3,12 +3,12 @@ import dataclasses
 import numpy as np
 from jaxtyping import Int
 
-from .._band import Factored
 from .._levels import Levels, NoiseDraws, hidden_noise, noise_levels, position_errors
 from .._levenberg import DAMPING, LevenbergStep
 from .._linear import Linear
 from .._objective import Residuals
 from .._problem import Problem
+from ..band import Factored
 from ..torque import Whitening, autocovariance
 from ._state import MARGINS, Mask, State, intervals_of
 from ._weighting import outlier_weights

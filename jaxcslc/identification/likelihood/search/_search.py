@@ -4,12 +4,12 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from .._band import Factored
 from .._levels import Levels
 from .._levenberg import PROMISE, SMALL_DAMPING, levenberg_step
 from .._linear import Linear
 from .._objective import Objective, Point
 from .._problem import Problem
+from ..band import Factored
 from ._noise import NEAR, with_intervals, with_levels, with_refined_intervals
 from ._state import MARGINS, Mask, State, with_link_levels, with_signs
 from ._weighting import objective_of, outlier_weights, with_sticking

@@ -1,3 +1,4 @@
+from ._noise_excitation import NoiseExcitation as NoiseExcitation
 from ._noise_order import NoiseOrders as NoiseOrders
 from ._selection import (
     ModelSelection as ModelSelection,

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..._held_out import RelativeError
+from ._noise_excitation import NoiseExcitation
 from ._noise_order import NoiseOrders
 
 
@@ -52,6 +53,7 @@ class ModelSelection:
       `every` was set.
     - `trials`: of spacings above 1; none where readings explain the noise of positions.
     - `orders`: of torque noise, compared; None if `noise_order` was set.
+    - `noisy`: spacings that were left for a larger one, since noise of accelerations excited.
 
     >>> import numpy as np
     >>> from jaxcslc.identification import ModelSelection, NoiseOrders
@@ -68,6 +70,7 @@ class ModelSelection:
     excess: tuple[float, ...] | None
     trials: tuple[SpacingTrial, ...]
     orders: NoiseOrders | None
+    noisy: tuple[NoiseExcitation, ...] = ()
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -84,6 +87,9 @@ class ModelSelection:
             f" {trial.relative} beside every 1"
             for trial in self.trials
         ]
+        lines += [noise.line for noise in self.noisy]
+        if self.noisy:
+            lines.append(f"every {self.every}, used: motion excites")
         if self.orders is not None:
             for order, criterion in enumerate(self.orders.criterion[1:], start=1):
                 values = ", ".join(f"{value:.4g}" for value in criterion)
@@ -107,6 +113,7 @@ class ModelSelection:
                 }
                 for trial in self.trials
             ],
+            "excited_by_noise": [noise.document() for noise in self.noisy],
             "noise_criterion": None
             if self.orders is None
             else np.asarray(self.orders.criterion).tolist(),

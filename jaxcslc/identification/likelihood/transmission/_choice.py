@@ -4,8 +4,8 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from .._band import Spectrum
 from .._problem import Problem
+from ..band import Spectrum
 from ..search import Minimum
 from ._parameters import TransmissionParameters
 from ._search_start import SearchStart

@@ -6,8 +6,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import cholesky_banded
 from scipy.linalg.blas import dsyrk
 
-from ..._rank import rank_tolerance
-from .band import solved
+from ...._rank import rank_tolerance
+from ._triangle import solved
 
 
 @dataclasses.dataclass(frozen=True)

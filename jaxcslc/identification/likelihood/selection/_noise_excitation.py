@@ -1,0 +1,97 @@
+import dataclasses
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ....network import CSLC
+from .._linear import Linear
+from ..band import Factored, Spectrum
+from ..search import Minimum
+
+
+# A standard error that smooth motion would make larger by more than this factor.
+_GREATEST_RATIO = 1.5
+# Spacings that noise may ask for, and how many positions remain at least.
+_SPACINGS, _FEWEST_POSITIONS = (2, 3, 6, 12), 50
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseExcitation:
+    """How much of what a fit says of coefficients comes from noise of accelerations.
+
+    The estimated motion contains noise: of accelerations, that of readings over the square of the
+    time between positions. Columns of the regressor at that motion vary with it, which the normal
+    equations take for excitation. Where the motion itself hardly tells two coefficients apart, as
+    a single sine cannot tell an inertia from gravity's spring, the fit follows the noise, and its
+    standard errors are too small. At the smoothed motion columns do without: what they make of
+    standard errors, over what the fit reports, is 1 where motion excites and 10 and more where
+    noise does.
+
+    **Attributes**
+
+    - `every`: positions were unknown at every so many samples.
+    - `ratio`: of standard errors, the greatest of all of rigid bodies; `name`: of that coefficient.
+
+    >>> from jaxcslc.identification import NoiseExcitation
+    >>> noise = NoiseExcitation(1, 11.2, "kB1")
+    >>> noise.excessive, noise.line
+    (True, 'every 1: noise of accelerations makes the standard error of kB1 11.2 times too small')
+    """
+
+    every: int
+    ratio: float
+    name: str
+
+    @classmethod
+    def of(
+        cls,
+        network: CSLC,
+        minimum: Minimum,
+        smooth: Float[np.ndarray, "samples joints"],
+        every: int,
+    ) -> "NoiseExcitation":
+        """Of a search that has ended.
+
+        **Arguments**
+
+        - `smooth`: positions at the search's samples, smoothed [rad or m].
+        """
+        linear, inertial = minimum.linear, network.layout.inertial
+        there = Linear.of(minimum.objective, dataclasses.replace(minimum.point, q=smooth))
+        # Friction has no accelerations, and slow reversals, which smoothing takes out, excite it.
+        columns = linear.by_border.copy()
+        columns[:, :, inertial] = there.by_border[:, :, inertial]
+        at_smooth_motion = dataclasses.replace(linear, by_border=columns).factored(0.0)
+        errors = (_errors(factored)[inertial] for factored in (at_smooth_motion, minimum.factored))
+        there_error, error = errors
+        ratios = there_error / np.where(error > 0.0, error, np.inf)  # 0 for what is fixed
+        worst = int(np.argmax(ratios))
+        return cls(every, float(ratios[worst]), network.names[inertial][worst])
+
+    @property
+    def excessive(self) -> bool:
+        """Whether positions should be further apart."""
+        return self.ratio > _GREATEST_RATIO
+
+    def wider_spacing(self, samples: int) -> int | None:
+        """The next larger spacing; None if recordings of so many samples have none."""
+        wider = [every for every in _SPACINGS if every > self.every]
+        return wider[0] if wider and samples >= _FEWEST_POSITIONS * wider[0] else None
+
+    @property
+    def line(self) -> str:
+        """It in words."""
+        return (
+            f"every {self.every}: noise of accelerations makes the standard error of {self.name}"
+            f" {self.ratio:.3g} times too small"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """It as plain data."""
+        return {"every": self.every, "ratio": self.ratio, "coefficient": self.name}
+
+
+def _errors(factored: Factored) -> Float[np.ndarray, " border"]:
+    """Standard errors in units of the border's scale; 0 where nothing is known."""
+    return np.sqrt(np.diag(Spectrum.of(factored.information).covariance))
