@@ -8,16 +8,11 @@ import numpy as np
 from ..._processes import can_fork, function_beside
 from ...motion import Recording
 from ...network import CSLC
+from .._held_out_part import FEWEST_SAMPLES, held_out_from
 from .._identify_one import without_lag
 from .._settings import Settings
 from ..likelihood import LikelihoodFit, MaximumLikelihood
 from ..solver import Identification, computed_on_host
-
-
-# Without a validation recording, estimators are judged on this part of each recording, its last.
-HELD_OUT = 0.25
-# A recording of fewer samples is not divided.
-FEWEST_SAMPLES = 400
 
 
 class LikelihoodFits(NamedTuple):
@@ -44,12 +39,6 @@ def on_time(settings: Settings, recordings: Iterable[Recording]) -> list[Recordi
     return [without_lag(recording, lag) for recording in recordings]
 
 
-def split_of(recording: Recording) -> float:
-    """The instant at which the part that is held out begins [s]."""
-    start, end = float(recording.time[0]), float(recording.time[-1])
-    return end - HELD_OUT * (end - start)
-
-
 def fit_before(
     estimator: MaximumLikelihood,
     network: CSLC,
@@ -60,7 +49,7 @@ def fit_before(
     """The fit to what is before the parts that are held out: near the fit to everything, whose
     noise levels it has."""
     early = [
-        recording.between(0.0, split_of(recording) - float(recording.time[0]))
+        recording.between(0.0, held_out_from(recording) - float(recording.time[0]))
         for recording in recordings
     ]
     rows = [

@@ -6,15 +6,12 @@ import numpy as np
 
 from ...motion import Patterns, Recording
 from .._held_out import HeldOut, held_out_error, judged_errors
+from .._held_out_part import held_out_from
 from .._identify_one import without_lag
 from ..instruments import InstrumentalVariables
 from ..prior import Prior, with_knowledge
 from ..report import Report, compare, fit_warnings
 from ..solver import Identification, torque_of
-
-
-# Without a validation recording, the last part is predicted by a fit to what is before it.
-_HELD_OUT = 0.25
 
 
 def with_instruments(
@@ -85,7 +82,7 @@ def _held_out(
     if "validation" in report.patterns:
         return held_out_error(network, fit, training, report.patterns["validation"])
     start, end = float(recording.time[0]), float(recording.time[-1])
-    split = end - _HELD_OUT * (end - start)
+    split = held_out_from(recording)
     shorter, _ = fitted(recording.between(0.0, split - start), "judging instrumental variables")
     late = patterns.between(split, end)
     of_training, of_late = (

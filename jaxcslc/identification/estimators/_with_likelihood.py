@@ -8,6 +8,7 @@ import numpy as np
 from ...motion import Patterns, Recording, joined_patterns
 from ...network import CSLC
 from .._held_out import RelativeError, Source
+from .._held_out_part import FEWEST_SAMPLES, held_out_from
 from ..likelihood import Estimator, EstimatorComparison, LikelihoodFit, MaximumLikelihood
 from ..possible import (
     Choice,
@@ -24,13 +25,11 @@ from ..solver import Identification, torque_of
 from ._calibration import calibrated, calibrated_report
 from ._checks import EstimatorChoice, check_size
 from ._likelihood_fits import (
-    FEWEST_SAMPLES,
     FitsBeside,
     LikelihoodFits,
     estimator_for,
     fit_before,
     on_time,
-    split_of,
     start_of,
 )
 from ._likelihood_report import JudgedErrors, likelihood_report
@@ -245,7 +244,7 @@ class _Judged:
         fitted: list[Patterns] = []
         unfitted: list[Patterns] = []
         for recording in training:
-            start, end, split = recording.time[0], recording.time[-1], split_of(recording)
+            start, end, split = recording.time[0], recording.time[-1], held_out_from(recording)
             late.append(recording.between(split - float(start), float(end - start)))
             patterns = settings.patterns(calibrated(recording, likelihood))
             fitted.append(patterns.between(float(start), split))

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 from ...motion import Recording
 from ...network import CSLC
 from .._held_out import RelativeError
+from .._held_out_part import FEWEST_SAMPLES, held_out_from
 from ._likelihood_fit import LikelihoodFit, Misfit
 from ._problem import Problem
 from .search import Minimum
@@ -18,10 +19,8 @@ from .selection import SpacingTrial
 _SPACINGS = (2, 3, 6)
 # Positions with more than so many times the noise of readings move as rigid links do not.
 EXCESS = 1.3
-# Spacings are judged on this part of each recording, its last, in so many stretches.
-_HELD_OUT, _STRETCHES = 0.25, 8
-# A recording of fewer samples is not divided.
-_FEWEST_SAMPLES = 400
+# Spacings are judged on the part of each recording that is held out, in so many stretches.
+_STRETCHES = 8
 
 
 class Estimator(Protocol):
@@ -84,15 +83,16 @@ def spacing_trials(
     **Returns** a trial for each spacing above 1; none where a recording is too short to be divided,
     or one of its parts has too little motion.
     """
-    if min(recording.samples for recording in recordings) < _FEWEST_SAMPLES:
+    if min(recording.samples for recording in recordings) < FEWEST_SAMPLES:
         return ()
     early: list[Recording] = []
     late: list[Recording] = []
     rows: list[np.ndarray] = []
     for recording in recordings:
-        duration = float(recording.time[-1] - recording.time[0])
-        early.append(recording.between(0.0, (1.0 - _HELD_OUT) * duration))
-        late.append(recording.between((1.0 - _HELD_OUT) * duration, duration))
+        start, end = float(recording.time[0]), float(recording.time[-1])
+        split = held_out_from(recording) - start
+        early.append(recording.between(0.0, split))
+        late.append(recording.between(split, end - start))
         rows.append(np.arange(recording.samples) < early[-1].samples)
     near = dataclasses.replace(plain, position=plain.position[np.concatenate(rows)])
     fits: dict[int, LikelihoodFit] = {}
