@@ -18,7 +18,15 @@ from ...motion import (
     uniform_interval,
 )
 from ...network import CSLC
-from ..solver import Identification, LeastSquares, columns_in, equations_of, regressor_of
+from ..solver import (
+    HostColumns,
+    Identification,
+    LeastSquares,
+    columns_of,
+    equations_of,
+    torque_of,
+)
+from ._prior_torque import PriorFit, prior_fit
 
 
 # A window of more samples tells no more about what is wrong.
@@ -31,6 +39,7 @@ _FADED = 3.0
 # What noise may be of the accelerations' root mean square.
 _NOISE_PART = 0.1
 _LOWEST, _HIGHEST = 3.0, 12.0  # [Hz]
+_SOLVER = LeastSquares(errors="independent")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,46 +119,54 @@ class Evidence:
     @cached_property
     def fit(self) -> Identification:
         """The fit to all patterns."""
-        return LeastSquares(errors="independent").fit(self.network, self.patterns, throw=False)
-
-    def regressor(self, patterns: Patterns) -> Float[np.ndarray, "samples joints coefficients"]:
-        """The regressor of patterns, those of the evidence or others."""
-        return self._regressor if patterns is self.patterns else self._regressor_of(patterns)
+        equations = equations_of(self.network, self.patterns, None, self._columns)
+        return _SOLVER.fit_equations(equations, self.patterns.samples, throw=False)
 
     @cached_property
-    def _regressor(self) -> Float[np.ndarray, "samples joints coefficients"]:
-        return self._regressor_of(self.patterns)
+    def prior(self) -> PriorFit | None:
+        """How the patterns' torques follow those of the robot's file, if that has masses."""
+        return prior_fit(self.network, self.patterns, self._columns)
 
-    def _regressor_of(self, patterns: Patterns) -> np.ndarray:
-        return np.asarray(regressor_of(self.network, patterns))
+    @cached_property
+    def gravity(self) -> Float[np.ndarray, "samples joints"]:
+        """Torque at rest by the fit, at the positions of the patterns [N m or N]."""
+        still = np.zeros_like(np.asarray(self.patterns.q))
+        at_rest = dataclasses.replace(self.patterns, qd=still, qdd=still)
+        return torque_of(self.network, at_rest, np.asarray(self.fit.k))
+
+    def columns(self, patterns: Patterns) -> HostColumns:
+        """The regressor's columns of patterns, those of the evidence or others."""
+        return self._columns if patterns is self.patterns else columns_of(self.network, patterns)
+
+    @cached_property
+    def _columns(self) -> HostColumns:
+        return columns_of(self.network, self.patterns)
 
     def coefficients(
-        self, patterns: Patterns, regressor: Float[np.ndarray, "samples joints coefficients"]
+        self, patterns: Patterns, columns: HostColumns
     ) -> Float[np.ndarray, " coefficients"]:
         """The coefficients fitted to patterns, as those of `fit`."""
-        solver = LeastSquares(errors="independent")
-        columns = columns_in(self.network.support, regressor)
-        return solver.coefficients(equations_of(self.network, patterns, None, columns))
+        if patterns is self.patterns:
+            return np.asarray(self.fit.k)
+        return _SOLVER.coefficients(equations_of(self.network, patterns, None, columns))
 
     @cached_property
     def relative_errors(self) -> Float[np.ndarray, " joints"]:
         """`errors` of the patterns as they are."""
-        return self.errors(self.patterns, self._regressor)
+        return self.errors(self.patterns, self._columns)
 
     def errors(
         self,
         patterns: Patterns,
-        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+        columns: HostColumns | None = None,
     ) -> Float[np.ndarray, " joints"]:
         """Held-out error of each joint as part of its torque's root mean square.
 
-        - `regressor`: of the patterns' motion, if it is known already.
+        - `columns`: of the patterns' motion, if they are known already.
         """
         mask = np.asarray(patterns.mask)
-        solver = LeastSquares(errors="independent")
         fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
-        columns = None if regressor is None else columns_in(self.network.support, regressor)
-        error = solver.held_out_errors(self.network, patterns, fold, columns)
+        error = _SOLVER.held_out_errors(self.network, patterns, fold, columns)
         squares = np.where(mask, error**2, 0.0).sum(axis=0)
         size = np.where(mask, np.asarray(patterns.torque) ** 2, 0.0).sum(axis=0)
         return np.sqrt(squares / np.where(size > 0, size, 1.0))
@@ -157,27 +174,27 @@ class Evidence:
     def quick_scores(self, patterns: Sequence[Patterns]) -> list[float]:
         """As `score`, of every third row of each: to sort out hypotheses by.
 
-        One regressor of as many as fit into the rows that its compiled function has anyway takes
-        a third of the time of one after the other.
+        The columns of as many at once as fit into the rows that a compiled function has anyway
+        take a third of the time of one after the other.
         """
         third = [jax.tree.map(itemgetter(slice(None, None, 3)), some) for some in patterns]
         scores: list[float] = []
         while third:
             count = max(1, _MOST_ROWS // third[0].samples)
             batch, third = third[:count], third[count:]
-            regressor = self._regressor_of(joined_patterns(batch))
-            pieces = np.split(regressor, len(batch))
+            columns = columns_of(self.network, joined_patterns(batch))
+            pieces = zip(*(np.split(rows, len(batch), axis=1) for rows in columns), strict=True)
             scores += [self.score(*pair) for pair in zip(batch, pieces, strict=True)]
         return scores
 
     def score(
         self,
         patterns: Patterns,
-        regressor: Float[np.ndarray, "samples joints coefficients"] | None = None,
+        columns: HostColumns | None = None,
     ) -> float:
         """Mean logarithm of these errors: the smaller, the better the patterns belong together."""
         errors = (
-            self.relative_errors if patterns is self.patterns else self.errors(patterns, regressor)
+            self.relative_errors if patterns is self.patterns else self.errors(patterns, columns)
         )
         return float(np.mean(np.log(np.clip(errors, 1e-6, 10.0))))
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...motion import Patterns, Recording
-from ..solver import LeastSquares
+from ..solver import HostColumns, LeastSquares
 from ._evidence import Evidence
 
 
@@ -39,33 +39,31 @@ class Hypothesis:
 
 def objective(evidence: Evidence, patterns: Patterns) -> float:
     """The score of patterns, plus what joints add whose friction drives them."""
-    regressor = evidence.regressor(patterns)
-    count = len(_driven_joints(evidence, patterns, regressor))
-    return evidence.score(patterns, regressor) + _DRIVEN * count
+    columns = evidence.columns(patterns)
+    count = len(_driven_joints(evidence, patterns, columns))
+    return evidence.score(patterns, columns) + _DRIVEN * count
 
 
 def driven_joints(evidence: Evidence, patterns: Patterns) -> list[int]:
     """Joints, from 0, whose friction feeds power into the motion, which no friction does."""
-    return _driven_joints(evidence, patterns, evidence.regressor(patterns))
+    return _driven_joints(evidence, patterns, evidence.columns(patterns))
 
 
-def _driven_joints(
-    evidence: Evidence,
-    patterns: Patterns,
-    regressor: Float[np.ndarray, "samples joints coefficients"],
-) -> list[int]:
+def _driven_joints(evidence: Evidence, patterns: Patterns, columns: HostColumns) -> list[int]:
     network = evidence.network
     kinds = network.friction_per_joint
     qd, torque = np.asarray(patterns.qd), np.asarray(patterns.torque)
     mask = np.asarray(patterns.mask)
-    friction = regressor.copy()
-    friction[:, :, network.layout.inertial] = 0.0
     # Power is linear in the coefficients, and so has a standard error.
-    power_rows = np.where(mask[..., None], qd[..., None] * friction, 0.0).sum(axis=0)
+    power_rows = np.zeros((network.joint_count, network.size))
+    speed = np.where(mask, qd, 0.0)
+    for joint, (support, rows) in enumerate(zip(network.support, columns, strict=True)):
+        power_rows[joint, list(support)] = rows @ speed[:, joint]
+    power_rows[:, network.layout.inertial] = 0.0
     size = np.sqrt(
         np.where(mask, qd**2, 0.0).sum(axis=0) * np.where(mask, torque**2, 0.0).sum(axis=0)
     )
-    power = power_rows @ evidence.coefficients(patterns, regressor)
+    power = power_rows @ evidence.coefficients(patterns, columns)
     suspects = [j for j in np.flatnonzero(power < -_DRIVING_POWER * size).tolist() if kinds[j]]
     if not suspects:
         return []

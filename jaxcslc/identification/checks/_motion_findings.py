@@ -7,11 +7,10 @@ from jaxtyping import Float
 from ..._rank import numerical_rank
 from ...motion import Preparation, Recording, noise_level
 from ...network import CSLC
-from ..solver import regressor_of
 from ._evidence import Evidence
 from ._finding import Finding
 from ._hypotheses import Change, Hypothesis, angle_units, driven_joints, objective, sign_and_order
-from ._prior_torque import WELL, PriorFit, prior_fit
+from ._prior_torque import WELL, PriorFit
 from ._sample_findings import motionless
 from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
 
@@ -75,7 +74,7 @@ def _likeliest(evidence: Evidence) -> Cause | None:
     names = evidence.network.output_names
     errors = evidence.relative_errors
     score = objective(evidence, patterns)
-    prior = prior_fit(evidence.network, patterns)
+    prior = evidence.prior
     causes: list[Cause] = []
     if (
         np.max(errors) > _SMALL
@@ -198,12 +197,9 @@ def _torque_unit(
 
 def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
     """Joints, from 0, whose torque should be that of the file's masses, and is not."""
-    network, patterns = evidence.network, evidence.patterns
-    still = np.zeros_like(np.asarray(patterns.q))
-    at_rest = dataclasses.replace(patterns, qd=still, qdd=still)
-    gravity = np.asarray(regressor_of(network, at_rest)) @ np.asarray(evidence.fit.k)
+    patterns = evidence.patterns
     size = np.maximum(np.sqrt(np.mean(np.asarray(patterns.torque) ** 2, axis=0)), 1e-300)
-    recorded = np.std(gravity, axis=0) / size
+    recorded = np.std(evidence.gravity, axis=0) / size
     common = abs(prior.common_factor)
     expected = prior.size * (common if np.isfinite(common) else 1.0)
     return np.flatnonzero(
@@ -223,7 +219,7 @@ def _wrong_robot(evidence: Evidence) -> Finding | None:
         joints |= set(bad.tolist())
         listed = ", ".join(f"{names[j]} {100 * errors[j]:.0f} %" for j in bad)
         texts.append(f"no coefficients explain the torque; beyond noise they leave {listed} of it")
-    prior = prior_fit(evidence.network, evidence.patterns)
+    prior = evidence.prior
     if prior is not None and (off := _mismatched(evidence, prior)).size:
         joints |= set(off.tolist())
         listed = ", ".join(f"{names[j]} {100 * max(prior.explained[j], 0):.0f} %" for j in off)

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from ...motion import Patterns
 from ...network import CSLC
-from ..solver import Equations, LeastSquares, Unknowns, regressor_of
+from ..solver import Equations, HostColumns, LeastSquares, Unknowns, torque_by
 
 
 # A joint follows the file's torque well from this part of the variance on.
@@ -42,23 +42,24 @@ class PriorFit:
         return np.where(self.explained > WELL, self.factor, self.common_factor)
 
 
-def prior_fit(network: CSLC, patterns: Patterns) -> PriorFit | None:
+def prior_fit(network: CSLC, patterns: Patterns, columns: HostColumns) -> PriorFit | None:
     """Compares recorded torque with that of the file's masses; None if the file has none.
 
     **Arguments**
 
     - `network`: n joints.
     - `patterns`: of n joints.
+    - `columns`: of the regressor of their motion.
     """
     robot = network.robot
     if robot.links is None or not any(float(link.mass) for link in robot.links):
         return None
     k = np.asarray(network.coefficients_from(robot.links))
-    expected = np.asarray(regressor_of(network, patterns)) @ k
+    expected = torque_by(network.support, columns, k)
     qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
-    columns = np.stack([expected, qd, np.sign(qd), np.ones_like(qd)], axis=-1)
-    with_file, factor = _errors(patterns, columns, mask)
-    without_file, _ = _errors(patterns, columns[:, :, 1:], mask)
+    terms = np.stack([expected, qd, np.sign(qd), np.ones_like(qd)], axis=0)
+    with_file, factor = _errors(patterns, terms, mask)
+    without_file, _ = _errors(patterns, terms[1:], mask)
     counts = np.maximum(mask.sum(axis=0), 1)
     sizes = [
         np.sqrt(np.where(mask, values**2, 0.0).sum(axis=0) / counts)
@@ -73,20 +74,17 @@ def prior_fit(network: CSLC, patterns: Patterns) -> PriorFit | None:
 
 
 def _errors(
-    patterns: Patterns, columns: Float[np.ndarray, "samples joints terms"], mask: np.ndarray
+    patterns: Patterns, terms: Float[np.ndarray, "terms samples joints"], mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Root mean square errors of joints with coefficients of their own, and the first of these."""
-    samples, joints, terms = columns.shape
-    regressor = np.zeros((samples, joints, joints * terms))
-    for joint in range(joints):
-        regressor[:, joint, joint * terms : (joint + 1) * terms] = columns[:, joint]
+    count, samples, joints = terms.shape
     unknowns = Unknowns(
-        tuple(f"{joint} {term}" for joint in range(joints) for term in range(terms)),
-        tuple(tuple(range(joint * terms, (joint + 1) * terms)) for joint in range(joints)),
+        tuple(f"{joint} {term}" for joint in range(joints) for term in range(count)),
+        tuple(tuple(range(joint * count, (joint + 1) * count)) for joint in range(joints)),
     )
-    equations = Equations.of(
+    equations = Equations.of_columns(
         unknowns,
-        regressor,
+        tuple(np.moveaxis(terms, -1, 0)),
         np.asarray(patterns.torque),
         mask,
         time=np.asarray(patterns.time),
@@ -94,4 +92,4 @@ def _errors(
     )
     solver = LeastSquares(errors="independent", joint_weights="equal")
     fit = solver.fit_equations(equations, samples, throw=False)
-    return np.asarray(fit.torque_error), np.asarray(fit.k)[::terms]
+    return np.asarray(fit.torque_error), np.asarray(fit.k)[::count]

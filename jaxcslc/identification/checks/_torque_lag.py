@@ -14,7 +14,6 @@ from ..solver import (
     LeastSquares,
     Unknowns,
     columns_of,
-    regressor_of,
     torque_by,
 )
 from ._evidence import Evidence
@@ -26,7 +25,7 @@ _FARTHEST, _STEP = 0.25, 0.0125
 _NEAR, _GOOD = 0.1, -3.0
 LEAST_LAG = 2e-3
 """Less is no matter [s]."""
-_ROUNDS = 4
+_ROUNDS = 3
 _PIECE = 4096
 # Standard deviation of what looks like a lag at all joints alike (friction at low speed that no
 # term describes), in sample intervals: the order of errors on simulated arms with little noise.
@@ -122,7 +121,7 @@ def small_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
 def _search(evidence: Evidence) -> tuple[float, float]:
     """The best lag of a grid [s], and how much better than no lag it is."""
     patterns = evidence.patterns
-    regressor = np.asarray(regressor_of(evidence.network, patterns))
+    columns = evidence.columns(patterns)
     spline = CubicSpline(evidence.time, evidence.torque)
     time = np.asarray(patterns.time)
     farthest = min(_FARTHEST, 0.1 * float(evidence.time[-1] - evidence.time[0]))
@@ -139,7 +138,7 @@ def _search(evidence: Evidence) -> tuple[float, float]:
             valid,
             patterns.friction_mask,
         )
-        return evidence.score(shifted, regressor)
+        return evidence.score(shifted, columns)
 
     scores = {0: score(0.0)}
 
@@ -176,38 +175,30 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
     )
     patterns = preparation.patterns(recording)
     trim = preparation.trimmed(recording)
-    valid = evidence.valid[trim : recording.samples - trim]
+    time = np.asarray(patterns.time)
+    mask = np.asarray(patterns.mask) & evidence.valid[trim : recording.samples - trim]
     time = np.asarray(patterns.time)
     motion = _columns(network, patterns)
     joints = network.joint_count
-    unknowns = Unknowns(
-        (*network.names, *(f"lag {joint + 1}" for joint in range(joints))),
-        tuple((*support, network.size + joint) for joint, support in enumerate(network.support)),
-    )
-    columns = [np.concatenate([rows, np.zeros((1, patterns.samples))]) for rows in motion]
-    estimate = _Combined(lag, np.inf, 1.0)
-    solver = LeastSquares()
-    for number in range(_ROUNDS):
+
+    def filtered(unknowns: Unknowns, columns: HostColumns) -> Equations:
         torque = dataclasses.replace(preparation, torque_lag=lag).aligned(
             recording.time, recording.torque
         )[trim : recording.samples - trim]
-        equations = Equations.of_columns(
-            unknowns,
-            tuple(columns),
-            torque,
-            np.asarray(patterns.mask) & valid,
-            time=time,
-            cutoff=evidence.cutoff,
+        return Equations.of_columns(
+            unknowns, columns, torque, mask, time=time, cutoff=evidence.cutoff
         )
-        if number == 0:
-            k = solver.coefficients(equations)
-        else:
-            fit = solver.fit_equations(equations, patterns.samples, throw=False)
-            k = np.asarray(fit.k)
-            estimate = _Combined.of(
-                _STEP * k[network.size :], _STEP * np.asarray(fit.standard_error)[network.size :]
-            )
-            lag += float(np.clip(estimate.mean, -_STEP, _STEP))
+
+    # The same columns in all rounds are filtered once: they are all but two of each joint.
+    equations = filtered(Unknowns.of(network), motion)
+    solver = LeastSquares()
+    k = solver.coefficients(equations)
+    lags = Unknowns(
+        tuple(f"lag {joint + 1}" for joint in range(joints)),
+        tuple((joint,) for joint in range(joints)),
+    )
+    estimate = _Combined(lag, np.inf, 1.0)
+    for _ in range(_ROUNDS):
         # The torque as predicted has no noise that would damp the steps, and is smoothed further:
         # noise in the third derivative of the positions is correlated with that in the first,
         # which viscous friction multiplies, and would pass for a lag.
@@ -216,8 +207,13 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
             interval,
             cutoff=evidence.cutoff / _SMOOTHER,
         )
-        for joint in range(joints):
-            columns[joint][-1] = -_STEP * slope[:, joint]
+        late = filtered(lags, tuple(-_STEP * column[None] for column in slope.T))
+        fit = solver.fit_equations(equations.beside(late), patterns.samples, throw=False)
+        k = np.asarray(fit.k)
+        estimate = _Combined.of(
+            _STEP * k[network.size :], _STEP * np.asarray(fit.standard_error)[network.size :]
+        )
+        lag += float(np.clip(estimate.mean, -_STEP, _STEP))
     error = np.hypot(estimate.error, _COMMON * interval)
     half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.975) * error)
     return TorqueLag(lag, lag - half, lag + half, gain)

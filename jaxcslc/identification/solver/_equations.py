@@ -146,6 +146,23 @@ class Equations(eqx.Module):
             ),
         )
 
+    def beside(self, other: "Equations") -> "Equations":
+        """Equations of the same samples whose left-hand sides are added, with the right-hand sides
+        of the other ones."""
+        size = self.unknowns.size
+        unknowns = Unknowns(
+            (*self.unknowns.names, *other.unknowns.names),
+            tuple(
+                (*mine, *(size + i for i in theirs))
+                for mine, theirs in zip(self.unknowns.support, other.unknowns.support, strict=True)
+            ),
+        )
+        rows = (
+            np.concatenate([mine[:, :-1], theirs], axis=1)
+            for mine, theirs in zip(self.rows, other.rows, strict=True)
+        )
+        return Equations(unknowns, tuple(rows), other.sample)
+
     def factors(self) -> JointFactors:
         """The factors of all equations, as NumPy's arrays."""
         return JointFactors.of_rows(self.rows, np.array([float(len(rows)) for rows in self.rows]))
