@@ -62,13 +62,13 @@ class ForkedFunction(Generic[Argument, Result]):
     Arguments and results are pickled; of what the function changes, nothing comes back. The
     process ends with this one at the latest.
 
-    - `function`: of one argument.
+    - `prepare`: makes the function, of one argument; called in the process before there is one.
 
     To be made only where `can_fork` says so, as `function_beside` does. Not of `multiprocessing`:
     processes that it forks outlive one that is killed, whose end of a pipe they hold open.
     """
 
-    def __init__(self, function: Callable[[Argument], Result]) -> None:
+    def __init__(self, prepare: Callable[[], Callable[[Argument], Result]]) -> None:
         from_parent, to_child = os.pipe()
         from_child, to_parent = os.pipe()
         self._process = os.fork()
@@ -76,7 +76,7 @@ class ForkedFunction(Generic[Argument, Result]):
             # What others hold open, their processes do not see the end of.
             for descriptor in (to_child, from_child, *_DESCRIPTORS):
                 os.close(descriptor)
-            _serve(function, from_parent, to_parent)
+            _serve(prepare, from_parent, to_parent)
         os.close(from_parent)
         os.close(to_parent)
         self._arguments, self._results = open(to_child, "wb"), open(from_child, "rb")  # noqa: SIM115
@@ -93,7 +93,7 @@ class ForkedFunction(Generic[Argument, Result]):
 
         **Raises**
 
-        - what the function raised.
+        - what the function raised, or what makes it.
         - `ChildProcessError`: the process has ended.
         """
         try:
@@ -126,10 +126,11 @@ class ForkedFunction(Generic[Argument, Result]):
         self.close()
 
 
-def _serve(function: Callable[[Any], Any], arguments: int, results: int) -> None:
+def _serve(prepare: Callable[[], Callable[[Any], Any]], arguments: int, results: int) -> None:
     """What a forked process does, until nobody sends any more; does not return."""
     _ALLOWED.set(False)
     try:
+        function = _prepared(prepare)
         with open(arguments, "rb") as reader, open(results, "wb") as writer:
             while True:
                 argument = pickle.load(reader)
@@ -144,6 +145,19 @@ def _serve(function: Callable[[Any], Any], arguments: int, results: int) -> None
     finally:
         # Without what the parent does at its end, such as writing what it has buffered.
         os._exit(0)
+
+
+def _prepared(prepare: Callable[[], Callable[[Any], Any]]) -> Callable[[Any], Any]:
+    """The function, or one that raises what making it did."""
+    try:
+        return prepare()
+    except Exception as error:
+        reason = error
+
+    def fail(_: object) -> Any:
+        raise reason
+
+    return fail
 
 
 @contextlib.contextmanager
@@ -163,15 +177,32 @@ def function_beside(
     ...     result()
     42
     """
+    with prepared_beside(lambda: function, allowed=allowed) as begin:
+        yield begin
+
+
+@contextlib.contextmanager
+def prepared_beside(
+    prepare: Callable[[], Callable[[Argument], Result]], *, allowed: bool = True
+) -> Generator[Callable[[Argument], Callable[[], Result]]]:
+    """`function_beside` for a function that is made first: in the process, before its argument is
+    known.
+
+    - `prepare`: makes the function, of one argument.
+
+    >>> with prepared_beside(lambda: (3).__mul__) as begin:
+    ...     begin(14)()
+    42
+    """
     if not (allowed and can_fork()):
 
         def computed(argument: Argument) -> Callable[[], Result]:
-            result = function(argument)
+            result = prepare()(argument)
             return lambda: result
 
         yield computed
         return
-    with ForkedFunction(function) as forked:
+    with ForkedFunction(prepare) as forked:
 
         def begun(argument: Argument) -> Callable[[], Result]:
             forked.send(argument)
@@ -211,7 +242,7 @@ class SharedMap(Generic[Argument, Result]):
         if processes is None:
             processes = min(core_count() - 1, _MOST_PROCESSES)
         self._function = function
-        self._forked = [ForkedFunction(function) for _ in range(processes)]
+        self._forked = [ForkedFunction(lambda: function) for _ in range(processes)]
 
     def __call__(self, arguments: Iterable[Argument]) -> list[Result]:
         """The results, in the order of the arguments."""

@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from jaxcslc._processes import (
     can_fork,
     computed_beside,
     function_beside,
+    prepared_beside,
     processes_beside,
 )
 
@@ -23,6 +25,10 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning"),
     pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning"),
 ]
+
+
+def _ended(_: None) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.parametrize("processes", [0, 1, 3])
@@ -39,14 +45,14 @@ def test_a_shared_map_computes_in_other_processes() -> None:
 
 
 def test_long_arguments_and_results_pass() -> None:
-    with ForkedFunction[bytes, bytes](lambda x: x + x) as forked:
+    with ForkedFunction[bytes, bytes](lambda: lambda x: x + x) as forked:
         for length in (1, 3_000_000):
             forked.send(bytes(length))
             assert forked.receive() == bytes(2 * length)
 
 
 def test_errors_are_raised_here() -> None:
-    with ForkedFunction[str, int](lambda text: int(text)) as forked:
+    with ForkedFunction[str, int](lambda: lambda text: int(text)) as forked:
         forked.send("no number")
         with pytest.raises(ValueError, match="invalid literal"):
             forked.receive()
@@ -55,14 +61,14 @@ def test_errors_are_raised_here() -> None:
 
 
 def test_an_ended_process_is_reported() -> None:
-    with ForkedFunction[None, None](lambda _: os.kill(os.getpid(), signal.SIGKILL)) as forked:
+    with ForkedFunction[None, None](lambda: _ended) as forked:
         forked.send(None)
         with pytest.raises(ChildProcessError, match="has ended"):
             forked.receive()
 
 
 def test_processes_end_in_any_order() -> None:
-    first, second = (ForkedFunction[int, int](lambda x: -x) for _ in range(2))
+    first, second = (ForkedFunction[int, int](lambda: lambda x: -x) for _ in range(2))
     first.close()
     second.send(1)
     assert second.receive() == -1
@@ -93,6 +99,34 @@ def test_a_result_can_be_asked_for_again(monkeypatch: pytest.MonkeyPatch, beside
     with function_beside(lambda x: str(x), allowed=beside) as begin:
         result = begin(1)
         assert (result(), result()) == ("1", "1")
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_function_is_prepared_where_it_computes(
+    monkeypatch: pytest.MonkeyPatch, beside: bool
+) -> None:
+    monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
+
+    def prepare() -> Callable[[int], tuple[int, int]]:
+        process = os.getpid()
+        return lambda x: (x, process)
+
+    with prepared_beside(prepare, allowed=beside) as begin:
+        result, process = begin(3)()
+    assert result == 3
+    assert (process != os.getpid()) == beside
+
+
+def test_what_preparing_raises_is_raised_with_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
+
+    def prepare() -> Callable[[int], int]:
+        raise ValueError("nothing to prepare")
+
+    with prepared_beside(prepare) as begin:
+        result = begin(3)
+        with pytest.raises(ValueError, match="nothing to prepare"):
+            result()
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are those of Linux")

@@ -21,12 +21,6 @@ from ._settings import (
     settings_document as settings_document,
     settings_from as settings_from,
 )
-from ._systematic import (
-    SystematicError as SystematicError,
-    standard_uncertainty as standard_uncertainty,
-    systematic_error as systematic_error,
-    uncertainty_interval as uncertainty_interval,
-)
 from ._torque_constants import (
     TorqueConstants as TorqueConstants,
     fit_torque_constants as fit_torque_constants,
@@ -131,4 +125,10 @@ from .solver import (
     Loss as Loss,
     Previous as Previous,
     shard_patterns as shard_patterns,
+)
+from .systematic import (
+    SystematicError as SystematicError,
+    standard_uncertainty as standard_uncertainty,
+    systematic_error as systematic_error,
+    uncertainty_interval as uncertainty_interval,
 )

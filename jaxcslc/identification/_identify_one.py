@@ -1,18 +1,17 @@
 import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from .._processes import function_beside
-from ..motion import Patterns, Preparation, Recording, Sampling
+from .._processes import prepared_beside
+from ..motion import Derivatives, Patterns, Preparation, Recording, Sampling
 from ..network import CSLC
 from ._held_out import cross_validated_error, held_out_error
 from ._settings import Settings
-from ._systematic import SystematicError, systematic_error_of
 from .checks import DataCheck
 from .friction import SlopeFit, fit_load, fit_slopes, linearised
 from .possible import Choice, Part, judged_bodies
@@ -20,6 +19,7 @@ from .prior import Known, Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import Candidates, Section, Selection, choose_settings, section_of
 from .solver import Identification, LeastSquares, Previous, computed_on_host
+from .systematic import SystematicError, SystematicProblem
 
 
 # Stretches that settings are chosen by, and how many samples each has at least.
@@ -52,14 +52,31 @@ class _Prepared:
         """The settings of the training recording."""
         return self.settings["training"]
 
+    @cached_property
+    def derivatives(self) -> Mapping[str, Derivatives]:
+        """Those of all recordings, and with the name `"part"` those of a part."""
+        derivatives: dict[str, Derivatives] = {}
+        for name, recording in self.recordings.items():
+            with recording_named(name):
+                derivatives[name] = self.settings[name].preparation.derivatives(recording)
+        whole = derivatives["training"]
+        part = (
+            whole if self.section is None else self.of_training.preparation.derivatives(self.part)
+        )
+        return MappingProxyType({**derivatives, "part": part})
+
     def patterns(self) -> tuple[Mapping[str, Patterns], Patterns]:
         """Those of all recordings, and those of the part."""
         patterns: dict[str, Patterns] = {}
         for name, recording in self.recordings.items():
             with recording_named(name):
-                patterns[name] = self.settings[name].patterns(recording)
+                patterns[name] = self.settings[name].preparation.patterns(
+                    recording, self.derivatives[name]
+                )
         whole = patterns["training"]
-        part = whole if self.section is None else self.of_training.patterns(self.part)
+        if self.section is None:
+            return MappingProxyType(patterns), whole
+        part = self.of_training.preparation.patterns(self.part, self.derivatives["part"])
         return MappingProxyType(patterns), part
 
     def without_static_friction(self, joints: Sequence[int]) -> "_Prepared":
@@ -133,8 +150,8 @@ def identify_one(
     consequences: list[str] = []
     bodies, held_out = None, None
     # Before the fit, since JAX's threads begin with it.
-    with function_beside(
-        partial(_shifts, network, prepared.part, settings, groups, known),
+    with prepared_beside(
+        partial(_shifts, network, prepared, groups, known),
         allowed=systematic and computed_on_host(network, prepared.part.position),
     ) as begin_systematic:
         if load is not None:
@@ -216,18 +233,17 @@ def identify_one(
 
 def _shifts(
     network: CSLC,
-    recording: Recording,
-    settings: Settings,
+    prepared: _Prepared,
     groups: Sequence[str] | None,
     known: Mapping[int, Known],
-    fitted: tuple[np.ndarray, np.ndarray],
-) -> SystematicError:
-    """The systematic errors of a fit; none of what was fixed.
-
-    - `fitted`: coefficients, and which of them are determined.
-    """
-    shifts = systematic_error_of(network, recording, settings, *fitted, groups)
-    return shifts.without([i for i, entry in known.items() if entry.fixed])
+) -> Callable[[tuple[np.ndarray, np.ndarray]], SystematicError]:
+    """A function of a fit's coefficients, and which of them are determined, that returns its
+    systematic errors; none of what was fixed."""
+    problem = SystematicProblem.of(
+        network, prepared.part, prepared.of_training, prepared.derivatives["part"]
+    )
+    fixed = [i for i, entry in known.items() if entry.fixed]
+    return lambda fitted: problem.error(*fitted, groups).without(fixed)
 
 
 def _prepared(

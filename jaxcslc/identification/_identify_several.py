@@ -8,7 +8,6 @@ from ..network import CSLC
 from ._held_out import held_out_error, left_out_error
 from ._identify_one import selected_settings, settings_for_another
 from ._settings import Settings
-from ._systematic import SystematicError, systematic_error
 from .checks import AGREEMENT_KINDS, DataCheck
 from .friction import SlopeFit, fit_slopes
 from .possible import Choice, Part, judged_bodies
@@ -16,6 +15,7 @@ from .prior import Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import sections_of
 from .several import RecordingAgreement, fit_recordings
+from .systematic import SystematicError, systematic_error
 
 
 def identify_several(

@@ -72,6 +72,7 @@ from .files import (
 )
 from .low_pass import (
     FilteredEquations as FilteredEquations,
+    decimated_low_pass as decimated_low_pass,
     decimation_for as decimation_for,
     parallel_filter as parallel_filter,
     zero_phase as zero_phase,

@@ -12,8 +12,8 @@ from ..solver import (
     Equations,
     HostColumns,
     LeastSquares,
-    Unknowns,
     columns_of,
+    equations_of,
     torque_by,
 )
 from ._evidence import Evidence
@@ -175,28 +175,21 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
     )
     patterns = preparation.patterns(recording)
     trim = preparation.trimmed(recording)
-    time = np.asarray(patterns.time)
-    mask = np.asarray(patterns.mask) & evidence.valid[trim : recording.samples - trim]
-    time = np.asarray(patterns.time)
-    motion = _columns(network, patterns)
-    joints = network.joint_count
-
-    def filtered(unknowns: Unknowns, columns: HostColumns) -> Equations:
-        torque = dataclasses.replace(preparation, torque_lag=lag).aligned(
-            recording.time, recording.torque
-        )[trim : recording.samples - trim]
-        return Equations.of_columns(
-            unknowns, columns, torque, mask, time=time, cutoff=evidence.cutoff
-        )
-
-    # The same columns in all rounds are filtered once: they are all but two of each joint.
-    equations = filtered(Unknowns.of(network), motion)
-    solver = LeastSquares()
-    k = solver.coefficients(equations)
-    lags = Unknowns(
-        tuple(f"lag {joint + 1}" for joint in range(joints)),
-        tuple((joint,) for joint in range(joints)),
+    inside = slice(trim, recording.samples - trim)
+    patterns = dataclasses.replace(
+        patterns, friction_mask=np.asarray(patterns.friction_mask) & evidence.valid[inside]
     )
+    motion = _columns(network, patterns)
+    solver = LeastSquares()
+
+    def on_time(equations: Equations) -> Equations:
+        shifted = dataclasses.replace(preparation, torque_lag=lag)
+        torque = shifted.aligned(recording.time, recording.torque)[inside]
+        return equations.with_torque(torque, patterns, evidence.cutoff)
+
+    # The columns of motion are the same in all rounds, and filtered once.
+    equations = on_time(equations_of(network, patterns, evidence.cutoff, motion))
+    k = solver.coefficients(equations)
     estimate = _Combined(lag, np.inf, 1.0)
     for _ in range(_ROUNDS):
         # The torque as predicted has no noise that would damp the steps, and is smoothed further:
@@ -207,8 +200,11 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
             interval,
             cutoff=evidence.cutoff / _SMOOTHER,
         )
-        late = filtered(lags, tuple(-_STEP * column[None] for column in slope.T))
-        fit = solver.fit_equations(equations.beside(late), patterns.samples, throw=False)
+        late = [-_STEP * column[:, None] for column in slope.T]
+        late = equations.inputs(late, patterns, evidence.cutoff)
+        fit = solver.fit_equations(
+            on_time(equations).with_columns(late), patterns.samples, throw=False
+        )
         k = np.asarray(fit.k)
         estimate = _Combined.of(
             _STEP * k[network.size :], _STEP * np.asarray(fit.standard_error)[network.size :]

@@ -7,9 +7,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._environment import as_jax
 from ...network import CSLC
-from .._systematic import SystematicError
 from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
+from ..systematic import SystematicError
 from .band import Spectrum
 from .errors import (
     CorrelatedErrors,

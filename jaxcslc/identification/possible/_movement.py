@@ -2,8 +2,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ...network import CSLC
-from .._systematic import SystematicError, standard_uncertainty
 from ..solver import Identification
+from ..systematic import SystematicError, standard_uncertainty
 from ._physical_parameters import PhysicalParameters
 
 

@@ -12,9 +12,9 @@ from ...inertia import LinkKnowledge
 from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import HeldOut, RelativeError, Source, judged_errors
-from .._systematic import SystematicError
 from ..prior import Prior, with_knowledge
 from ..solver import FoldFit, Identification, LeastSquares, columns_in, regressor_of
+from ..systematic import SystematicError
 from ._movement import moved_bodies, movement_of
 from ._physical_parameters import (
     PhysicalParameters,

@@ -5,8 +5,8 @@ from jaxtyping import Array, Float
 
 from ..._text_table import text_table
 from ...network import AbstractLinearNetwork
-from .._systematic import SystematicError, uncertainty_interval
 from ..solver import Identification
+from ..systematic import SystematicError, uncertainty_interval
 from ._excitation import Excitation
 from ._verdicts import verdicts
 

@@ -11,7 +11,6 @@ from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import HeldOut
 from .._settings import Settings
-from .._systematic import SystematicError
 from ..checks import DataCheck
 from ..friction import PreSlidingFit, SlopeFit
 from ..likelihood import EstimatorComparison
@@ -21,6 +20,7 @@ from ..prior import Prior
 from ..selection import FrictionChoice, Selection
 from ..several import SeveralFit
 from ..solver import Identification
+from ..systematic import SystematicError
 from ._coefficient_table import coefficient_rows, coefficient_text
 from ._errors import ErrorTable
 from ._excitation import Excitation

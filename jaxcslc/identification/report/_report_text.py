@@ -2,8 +2,8 @@ from textwrap import fill
 
 from ...network import CSLC
 from .._held_out import HeldOut
-from .._systematic import SystematicError
 from ..solver import Identification
+from ..systematic import SystematicError
 from ._excitation import Excitation
 
 

@@ -9,9 +9,9 @@ from ...manipulator import Manipulator, RobotError
 from ...motion import Patterns
 from ...network import CSLC, derive
 from .._settings import Settings, settings_from
-from .._systematic import SystematicError
 from ..friction import PreSlidingFit, pre_sliding_from
 from ..solver import Identification
+from ..systematic import SystematicError
 
 
 # SI units. No robot comes near; and squares, in covariances, are far from overflow.

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._systematic import SystematicError, standard_uncertainty
 from ..solver import Identification
+from ..systematic import SystematicError, standard_uncertainty
 from ._saved import identification_file
 
 

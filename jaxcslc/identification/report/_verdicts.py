@@ -4,8 +4,8 @@ from typing import Literal
 import numpy as np
 
 from ...network import AbstractLinearNetwork
-from .._systematic import SystematicError, uncertainty_interval
 from ..solver import Identification
+from ..systematic import SystematicError, uncertainty_interval
 from ._excitation import Excitation
 
 

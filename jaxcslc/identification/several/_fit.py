@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from ...motion import Patterns
 from ...network import AbstractLinearNetwork
-from .._systematic import SystematicError
 from ..solver import Equations, Identification, LeastSquares
+from ..systematic import SystematicError
 from ._agreement import RecordingAgreement, agreement_of
 from ._recording_equations import RecordingEquations
 from ._systematic import combined_systematic

@@ -3,8 +3,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from .._systematic import SystematicError
 from ..solver import Identification
+from ..systematic import SystematicError
 
 
 def combined_systematic(

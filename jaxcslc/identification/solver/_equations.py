@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from ...motion import (
     FilteredEquations,
     Patterns,
+    decimated_low_pass,
     decimation_for,
     parallel_filter,
     uniform_interval,
@@ -146,22 +147,50 @@ class Equations(eqx.Module):
             ),
         )
 
-    def beside(self, other: "Equations") -> "Equations":
-        """Equations of the same samples whose left-hand sides are added, with the right-hand sides
-        of the other ones."""
-        size = self.unknowns.size
-        unknowns = Unknowns(
-            (*self.unknowns.names, *other.unknowns.names),
-            tuple(
-                (*mine, *(size + i for i in theirs))
-                for mine, theirs in zip(self.unknowns.support, other.unknowns.support, strict=True)
-            ),
-        )
+    def with_columns(self, inputs: Sequence[Float[np.ndarray, "_ _"]]) -> "Equations":
+        """Equations with further unknowns behind the others.
+
+        - `inputs`: of the further unknowns, for each joint's equations.
+        """
+        unknowns = self.unknowns.with_further([columns.shape[1] for columns in inputs])
         rows = (
-            np.concatenate([mine[:, :-1], theirs], axis=1)
-            for mine, theirs in zip(self.rows, other.rows, strict=True)
+            np.concatenate([joint_rows[:, :-1], columns, joint_rows[:, -1:]], axis=1)
+            for joint_rows, columns in zip(self.rows, inputs, strict=True)
         )
-        return Equations(unknowns, tuple(rows), other.sample)
+        return Equations(unknowns, tuple(rows), self.sample)
+
+    def with_torque(
+        self, torque: Float[np.ndarray, "samples joints"], patterns: Patterns, cutoff: float | None
+    ) -> "Equations":
+        """The same left-hand sides with other torques.
+
+        - `patterns`, `cutoff`: that the equations were made of.
+        """
+        right = self.inputs([column[:, None] for column in torque.T], patterns, cutoff)
+        rows = (
+            np.concatenate([joint_rows[:, :-1], column], axis=1)
+            for joint_rows, column in zip(self.rows, right, strict=True)
+        )
+        return Equations(self.unknowns, tuple(rows), self.sample)
+
+    def inputs(
+        self,
+        values: Sequence[Float[np.ndarray, "samples _"]],
+        patterns: Patterns,
+        cutoff: float | None,
+    ) -> list[Float[np.ndarray, "_ _"]]:
+        """What stands in the equations of each joint for its values at all samples.
+
+        - `patterns`, `cutoff`: that the equations were made of.
+        """
+        pairs = zip(values, self.sample, np.asarray(patterns.mask).T, strict=True)
+        if cutoff is None:
+            return [columns[sample] for columns, sample, _ in pairs]
+        interval = uniform_interval(np.asarray(patterns.time))
+        return [
+            decimated_low_pass(np.where(counts, columns.T, 0.0), sample, interval, cutoff=cutoff).T
+            for columns, sample, counts in pairs
+        ]
 
     def factors(self) -> JointFactors:
         """The factors of all equations, as NumPy's arrays."""

@@ -50,6 +50,20 @@ class Unknowns:
         """Number of coefficients, p."""
         return len(self.names)
 
+    def with_further(self, counts: Sequence[int]) -> "Unknowns":
+        """The same with unknowns that only one joint's equations depend on behind them.
+
+        - `counts`: of each joint.
+        """
+        ends = np.cumsum([self.size, *counts]).tolist()
+        return Unknowns(
+            (*self.names, *(f"input {number + 1}" for number in range(sum(counts)))),
+            tuple(
+                (*support, *range(start, end))
+                for support, start, end in zip(self.support, ends, ends[1:], strict=False)
+            ),
+        )
+
 
 class JointFactors(eqx.Module):
     """What a least-squares fit needs to know of any number of patterns: one triangle a joint.

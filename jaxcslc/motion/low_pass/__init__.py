@@ -1,3 +1,4 @@
+from ._decimated_low_pass import decimated_low_pass as decimated_low_pass
 from ._parallel_filter import (
     FilteredEquations as FilteredEquations,
     decimation_for as decimation_for,

@@ -3,9 +3,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..._missing_terms import missing_terms
-from ..._systematic import SystematicError
 from ...solver import components_for
+from ...systematic import SystematicError, missing_terms
 from .._linear import Linear
 from .._objective import Point, Residuals
 from ..band import Factored

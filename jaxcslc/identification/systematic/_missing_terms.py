@@ -1,11 +1,10 @@
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..motion import Patterns
-from ..network import CSLC
-from .solver import Equations, Unknowns
+from ...network import CSLC
+from ..solver import Equations, Unknowns
 
 
 # Parts of a joint's greatest torque from which a motor may give less than is demanded.
@@ -66,66 +65,6 @@ def missing_terms(
         beyond = [np.maximum(np.abs(tau) - part * greatest[joint], 0.0) for part in _BENDS]
         terms["motor saturation"].append(np.sign(tau)[:, None] * np.stack(beyond, axis=1))
     return terms
-
-
-def filtered_inputs(
-    terms: Mapping[str, Columns], patterns: Patterns, cutoff: float | None
-) -> dict[str, Columns]:
-    """The inputs of terms as they stand in the equations of patterns, all filtered at once.
-
-    **Arguments**
-
-    - `terms`: of `missing_terms`; those that no joint lacks are left out.
-    - `patterns`: whose equations are meant.
-    - `cutoff`: of their parallel filter.
-
-    **Returns** by name, for each joint (equations of the joint, number of inputs).
-    """
-    lacking = {name: inputs for name, inputs in terms.items() if any(x.size for x in inputs)}
-    by_joint = [np.concatenate(parts, axis=1) for parts in zip(*lacking.values(), strict=True)]
-    if not by_joint:
-        return {}
-    starts = np.cumsum([0, *(columns.shape[1] for columns in by_joint)])
-    regressor = np.zeros((len(patterns.q), len(by_joint), starts[-1]))
-    support: list[tuple[int, ...]] = []
-    for joint, columns in enumerate(by_joint):
-        support.append(tuple(range(starts[joint], starts[joint + 1])))
-        regressor[:, joint, starts[joint] : starts[joint + 1]] = columns
-    names = tuple(f"input {number + 1}" for number in range(starts[-1]))
-    equations = Equations.of(
-        Unknowns(names, tuple(support)),
-        regressor,
-        np.asarray(patterns.torque),
-        np.asarray(patterns.mask),
-        time=np.asarray(patterns.time),
-        cutoff=cutoff,
-    )
-    filtered: dict[str, Columns] = {name: [] for name in lacking}
-    for joint, rows in enumerate(equations.rows):
-        ends = np.cumsum([inputs[joint].shape[1] for inputs in lacking.values()])
-        for name, part in zip(lacking, np.split(rows[:, :-1], ends[:-1], axis=1), strict=True):
-            filtered[name].append(part)
-    return filtered
-
-
-def with_columns(equations: Equations, inputs: Columns) -> Equations:
-    """Equations with further unknowns behind the others.
-
-    **Arguments**
-
-    - `inputs`: of the further unknowns, for each joint's equations.
-    """
-    size, names = equations.unknowns.size, list(equations.unknowns.names)
-    support: list[tuple[int, ...]] = []
-    rows: list[np.ndarray] = []
-    for old, joint_rows, columns in zip(
-        equations.unknowns.support, equations.rows, inputs, strict=True
-    ):
-        first = len(names)
-        names += [f"input {number - size + 1}" for number in range(first, first + columns.shape[1])]
-        support.append((*old, *range(first, len(names))))
-        rows.append(np.concatenate([joint_rows[:, :-1], columns, joint_rows[:, -1:]], axis=1))
-    return Equations(Unknowns(tuple(names), tuple(support)), tuple(rows), equations.sample)
 
 
 def part_of(
