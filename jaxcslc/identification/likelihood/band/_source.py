@@ -1,8 +1,14 @@
 """C code of banded normal equations whose border is in all equations; for sizes of any kind."""
 
-SOURCE = """#define LANES 8
-
-/* So many numbers as the widest registers hold; others are put together by the compiler. */
+SOURCE = """/* So many numbers as the widest registers hold: of more, GCC makes single ones, and takes eight times
+   as long. */
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else
+#define LANES 2
+#endif
 typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
 
 /* Rows minus factors times rows so many apart: a part of their columns that registers hold. */
