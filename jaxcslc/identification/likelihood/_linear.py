@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ._objective import Objective, Point, Residuals, Step
+from ._signs import LATEST_TURN
 from .band import BandedEquations, Factored, Order, add_equations, gram
 
 
@@ -65,7 +66,7 @@ class Linear:
         whitening = objective.whitening
         residuals = objective.residuals_of(point, predicted)
         readings, torques = objective.readings(residuals), objective.torques(residuals)
-        return cls(
+        result = cls(
             objective,
             dataclasses.replace(objective.weights, position=readings.weight, torque=torques.weight),
             dataclasses.replace(residuals, position=readings.residual, torque=torques.residual),
@@ -75,6 +76,7 @@ class Linear:
             whitening.applied(by_border),
             whitening.by_turn(by_turn, signs.joints),
         )
+        return result._within_bounds(point.turn)
 
     def factored(self, damping: float) -> Factored:
         """The normal equations, damped and factorised.
@@ -215,13 +217,38 @@ class Linear:
         standstill = weights.standstill * residuals.standstill
         inner[order.position[1:]] += standstill
         inner[order.position[:-1]] -= standstill
-        inner[order.turn] += weights.turn * residuals.turn
-        for reversals, rows, joints, derivative in self.turn_parts:
-            inner[order.turn[reversals]] += derivative * force[rows, joints]
+        inner[order.turn] += self._turn_gradient(residuals, force)
         border = force.ravel() @ self._flat_border
         np.add.at(border, self.offset, reading * scale[self.offset])
         border += scale * weights.border * residuals.border
         return inner, border
+
+    def _turn_gradient(
+        self, residuals: Residuals, force: Float[np.ndarray, "equations joints"]
+    ) -> Float[np.ndarray, " reversals"]:
+        """By the moments of reversals; `force`: weights times residuals of torque."""
+        result = self.weights.turn * residuals.turn
+        for reversals, rows, joints, derivative in self.turn_parts:
+            result[reversals] += derivative * force[rows, joints]
+        return result
+
+    def _within_bounds(self, turn: Float[np.ndarray, " reversals"]) -> "Linear":
+        """The same without moments of reversals that are at a bound and would go beyond it.
+
+        What linear equations promise of such a step does not come, and a search that waits for it
+        does not end.
+        """
+        force = self.weights.torque * self.residuals.torque
+        outwards = self._turn_gradient(self.residuals, force) * turn > 0.0
+        fixed = outwards & (np.abs(turn) >= LATEST_TURN)
+        if not fixed.any():
+            return self
+        of_turn = np.where(fixed, 0.0, self.residuals.turn)
+        return dataclasses.replace(
+            self,
+            residuals=dataclasses.replace(self.residuals, turn=of_turn),
+            by_turn=np.where(fixed, 0.0, self.by_turn),
+        )
 
     @property
     def _diagonals(self) -> int:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
-from jaxcslc.identification.likelihood._signs import Signs
+from jaxcslc.identification.likelihood._signs import LATEST_TURN, Signs
 from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
 from jaxcslc.identification.likelihood.errors import eliminated_rows
 from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
@@ -141,6 +141,24 @@ def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, 
     actual = problem.residuals(problem.moved(point, step))
     for name, values in vars(actual).items():
         assert_allclose(getattr(predicted, name), values, atol=1e-9)
+
+
+@pytest.mark.parametrize("bound", [-LATEST_TURN, LATEST_TURN])
+def test_moments_of_reversals_stay_within_bounds(
+    objective: tuple[Objective, Point], bound: float
+) -> None:
+    # What is expected of the moment draws it, more than torque does.
+    problem, point = objective
+    at_bound = dataclasses.replace(point, turn=np.array([bound]))
+    for outwards in (True, False):
+        expected = bound + (1e6 if outwards else -1e6) * np.sign(bound)
+        signs = dataclasses.replace(problem.signs, turn=np.array([expected]))
+        linear = Linear.of(dataclasses.replace(problem, signs=signs), at_bound)
+        step = linear.step(linear.factored(0.0), linear.residuals)
+        if outwards:
+            assert_allclose(step.turn, 0.0, atol=1e-12)
+        else:
+            assert np.sign(step.turn[0]) == -np.sign(bound)
 
 
 def test_stretches_are_the_motion(arm: jc.CSLC, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,7 @@
 """C code of banded normal equations whose border is in all equations; for sizes of any kind."""
 
-SOURCE = """/* So many numbers as the widest registers hold: of more, GCC makes single ones, and takes eight times
-   as long. */
+SOURCE = """/* So many numbers as the widest registers hold: of more, GCC makes single ones, and
+   takes up to ten times as long. */
 #if defined(__AVX512F__)
 #define LANES 8
 #elif defined(__AVX__)
