@@ -22,3 +22,4 @@ from ._rigid_body import (
     regressor_rows as regressor_rows,
     torque_code as torque_code,
 )
+from ._sines_text import SINES_TEXT as SINES_TEXT

@@ -53,7 +53,8 @@ def test_products_are_those_of_the_regressor(
     # Pivoted triangles, well conditioned: the order of rows is not that of columns.
     triangles = [np.triu(rng.uniform(1.0, 2.0, (x.shape[1],) * 2)) for x in rows]
     inverses = [x[rng.permutation(len(x))] for x in triangles]
-    products = kernel.products(inverses, q, qd, qdd, torque, weight)
+    *products, counts = kernel.products(inverses, q, qd, qdd, torque, weight)
+    assert counts.tolist() == np.count_nonzero(weight, axis=0).tolist()
     for product, joint_rows, inverse in zip(products, rows, inverses, strict=True):
         expected = (joint_rows @ inverse).T @ (joint_rows @ inverse)
         assert_allclose(product, expected, atol=1e-12 * max(np.max(np.abs(expected)), 1.0))
@@ -68,7 +69,7 @@ def test_columns_of_zeros_and_numbers_that_are_not_finite(
     q, qd, qdd, torque = rng.uniform(-2.0, 2.0, (4, 50, 6))
     motion = q, 0.0 * qd, 0.0 * qdd, 0.0 * torque, np.ones((50, 6))
     identities = [np.eye(size) for size in kernel.sizes]
-    still = Preconditioner.of_products(kernel.products(identities, *motion))
+    still = Preconditioner.of_products(kernel.products(identities, *motion)[:-1])
     assert all(np.all(np.isfinite(x)) for x in kernel.products(still.inverses, *motion))
     motion[0][20, 1] = np.nan
     assert np.isnan(kernel.products(identities, *motion)[1]).any()

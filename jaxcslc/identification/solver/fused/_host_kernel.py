@@ -1,26 +1,25 @@
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ....network import CSLC, AbstractLinearNetwork
-from ....network.straight_line import KernelText, Operation, Program, Value, c_library
+from ....network.straight_line import SINES_TEXT, KernelText, Motion, Operation, Value, c_library
 from ._weighted_columns import weighted_columns
 
 
 # Patterns whose columns are in memory at once: those of a Panda take 0.4 MB, a core's cache.
 _BLOCK = 256
-# Patterns of which NumPy computes sines and cosines at once, a whole number of blocks.
-_PIECE = 4096
 # Tiles of products are of 4 x 4 columns.
 _TILE = 4
-# Numbers that the widest registers have; results have room for so many partial sums.
+# Numbers that the widest registers have: sums of tiles have room for so many partial ones.
 _LANES = 8
-# What NumPy computes: its functions are as exact as the C library's and take less time.
-_OF_NUMPY = ("sin", "cos", "exp", "tanh")
+# What is computed for all patterns of a block before the columns.
+_FUNCTIONS = ("sin", "cos", "exp", "tanh")
 
 
 @dataclass(frozen=True)
@@ -32,17 +31,15 @@ class HostKernel:
     **Attributes**
 
     - `source`: of the function `grams`.
-    - `functions`: sines and cosines of the motion, which NumPy computes.
     - `sizes`: for each joint its number of columns, the torque's included.
-    - `motion`: the number of columns of a motion.
+    - `memory`: numbers that it needs room for.
 
     Call `products` to run it.
     """
 
     source: str
-    functions: Program
     sizes: tuple[int, ...]
-    motion: int
+    memory: int
 
     def products(
         self,
@@ -51,9 +48,14 @@ class HostKernel:
         qd: Float[np.ndarray, "samples motion"],
         qdd: Float[np.ndarray, "samples motion"],
         torque: Float[np.ndarray, "samples joints"],
-        weight: Float[np.ndarray, "samples joints"],
-    ) -> tuple[Float[np.ndarray, "_ _"], ...]:
-        """For each joint the products of weighted rows behind a preconditioner, (s + 1, s + 1).
+        weight: Float[np.ndarray, "samples joints"] | Bool[np.ndarray, "samples joints"],
+    ) -> tuple[Float[np.ndarray, "..."], ...]:
+        """For each joint the products of weighted rows behind a preconditioner, (s + 1, s + 1),
+        and then the joints' numbers of rows of a weight other than zero, (n,).
+
+        One call of C does all of it, and other threads of Python run meanwhile: sixteen threads
+        that come back to Python for blocks of 4,096 patterns, as for sines and cosines of NumPy's,
+        wait for each other most of the time.
 
         **Raises** `OSError` where there is no C compiler. See `host_kernel_of`.
         """
@@ -61,26 +63,18 @@ class HostKernel:
         if library is None:
             raise OSError("there is no C compiler: cc, or what the environment's CC names")
         packed, rows = self._packed(inverses)
-        tiles = sum(_tiles(size) for size in self.sizes)
-        sums = np.zeros((tiles, _TILE * _TILE, _LANES))
-        joints, of_motion = len(self.sizes), 3 * self.motion
-        inputs = np.empty((of_motion + 2 * joints + self.functions.outputs, _PIECE))
-        memory = np.empty(_BLOCK * (sum(self.sizes) + _padded(max(self.sizes))))
-        for start in range(0, len(q), _PIECE):
-            piece = slice(start, start + _PIECE)
-            length = min(len(q) - start, _PIECE)
-            first = 0
-            for x in (q, qd, qdd, torque, weight):
-                inputs[first : first + x.shape[1], :length] = x[piece].T
-                first += x.shape[1]
-            states = inputs[:of_motion, :length].reshape(3, self.motion, length)
-            inputs[first:, :length] = self.functions(*states)
-            blocks = -(-length // _BLOCK)
-            inputs[:, length : blocks * _BLOCK] = 0.0  # of weight zero
-            library.grams(
-                *map(_address, (inputs, packed, rows, memory, sums)), ctypes.c_long(blocks)
-            )
-        return self._unpacked(np.sum(sums, axis=-1))
+        tiles = np.empty((sum(_tiles(size) for size in self.sizes), _TILE * _TILE))
+        counts = np.empty(len(self.sizes))
+        motion = [np.ascontiguousarray(x, float) for x in (q, qd, qdd, torque)]
+        weights = np.ascontiguousarray(weight, bool if weight.dtype == bool else float)
+        memory = np.empty(self.memory)
+        library.grams(
+            *map(_address, (*motion, weights)),
+            ctypes.c_int(weights.dtype == bool),
+            ctypes.c_long(len(q)),
+            *map(_address, (packed, rows, memory, tiles, counts)),
+        )
+        return *self._unpacked(tiles), counts
 
     def _packed(self, inverses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the inverses' transposes, and the rows of columns in the order of pivots.
@@ -129,6 +123,7 @@ def host_kernel_of(network: AbstractLinearNetwork) -> HostKernel | None:
     return None if c_library(kernel.source) is None else kernel
 
 
+@lru_cache(maxsize=16)
 def host_kernel(network: CSLC) -> HostKernel:
     """The kernel of a network, whether it can be compiled or not."""
     motion, columns = weighted_columns(network)
@@ -137,7 +132,7 @@ def host_kernel(network: CSLC) -> HostKernel:
     functions = [
         index
         for index in graph.needed(column.value for column in columns)
-        if graph.operations[index].name in _OF_NUMPY
+        if graph.operations[index].name in _FUNCTIONS
     ]
     widths = {"q": motion.q, "qd": motion.qd, "qdd": motion.qdd, "torque": sizes, "weight": sizes}
     firsts = dict(zip(widths, np.cumsum([0, *map(len, widths.values())]).tolist(), strict=False))
@@ -147,23 +142,55 @@ def host_kernel(network: CSLC) -> HostKernel:
     def reading(operation: Operation) -> str | None:
         if operation.name == "input":
             quantity, index = operation.text.rstrip("]").split("[")
-            return f"inputs[{_PIECE * (firsts[quantity] + int(index))} + i]"
-        if operation.name in _OF_NUMPY:
-            return f"inputs[{_PIECE * rows[operation]} + i]"
+            return f"inputs[{_BLOCK * (firsts[quantity] + int(index))} + i]"
+        if operation.name in _FUNCTIONS:
+            return f"inputs[{_BLOCK * rows[operation]} + i]"
         return None
 
-    lines = KernelText(graph, reading).statements(
+    text = KernelText(graph, reading)
+    lines = text.statements(
         (column.value, f"columns[{_BLOCK * column.row} + i] = {{0}};") for column in columns
     )
+    inputs = _BLOCK * (behind + len(functions))
+    of_columns, transformed = _BLOCK * sum(sizes), _BLOCK * _padded(max(sizes))
+    sums = _LANES * _TILE * _TILE * sum(map(_tiles, sizes))
     source = _KERNEL.format(
         block=_BLOCK,
-        lanes=_LANES,
+        sines=SINES_TEXT,
+        joints=len(sizes),
+        motion=len(motion.q),
+        functions="\n".join(_function_lines(motion, text, functions, rows)),
         statements="\n".join(lines),
         products="\n".join(_calls(sizes)),
-        transformed=_BLOCK * sum(sizes),
+        inputs=inputs,
+        columns=of_columns,
+        transformed=transformed,
+        tiles=sum(map(_tiles, sizes)),
     )
-    program = Program.of(motion, [Value(graph, index) for index in functions])
-    return HostKernel(source, program, sizes, len(motion.q))
+    # From the next address that vectors like best on.
+    return HostKernel(source, sizes, inputs + of_columns + transformed + sums + _LANES)
+
+
+def _function_lines(
+    motion: Motion, text: KernelText, functions: Sequence[int], rows: dict[Operation, int]
+) -> list[str]:
+    """Loops over a block for each argument, and then for what is computed of it."""
+    graph, lines = motion.graph, list[str]()
+    row_of = {
+        (operation.name, operation.arguments[0]): f"inputs + {_BLOCK * row}"
+        for operation, row in rows.items()
+    }
+    for argument in dict.fromkeys(graph.operations[index].arguments[0] for index in functions):
+        computed = text.statements([(Value(graph, argument), "argument[i] = {0};")])
+        lines += ["for (int i = 0; i < BLOCK; ++i) {", *computed, "}"]
+        turned = [row_of.get((name, argument)) for name in ("sin", "cos")]
+        if any(turned):
+            sine, cosine = (row or "unused" for row in turned)
+            lines.append(f"sines_and_cosines(argument, {sine}, {cosine}, BLOCK);")
+        for name in ("exp", "tanh"):
+            if (row := row_of.get((name, argument))) is not None:
+                lines.append(f"for (int i = 0; i < BLOCK; ++i) ({row})[i] = {name}(argument[i]);")
+    return lines
 
 
 def _calls(sizes: Sequence[int]) -> list[str]:
@@ -173,7 +200,7 @@ def _calls(sizes: Sequence[int]) -> list[str]:
     for size in sizes:
         calls.append(
             f"products({size}, columns, inverses + {packed}, rows + {rows}, transformed,"
-            f" sums + {tiles * _TILE * _TILE * _LANES});"
+            f" sums + {tiles * _TILE * _TILE} * LANES);"
         )
         packed, rows, tiles = packed + _padded(size) * size, rows + size, tiles + _tiles(size)
     return calls
@@ -194,13 +221,59 @@ def _address(array: np.ndarray) -> Any:
 
 
 _KERNEL = """#include <math.h>
+#include <stdint.h>
 
 #define BLOCK {block}
-#define LANES {lanes}
+#define JOINTS {joints}
+#define MOTION {motion}
+#define TILES {tiles}
+/* So many numbers as the widest registers hold, and so many rows of a tile at a time that their
+   sums, four registers each, leave some registers free. */
+#if defined(__AVX512F__)
+#define LANES 8
+#define ROWS 4
+#elif defined(__AVX__)
+#define LANES 4
+#define ROWS 2
+#elif defined(__aarch64__)
+#define LANES 2
+#define ROWS 4
+#else
+#define LANES 2
+#define ROWS 2
+#endif
 
 typedef double real;
-/* So many numbers as the widest registers hold; others are put together by the compiler. */
 typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
+{sines}
+/* Rows of numbers of patterns as columns, each in a block of its own; behind the last one zeros. */
+static void transpose(const double* rows, int width, int count, double* restrict columns)
+{{
+    for (int j = 0; j < width; ++j) {{
+        for (int i = 0; i < count; ++i)
+            columns[BLOCK * j + i] = rows[width * i + j];
+        for (int i = count; i < BLOCK; ++i)
+            columns[BLOCK * j + i] = 0.0;
+    }}
+}}
+
+static void transpose_bytes(const unsigned char* rows, int count, double* restrict columns)
+{{
+    for (int j = 0; j < JOINTS; ++j) {{
+        for (int i = 0; i < count; ++i)
+            columns[BLOCK * j + i] = rows[JOINTS * i + j];
+        for (int i = count; i < BLOCK; ++i)
+            columns[BLOCK * j + i] = 0.0;
+    }}
+}}
+
+/* Sines and other functions of the motion, behind the inputs that they are of. */
+static void compute_functions(double* inputs)
+{{
+    double argument[BLOCK], unused[BLOCK];
+{functions}
+    (void)argument, (void)unused;
+}}
 
 /* The weighted columns of a block of patterns. */
 static void compute_columns(const double* restrict inputs, double* restrict columns)
@@ -217,48 +290,84 @@ static void products(
 {{
     for (int row = 0; row < size; row += 4) {{
         const int last = row + 4 < size ? row + 4 : size;
-        for (int start = 0; start < BLOCK; start += 4 * LANES) {{
-            lanes y[4][4] = {{{{{{0}}}}}};
-            for (int k = 0; k < last; ++k) {{
-                const lanes* x = (const lanes*)(columns + BLOCK * rows[k] + start);
-                const double* a = inverse + 4 * k;
-                for (int r = 0; r < 4; ++r)
+        for (int start = 0; start < BLOCK; start += 4 * LANES)
+            for (int part = 0; part < 4; part += ROWS) {{
+                lanes y[ROWS][4] = {{{{{{0}}}}}};
+                for (int k = 0; k < last; ++k) {{
+                    const lanes* x = (const lanes*)(columns + BLOCK * rows[k] + start);
+                    const double* a = inverse + 4 * k + part;
+                    for (int r = 0; r < ROWS; ++r)
+                        for (int c = 0; c < 4; ++c)
+                            y[r][c] += a[r] * x[c];
+                }}
+                for (int r = 0; r < ROWS; ++r)
                     for (int c = 0; c < 4; ++c)
-                        y[r][c] += a[r] * x[c];
+                        *(lanes*)(transformed + BLOCK * (row + part + r) + start + LANES * c)
+                            = y[r][c];
             }}
-            for (int r = 0; r < 4; ++r)
-                for (int c = 0; c < 4; ++c)
-                    *(lanes*)(transformed + BLOCK * (row + r) + start + LANES * c) = y[r][c];
-        }}
         inverse += 4 * size;
     }}
     for (int row = 0; row < size; row += 4)
-        for (int column = 0; column <= row; column += 4) {{
-            lanes* sum = (lanes*)sums;
-            lanes y[4][4];
-            for (int r = 0; r < 4; ++r)
-                for (int c = 0; c < 4; ++c)
-                    y[r][c] = sum[4 * r + c];
-            for (int start = 0; start < BLOCK; start += LANES)
-                for (int r = 0; r < 4; ++r)
+        for (int column = 0; column <= row; column += 4)
+            for (int part = 0; part < 4; part += ROWS) {{
+                lanes* sum = (lanes*)sums;
+                lanes y[ROWS][4];
+                for (int r = 0; r < ROWS; ++r)
                     for (int c = 0; c < 4; ++c)
-                        y[r][c] += *(const lanes*)(transformed + BLOCK * (row + r) + start)
-                            * *(const lanes*)(transformed + BLOCK * (column + c) + start);
-            for (int r = 0; r < 4; ++r)
-                for (int c = 0; c < 4; ++c)
-                    sum[4 * r + c] = y[r][c];
-            sums += 16 * LANES;
-        }}
+                        y[r][c] = sum[4 * r + c];
+                const double* left = transformed + BLOCK * (row + part);
+                const double* right = transformed + BLOCK * column;
+                for (int start = 0; start < BLOCK; start += LANES)
+                    for (int r = 0; r < ROWS; ++r)
+                        for (int c = 0; c < 4; ++c)
+                            y[r][c] += *(const lanes*)(left + BLOCK * r + start)
+                                * *(const lanes*)(right + BLOCK * c + start);
+                for (int r = 0; r < ROWS; ++r)
+                    for (int c = 0; c < 4; ++c)
+                        sum[4 * r + c] = y[r][c];
+                sums += 4 * ROWS * LANES;
+            }}
 }}
 
-/* Adds the products of so many blocks of patterns. */
-void grams(const double* inputs, const double* inverses, const int* rows, double* columns,
-           double* sums, long blocks)
+/* The products of all patterns, tile by tile, and how many of each joint have a weight. */
+void grams(const double* q, const double* qd, const double* qdd, const double* torque,
+           const void* weight, int weight_is_bytes, long samples,
+           const double* inverses, const int* rows, double* memory,
+           double* results, double* counts)
 {{
-    double* transformed = columns + {transformed};
-    for (long block = 0; block < blocks; ++block) {{
-        compute_columns(inputs + BLOCK * block, columns);
+    double* inputs = (double*)(((uintptr_t)memory + 8 * LANES - 1) / (8 * LANES) * (8 * LANES));
+    double* columns = inputs + {inputs};
+    double* transformed = columns + {columns};
+    double* sums = transformed + {transformed};
+    double* weights = inputs + BLOCK * (3 * MOTION + JOINTS);
+    for (int i = 0; i < 16 * TILES * LANES; ++i)
+        sums[i] = 0.0;
+    for (int j = 0; j < JOINTS; ++j)
+        counts[j] = 0.0;
+    for (long start = 0; start < samples; start += BLOCK) {{
+        const int count = samples - start < BLOCK ? samples - start : BLOCK;
+        transpose(q + MOTION * start, MOTION, count, inputs);
+        transpose(qd + MOTION * start, MOTION, count, inputs + BLOCK * MOTION);
+        transpose(qdd + MOTION * start, MOTION, count, inputs + 2 * BLOCK * MOTION);
+        transpose(torque + JOINTS * start, JOINTS, count, inputs + 3 * BLOCK * MOTION);
+        if (weight_is_bytes)
+            transpose_bytes((const unsigned char*)weight + JOINTS * start, count, weights);
+        else
+            transpose((const double*)weight + JOINTS * start, JOINTS, count, weights);
+        for (int j = 0; j < JOINTS; ++j) {{
+            int counted = 0;
+            for (int i = 0; i < BLOCK; ++i)
+                counted += weights[BLOCK * j + i] != 0.0;
+            counts[j] += counted;
+        }}
+        compute_functions(inputs);
+        compute_columns(inputs, columns);
 {products}
+    }}
+    for (int i = 0; i < 16 * TILES; ++i) {{
+        results[i] = 0.0;
+        for (int lane = 0; lane < LANES; ++lane)
+            results[i] += sums[LANES * i + lane];
     }}
 }}
 """

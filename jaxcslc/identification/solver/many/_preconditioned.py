@@ -5,28 +5,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Array, Float
 
 from ...._environment import array_namespace, platform_of
 from ....network import AbstractLinearNetwork
-from .._factors import JointFactors, factorise, joined_factors, triangle_of, weighted_rows
+from .._factors import JointFactors, factorise, joined_factors, weighted_rows
 from ..fused import HostKernel, fused_gram_matrices, fused_kernel_of
+from ._preconditioner import LARGEST_ERROR, Preconditioner, add_up, triangles_of
 
 
 # Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30
 # columns, a condition number of about 1.2.
 SAMPLE = 4096
-# Squares of pivots of a sample's columns of unit length below which products do not resolve them.
-_LEAST_SQUARE = 1e-13
-# Added below a sample's rows, in lengths of their columns: directions that the sample lacks stay
-# finite, and are resolved to 1e-8 of 1e-8.
-_SHIFT = 1e-8
-# What rounding of the products may change, in units of rounding and lengths of columns. Householder
-# reflections change about ten.
-_LARGEST_ERROR = 100.0
-# Columns behind a preconditioner count as zero up to this, in the same units.
-_NEGLIGIBLE = 50.0
 # Each factor that is not good enough is the preconditioner of the next.
 _PASSES = 3
 # Patterns that are expanded into regressor rows at once, and of which a product is formed: on a
@@ -35,70 +25,6 @@ _CPU_ROWS, _CPU_PRODUCTS = 2048, 1
 _GPU_ROWS, _GPU_PRODUCTS = 1024, 128
 
 Motion = tuple[Array | np.ndarray, ...]
-
-
-class Preconditioner(NamedTuple):
-    """What makes regressor rows nearly orthonormal, for each joint.
-
-    A pivoted factor R of a sample of rows: with pivots, rows of R are graded and the errors of a
-    product with the inverse as small as those of substitution, at the speed of matrix products.
-
-    **Attributes**
-
-    - `inverses`: (s + 1, s + 1), what rows are multiplied by; the torque is a column like others.
-    - `factors`: (s + 1, s + 1), their inverses.
-    """
-
-    inverses: tuple[Float[np.ndarray, "_ _"], ...]
-    factors: tuple[Float[np.ndarray, "_ _"], ...]
-
-    @classmethod
-    def of_rows(cls, rows: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner":
-        """Of some rows of each joint, or of a triangle of them; columns of zeros are allowed."""
-        pairs = [_inverse_and_factor(np.asarray(joint_rows)) for joint_rows in rows]
-        inverses, factors = zip(*pairs, strict=True)
-        return cls(inverses, factors)
-
-    @classmethod
-    def of_products(cls, grams: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner":
-        """Of the products of some rows of each joint.
-
-        Rows are resolved to 1e-7 of their columns' lengths, which serves as well as 1e-16 with
-        condition numbers up to that, and what lies beyond takes a second pass. Decomposing tens of
-        columns takes a tenth of the time of thousands of rows, for which a GPU waits.
-        """
-        inverses, factors = zip(*map(_inverse_and_factor_of_product, grams), strict=True)
-        return cls(inverses, factors)
-
-
-def _inverse_and_factor(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    lengths = np.linalg.norm(rows, axis=0)
-    lengths = np.where(lengths > 0.0, lengths, 1.0)
-    size = rows.shape[1]
-    shifted = np.concatenate([rows / lengths, _SHIFT * np.eye(size)])
-    triangle, order = scipy.linalg.qr(shifted, mode="r", pivoting=True, check_finite=False)
-    triangle = triangle[:size]
-    inverse, factor = np.empty((2, size, size))
-    inverse[order] = scipy.linalg.solve_triangular(triangle, np.eye(size), check_finite=False)
-    factor[:, order] = triangle
-    return inverse / lengths[:, None], factor * lengths
-
-
-def _inverse_and_factor_of_product(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    size = len(gram)
-    if not np.all(np.isfinite(gram)):
-        return np.eye(size), np.eye(size)
-    lengths = np.sqrt(np.diag(gram))
-    lengths = np.where(lengths > 0.0, lengths, 1.0)
-    normalized = gram / lengths[:, None] / lengths
-    triangle, pivots, rank, _ = scipy.linalg.lapack.dpstrf(normalized, tol=_LEAST_SQUARE)
-    order, triangle = pivots - 1, np.triu(triangle)
-    # Not shifted as a whole: what depends on other columns is to vanish up to rounding.
-    triangle[rank:] = np.sqrt(_LEAST_SQUARE) * np.eye(size)[rank:]
-    inverse, factor = np.empty((2, size, size))
-    inverse[order] = scipy.linalg.lapack.dtrtri(triangle)[0]
-    factor[:, order] = triangle
-    return inverse / lengths[:, None], factor * lengths
 
 
 def factors_of(
@@ -129,18 +55,71 @@ def factors_of(
     """
     if preconditioner is None:
         preconditioner = sample_of(network, motion, kernel)
+    numbers = _numbers_behind(network, preconditioner, motion, kernel)
+    return _factors_from(network, Products(numbers, preconditioner), motion, kernel)
+
+
+class Products(NamedTuple):
+    """The products of some patterns' rows, and behind what.
+
+    **Attributes**
+
+    - `numbers`: as of `packed_products`.
+    - `preconditioner`: of all of them.
+    """
+
+    numbers: Float[np.ndarray, " numbers"]
+    preconditioner: Preconditioner
+
+    def factors(self, network: AbstractLinearNetwork) -> JointFactors:
+        """Of the patterns, where products `add_up`."""
+        *grams, counts = unpacked(network, self.numbers)
+        return JointFactors(triangles_of(self.preconditioner, grams)[0], counts)
+
+
+def part_of(
+    network: AbstractLinearNetwork,
+    motion: Motion,
+    preconditioner: Preconditioner,
+    *,
+    kernel: HostKernel | None = None,
+) -> tuple[Products | JointFactors, Preconditioner]:
+    """What patterns add to others: their products if these may be summed, or else their factors;
+    and the preconditioner that served. Arguments are those of `factors_of`."""
+    products = Products(_numbers_behind(network, preconditioner, motion, kernel), preconditioner)
+    *grams, _ = unpacked(network, products.numbers)
+    if add_up(preconditioner, grams):
+        return products, preconditioner
+    return _factors_from(network, products, motion, kernel)
+
+
+def _numbers_behind(
+    network: AbstractLinearNetwork,
+    preconditioner: Preconditioner,
+    motion: Motion,
+    kernel: HostKernel | None,
+) -> np.ndarray:
+    if kernel is not None:
+        motion_of_host: Any = motion
+        return packed(kernel.products(preconditioner.inverses, *motion_of_host))
+    return np.asarray(_products(network, packed(preconditioner.inverses), *motion))
+
+
+def _factors_from(
+    network: AbstractLinearNetwork, products: Products, motion: Motion, kernel: HostKernel | None
+) -> tuple[JointFactors, Preconditioner]:
+    """The factors of patterns whose products behind a first preconditioner are there."""
 
     def products_behind(preconditioner: Preconditioner) -> list[np.ndarray]:
-        if kernel is not None:
-            motion_of_host: Any = motion
-            counts = np.sum(motion_of_host[-1] != 0.0, axis=0, dtype=float)
-            return [packed([*kernel.products(preconditioner.inverses, *motion_of_host), counts])]
-        return [np.asarray(_products(network, packed(preconditioner.inverses), *motion))]
+        if preconditioner is products.preconditioner:
+            return [products.numbers]
+        return [_numbers_behind(network, preconditioner, motion, kernel)]
 
     def reflected() -> JointFactors:
-        return jax.tree.map(np.asarray, _reflected(network, *(jnp.asarray(x) for x in motion)))
+        arrays = (jnp.asarray(x, float) for x in motion)
+        return jax.tree.map(np.asarray, _reflected(network, *arrays))
 
-    return refined(network, preconditioner, products_behind, reflected)
+    return refined(network, products.preconditioner, products_behind, reflected)
 
 
 def refined(
@@ -166,7 +145,7 @@ def refined(
             # Rows that are not finite, whose errors are NaN, have no better factors.
             largest = max(largest, float(np.max(np.nan_to_num(errors))))
         factors = joined_factors(parts)
-        if largest < _LARGEST_ERROR:
+        if largest < LARGEST_ERROR:
             return factors, preconditioner
         preconditioner = Preconditioner.of_rows([np.asarray(x) for x in factors.triangles])
     return reflected(), preconditioner
@@ -181,7 +160,8 @@ def sample_of(
     if kernel is not None:
         motion_of_host: Any = motion
         identities = [np.eye(size) for size in kernel.sizes]
-        return Preconditioner.of_products(kernel.products(identities, *motion_of_host))
+        *grams, _ = kernel.products(identities, *motion_of_host)
+        return Preconditioner.of_products(grams)
     on_gpu = platform_of(motion[0]) != "cpu"
     numbers = np.asarray(_sample(network, *motion, on_gpu=on_gpu))
     return Preconditioner.of_products(unpacked(network, numbers))
@@ -233,58 +213,6 @@ def packed_products(
     grams = gram_matrices(network, tuple(unpacked(network, inverses)), *motion, on_gpu=on_gpu)
     counts = jnp.sum(motion[-1] != 0, axis=0).astype(motion[-1].dtype)
     return packed([*grams, counts])
-
-
-def triangles_of(
-    preconditioner: Preconditioner, grams: Sequence[Float[np.ndarray, "_ _"]]
-) -> tuple[tuple[Float[np.ndarray, "_ _"], ...], Float[np.ndarray, " joints"]]:
-    """The triangles of rows whose products behind a preconditioner are `grams`.
-
-    **Returns** the triangles, and for each joint a bound of their error: of the change of the
-    rows, by columns, that would explain it, in units of rounding and of the columns' lengths.
-    """
-    pairs = [
-        _triangle_and_error(factor, gram)
-        for factor, gram in zip(preconditioner.factors, grams, strict=True)
-    ]
-    triangles, errors = zip(*pairs, strict=True)
-    return triangles, np.array(errors)
-
-
-def _triangle_and_error(factor: np.ndarray, gram: np.ndarray) -> tuple[np.ndarray, float]:
-    if not np.all(np.isfinite(gram)):
-        return np.full_like(gram, np.nan), np.nan
-    lengths = np.sqrt(np.diag(gram))
-    divisor = np.where(lengths > 0.0, lengths, 1.0)
-    # Of columns of unit length: a factor's errors do not depend on their scale.
-    normalized, directions = gram / divisor[:, None] / divisor, lengths[:, None] * factor
-    # What depends on other columns is left as rounding, in any direction: none of its own.
-    columns = np.sqrt(np.maximum(np.sum(directions * (normalized @ directions), axis=0), 0.0))
-    negligible = np.all(np.abs(directions) <= _NEGLIGIBLE * np.finfo(float).eps * columns, axis=1)
-    if np.any(negligible):
-        directions[negligible] = normalized[negligible] = normalized[:, negligible] = 0.0
-        normalized[negligible, negligible] = 1.0
-    triangle, singular = scipy.linalg.lapack.dpotrf(normalized, lower=1)
-    if not singular:
-        # Rounding of the products changes the factor by no more than its inverse's norm.
-        half = triangle.T @ directions
-        change = np.linalg.norm(scipy.linalg.lapack.dtrtri(triangle, lower=1)[0])
-        columns = np.linalg.norm(half, axis=0)
-        columns = np.where(columns > 0.0, columns, 1.0)
-        error = change * np.max(np.linalg.norm(directions, axis=0) / columns)
-        if error < _LARGEST_ERROR:
-            return triangle_of(half), float(error)
-    values, vectors = np.linalg.eigh(normalized)
-    roots = np.sqrt(np.maximum(values, 0.0))
-    directions = vectors.T @ directions
-    half = roots[:, None] * directions
-    # Rounding of the products changes a root by this, and the columns by its part of directions.
-    unit = np.finfo(float).eps
-    changes = np.minimum(unit / np.maximum(roots, unit), np.sqrt(unit))
-    columns = np.linalg.norm(half, axis=0)
-    changed = np.linalg.norm(changes[:, None] * directions, axis=0)
-    error = np.max(changed / np.where(columns > 0.0, columns, 1.0)) / unit
-    return triangle_of(half), float(error)
 
 
 def gram_matrices(

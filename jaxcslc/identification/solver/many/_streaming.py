@@ -2,7 +2,7 @@ import itertools
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ from ....network import AbstractLinearNetwork
 from .._factors import JointFactors, joined_factors
 from ..fused import HostKernel, host_kernel_of
 from ._correction import residual_sums
-from ._preconditioned import Preconditioner, factors_of, sample_of
+from ._preconditioned import Preconditioner, Products, factors_of, part_of, sample_of
 from ._sharded import factors_of_shards, mesh_of, residual_sums_of_shards
 
 
@@ -29,7 +29,62 @@ _FEWEST_ON_GPU = 1 << 12
 # Factors that are kept before they are joined.
 _MOST_PARTS = 64
 
-_Piece = tuple[Float[np.ndarray, "_ _"], ...]
+
+class _Piece(NamedTuple):
+    """Patterns that one task takes.
+
+    - `stretches`: of chunks: q, qd, qdd, torque and the two masks of each.
+    - `length`: patterns that are to come out of it, those of weight zero at the end included.
+    """
+
+    stretches: list[tuple[np.ndarray, ...]]
+    length: int
+
+    def motion(self) -> tuple[np.ndarray, ...]:
+        """q, qd, qdd, torque, and which pairs count.
+
+        Called by the threads that take pieces: sixteen of them finish one every two milliseconds,
+        which is what copies of its masks take alone.
+        """
+        parts = zip(*self.stretches, strict=True)
+        *motion, backlash, friction = (x[0] if len(x) == 1 else np.concatenate(x) for x in parts)
+        missing = self.length - len(backlash)
+        arrays = *motion, backlash & friction
+        return tuple(np.pad(x, ((0, missing), (0, 0))) for x in arrays) if missing else arrays
+
+
+class _Total:
+    """What pieces that are done have come to.
+
+    Products behind one preconditioner are summed, where they `add_up`; they become factors when a
+    piece comes behind another.
+    """
+
+    def __init__(self, network: AbstractLinearNetwork) -> None:
+        self._network = network
+        self._parts: list[JointFactors] = []
+        self._products: Products | None = None
+
+    def add(self, part: Products | JointFactors) -> None:
+        if isinstance(part, JointFactors):
+            self._parts.append(part)
+            if len(self._parts) >= _MOST_PARTS:
+                self._parts = [joined_factors(self._parts)]
+            return
+        before = self._products
+        if before is not None and before.preconditioner is part.preconditioner:
+            part = Products(before.numbers + part.numbers, part.preconditioner)
+        elif before is not None:
+            self._parts.append(before.factors(self._network))
+        self._products = part
+
+    def factors(self) -> JointFactors:
+        """Of all pieces. **Raises** `ValueError` if there were none."""
+        of_products = [] if self._products is None else [self._products.factors(self._network)]
+        parts = [*self._parts, *of_products]
+        if not parts:
+            raise ValueError("there are no patterns in the stream")
+        return joined_factors(parts)
 
 
 def factors_of_stream(
@@ -43,24 +98,22 @@ def factors_of_stream(
     on_cpu = devices[0].platform == "cpu"
     kernel = host_kernel_of(network) if on_cpu else None
     workers = workers or (core_count() if on_cpu else _GPU_WORKERS * len(devices))
-    parts: list[JointFactors] = []
+    total = _Total(network)
     preconditioner: Preconditioner | None = None
     with ThreadPoolExecutor(workers) as pool:
-        waiting: deque[Future[tuple[JointFactors, Preconditioner]]] = deque()
+        waiting: deque[Future[tuple[Products | JointFactors, Preconditioner]]] = deque()
         pieces = _regular(network, chunks, _CPU_LENGTH if on_cpu else _GPU_LENGTH)
         for piece, device in zip(pieces, itertools.cycle(devices), strict=False):
             if preconditioner is None:
-                preconditioner = sample_of(network, piece, kernel)
+                motion = _numbers(piece) if kernel is None else piece.motion()
+                preconditioner = sample_of(network, motion, kernel)
             if len(waiting) >= 2 * workers:
                 part, preconditioner = waiting.popleft().result()
-                parts.append(part)
-            if len(parts) >= _MOST_PARTS:
-                parts = [joined_factors(parts)]
-            waiting.append(pool.submit(_factors_on, device, network, piece, preconditioner, kernel))
-        parts += [future.result()[0] for future in waiting]
-    if not parts:
-        raise ValueError("there are no patterns in the stream")
-    return joined_factors(parts)
+                total.add(part)
+            waiting.append(pool.submit(_part_on, device, network, piece, preconditioner, kernel))
+        for future in waiting:
+            total.add(future.result()[0])
+    return total.factors()
 
 
 def are_many(patterns: Patterns) -> bool:
@@ -102,7 +155,7 @@ def residual_sums_of(
     with ThreadPoolExecutor(core_count() if on_cpu else _GPU_WORKERS * len(devices)) as pool:
 
         def of_piece(piece: _Piece, device: Any) -> np.ndarray:
-            return _residual_sums(network, k, jax.device_put(piece, device))
+            return _residual_sums(network, k, jax.device_put(_numbers(piece), device))
 
         pieces = _regular(network, [patterns], _CPU_LENGTH if on_cpu else _GPU_LENGTH)
         return list(pool.map(of_piece, pieces, itertools.cycle(devices)))
@@ -118,16 +171,21 @@ def _residual_sums(
 _compiled_sums: Any = eqx.filter_jit(residual_sums)
 
 
-def _factors_on(
+def _part_on(
     device: Any,
     network: AbstractLinearNetwork,
     piece: _Piece,
     preconditioner: Preconditioner,
     kernel: HostKernel | None,
-) -> tuple[JointFactors, Preconditioner]:
-    if kernel is not None:
-        return factors_of(network, piece, preconditioner, kernel=kernel)
-    return factors_of(network, jax.device_put(piece, device), preconditioner)
+) -> tuple[Products | JointFactors, Preconditioner]:
+    """What a piece adds to the total, and the preconditioner that served."""
+    motion = piece.motion() if kernel is not None else jax.device_put(_numbers(piece), device)
+    return part_of(network, motion, preconditioner, kernel=kernel)
+
+
+def _numbers(piece: _Piece) -> tuple[np.ndarray, ...]:
+    *motion, mask = piece.motion()
+    return *motion, mask.astype(float)
 
 
 def _regular(
@@ -137,27 +195,23 @@ def _regular(
 
     The last piece is filled up with patterns of weight zero.
     """
-    waiting: list[_Piece] = []
+    stretches: list[tuple[np.ndarray, ...]] = []
     size = 0
     for chunk in chunks:
         if chunk.joints != network.joint_count:
             raise ValueError(
                 f"patterns have {chunk.joints} joints, {network.name!r} has {network.joint_count}"
             )
-        weight = np.asarray(chunk.mask, dtype=float)
-        arrays = (chunk.q, chunk.qd, chunk.qdd, chunk.torque)
-        waiting.append((*(np.asarray(x) for x in arrays), weight))
-        size += len(weight)
-        while size >= length:
-            joined = _concatenated(waiting)
-            yield tuple(x[:length] for x in joined)
-            size -= length
-            waiting = [tuple(x[length:] for x in joined)] if size else []
+        motion = (chunk.q, chunk.qd, chunk.qdd, chunk.torque)
+        arrays = [np.asarray(x) for x in (*motion, chunk.backlash_mask, chunk.friction_mask)]
+        start, samples = 0, len(arrays[0])
+        while start < samples:
+            end = min(start + length - size, samples)
+            stretches.append(tuple(x[start:end] for x in arrays))
+            size += end - start
+            start = end
+            if size == length:
+                yield _Piece(stretches, length)
+                stretches, size = [], 0
     if size:
-        yield tuple(np.pad(x, ((0, length - size), (0, 0))) for x in _concatenated(waiting))
-
-
-def _concatenated(pieces: list[_Piece]) -> _Piece:
-    if len(pieces) == 1:
-        return pieces[0]
-    return tuple(np.concatenate(parts) for parts in zip(*pieces, strict=True))
+        yield _Piece(stretches, length)
