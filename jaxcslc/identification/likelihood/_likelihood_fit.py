@@ -59,6 +59,8 @@ class LikelihoodFit(eqx.Module):
     - `edge`: (recordings, n) widths of the edges of counts that are intervals, in steps of the
       encoder; 0 where readings count as normally distributed.
     - `unknowns`: which of lag and gains were asked for.
+    - `reversal_moments`: (samples, n) when a joint reverses next to a sample, in intervals after
+      it; NaN where it does not.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
     - `transmission`: gears that give way; None if they are rigid. The network's coefficients are
@@ -100,6 +102,7 @@ class LikelihoodFit(eqx.Module):
     position_noise: Float[np.ndarray, "recordings joints"]
     noise_coefficients: Float[np.ndarray, "order joints"]
     edge: Float[np.ndarray, "recordings joints"]
+    reversal_moments: Float[np.ndarray, "samples joints"]
     unknowns: tuple[TorqueUnknown, ...] = eqx.field(static=True)
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
@@ -125,7 +128,12 @@ class LikelihoodFit(eqx.Module):
             gears = eqx.tree_at(
                 lambda gears: gears.link_position, gears, gears.link_position[samples]
             )
-        return dataclasses.replace(self, position=self.position[samples], transmission=gears)
+        return dataclasses.replace(
+            self,
+            position=self.position[samples],
+            reversal_moments=self.reversal_moments[samples],
+            transmission=gears,
+        )
 
     @property
     def torque_deviation(self) -> Float[np.ndarray, "recordings joints"]:
@@ -256,6 +264,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         position_noise=minimum.position_noise[:, :n],
         noise_coefficients=minimum.objective.whitening.coefficients[:, :n],
         edge=(np.zeros_like(point.offset) if intervals is None else intervals.edges(part))[:, :n],
+        reversal_moments=minimum.objective.signs.moments(point.turn, len(point.q))[:, :n],
         unknowns=calibration.unknowns,
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,

@@ -287,6 +287,7 @@ class MaximumLikelihood:
             fixed_levels=True,
             edge=edge,
             noise_coefficients=coefficients,
+            moments=near.reversal_moments,
         )
         fit = dataclasses.replace(
             self._fit(network, minimum, near.every),

@@ -127,6 +127,33 @@ class Signs:
             result[self.samples - 1 + offset, self.joints] = np.clip(turn - offset, -1.0, 1.0)
         return result
 
+    def moments(
+        self, turn: Float[np.ndarray, " reversals"], samples: int
+    ) -> Float[np.ndarray, "samples joints"]:
+        """(samples, n): the moment of the reversal next to a sample, NaN where there is none."""
+        result = np.full((samples, self.direction.shape[1]), np.nan)
+        result[self.samples, self.joints] = turn
+        return result
+
+    def from_moments(
+        self, moments: Float[np.ndarray, "samples _"]
+    ) -> Float[np.ndarray, " reversals"]:
+        """Moments of these reversals where `moments` has them, else `self.turn`."""
+        result = self.turn.copy()
+        for offset in (-1, 1, 0):  # the latter's counts, where there are two
+            near = moments[self.samples + offset, self.joints] + offset
+            result = np.where(np.abs(near) < LATEST_TURN, near, result)
+        return result
+
+    def without_moments(
+        self, moments: Float[np.ndarray, "samples _"]
+    ) -> Bool[np.ndarray, "equations joints"]:
+        """Equations of reversals that `moments` has not within a sample."""
+        result = np.zeros(self.direction.shape, bool)
+        near = [moments[self.samples + offset, self.joints] for offset in (-1, 0, 1)]
+        result[self.samples - 1, self.joints] = np.all(np.isnan(near), axis=0)
+        return result
+
     def unmatched(self, other: "Signs") -> Bool[np.ndarray, "equations joints"]:
         """Equations of reversals, of either, that are more than a sample from all of the other."""
         result = np.zeros(self.direction.shape, bool)

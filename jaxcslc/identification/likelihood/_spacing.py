@@ -1,4 +1,3 @@
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -94,7 +93,7 @@ def spacing_trials(
         early.append(recording.between(0.0, split))
         late.append(recording.between(split, end - start))
         rows.append(np.arange(recording.samples) < early[-1].samples)
-    near = dataclasses.replace(plain, position=plain.position[np.concatenate(rows)])
+    near = plain.at(np.concatenate(rows))
     fits: dict[int, LikelihoodFit] = {}
     for every in (1, *_SPACINGS):
         words = f"maximum likelihood: trying every {every}"

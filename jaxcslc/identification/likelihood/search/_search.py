@@ -62,6 +62,7 @@ def search(
     tolerance: float = 0.0,
     most_steps: int = _MOST_STEPS,
     noise_coefficients: Float[np.ndarray, "order joints"] | None = None,
+    moments: Float[np.ndarray, "samples _"] | None = None,
 ) -> Minimum:
     """Minimises step by step: signs, weights and noise levels are fixed within each step.
 
@@ -78,9 +79,17 @@ def search(
     - `most_steps`: after so many it ends wherever it is.
     - `noise_coefficients`: (order, n) of the autoregression of torque noise to start from; by
       default torque noise is white.
+    - `moments`: (samples, n) of reversals to start from, as `LikelihoodFit.reversal_moments`.
     """
     state = State.start(
-        problem, point, torque_noise, position_noise, noise_coefficients, fixed_levels, edge
+        problem,
+        point,
+        torque_noise,
+        position_noise,
+        noise_coefficients,
+        fixed_levels,
+        edge,
+        moments,
     )
     first = 0 if edge is None else len(MARGINS)
     number = first - 1

@@ -30,6 +30,8 @@ class State:
     - `ambiguous`: (equations, n) of reversals that came and went.
     - `levels_fixed`: whether noise levels and these weights are, while readings are normally
       distributed; `final`: and what counts are.
+    - `moments`: (samples, n) of reversals to start from, NaN where they are not known; None if none
+      is.
     - `refinements`: of the level of torque noise beside intervals.
     """
 
@@ -45,6 +47,7 @@ class State:
     levels_fixed: bool
     final: bool
     refinements: int = 0
+    moments: Float[np.ndarray, "samples _"] | None = None
 
     @classmethod
     def start(
@@ -56,6 +59,7 @@ class State:
         noise_coefficients: Float[np.ndarray, "order joints"] | None,
         fixed: bool,
         edge: Levels | None,
+        moments: Float[np.ndarray, "samples _"] | None,
     ) -> "State":
         samples, n = problem.readings.position.shape
         intervals = None if edge is None else intervals_of(problem, edge)
@@ -71,6 +75,7 @@ class State:
             DAMPING,
             fixed,
             fixed,
+            moments=moments,
         )
 
 
@@ -93,6 +98,12 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
             joined=readings.joined,
             ambiguous=ambiguous[:, : problem.joints],
         ).widened(point.q.shape[1])
+        if before is None and state.moments is not None:
+            unknown = signs.without_moments(state.moments) & ~ambiguous
+            if not unknown.any():
+                break
+            ambiguous = ambiguous | unknown
+            continue
         if before is None or number <= len(MARGINS):
             break
         unmatched = signs.unmatched(before)
@@ -101,7 +112,12 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
         if number < _SIGN_STEPS or np.all(ambiguous[unmatched]):
             break
         ambiguous = ambiguous | unmatched
-    turn = signs.turn if before is None else signs.carried(before, point.turn)
+    if before is not None:
+        turn = signs.carried(before, point.turn)
+    elif state.moments is not None:
+        turn = signs.from_moments(state.moments)
+    else:
+        turn = signs.turn
     point = dataclasses.replace(point, turn=turn)
     return dataclasses.replace(state, signs=signs, point=point, ambiguous=ambiguous), False
 
