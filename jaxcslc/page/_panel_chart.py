@@ -149,8 +149,9 @@ class PanelChart(AbstractChart):
             bottom, top = plain(panel.range)
             x: list[float | None] = []
             y: list[float | None] = []
-            for start, end in panel.shaded:
-                x += [*plain([start, start, end, end], 8), None]
+            ends = plain(np.ravel(panel.shaded), 8)
+            for start, end in zip(ends[::2], ends[1::2], strict=True):
+                x += [start, start, end, end, None]
                 y += [bottom, top, top, bottom, None]
             shape = {"fill": "toself", "fillcolor": MASKED, "line": {"width": 0}}
             traces.append(

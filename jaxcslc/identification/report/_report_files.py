@@ -191,12 +191,20 @@ def _error_rows(patterns: Patterns, errors: ErrorTable) -> list[dict[str, float 
 def _write_torque(
     path: Path, network: AbstractLinearNetwork, patterns: Patterns, predicted: np.ndarray
 ) -> None:
-    columns = {
-        "measured": np.asarray(patterns.torque),
-        "predicted": predicted,
-        "mask": np.asarray(patterns.mask, float),
-    }
-    header = [f"{name}_{label}" for name in columns for label in network.output_labels]
-    table = np.concatenate([np.asarray(patterns.time)[:, None], *columns.values()], axis=1)
-    text = ",".join(["time", *header])
-    np.savetxt(path, table, delimiter=",", header=text, comments="", fmt="%.10g")
+    joints = network.output_labels
+    header = [f"{name}_{label}" for name in ("measured", "predicted", "mask") for label in joints]
+    numbers = np.concatenate(
+        [np.asarray(patterns.time)[:, None], np.asarray(patterns.torque), predicted], axis=1
+    )
+    # As `numpy.savetxt` writes them, in half of the time; a mask is one character.
+    row = "%.10g," * numbers.shape[1] + "%s"
+    mask = np.asarray(patterns.mask)
+    masks = np.full((len(mask), 2 * mask.shape[1]), ord(","), np.uint8)
+    masks[:, ::2] = np.where(mask, ord("1"), ord("0"))
+    masks[:, -1] = ord("\n")
+    ends = masks.view(f"S{masks.shape[1]}").ravel().astype(str).tolist()
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(["time", *header]) + "\n")
+        file.writelines(
+            row % (*values, end) for values, end in zip(numbers.tolist(), ends, strict=True)
+        )

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from ....motion import Patterns
 from ....network import CSLC
 from ....page import envelope, intervals, plain
-from .._errors import predicted_torque, torque_errors
+from .._errors import predicted_torque
 
 
 # Points of all curves of a page, which keep it below 8 MB; of a curve; of all clouds, of a cloud.
@@ -54,12 +54,17 @@ def torque_curves(
 
 
 def friction_points(
-    network: CSLC, k: Float[np.ndarray, " coefficients"], patterns: Patterns
+    network: CSLC,
+    k: Float[np.ndarray, " coefficients"],
+    patterns: Patterns,
+    predicted: Float[np.ndarray, "samples joints"],
 ) -> list[dict[str, Any]]:
     """For each joint the friction that was measured and that is modelled, over velocity.
 
     Measured is the torque less what all other terms of the network predict; modelled are the
     friction terms at the same samples. Only samples that were fitted.
+
+    - `predicted`: torque of the patterns by `k` [N m or N].
 
     **Returns** by name `data` and `model`, each x, the velocity [rad/s or m/s] and y [N m or N];
     an empty list if the network has no friction.
@@ -71,7 +76,7 @@ def friction_points(
     of_friction = np.zeros_like(k)
     of_friction[friction] = k[friction]
     model = np.asarray(predicted_torque(network, patterns, of_friction))
-    data = np.asarray(torque_errors(network, patterns, k)) + model
+    data = np.asarray(patterns.torque) - predicted + model
     clouds: list[dict[str, Any]] = []
     most = max(min(_ALL_DOTS // network.joint_count, _MOST_DOTS), 1)
     for joint in range(network.joint_count):

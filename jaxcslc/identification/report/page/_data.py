@@ -111,8 +111,12 @@ def report_data(
     network, fit = report.network, report.fit
     k = np.asarray(fit.k)
     joints = list(network.output_names)
+    predicted = {
+        name: np.asarray(predicted_torque(network, patterns, k))
+        for name, patterns in report.patterns.items()
+    }
     recordings = {
-        name: _recording(network, patterns, k, len(report.patterns))
+        name: _recording(network, patterns, predicted[name], len(predicted))
         for name, patterns in report.patterns.items()
     }
     data: dict[str, Any] = {
@@ -152,7 +156,7 @@ def report_data(
     }
     if isinstance(network, CSLC):
         training = report.patterns["training"]
-        data["friction"] = friction_points(network, k, training)
+        data["friction"] = friction_points(network, k, training, predicted["training"])
         if bodies is not None:
             data["bodies"] = _bodies(network, bodies, np.asarray(training.q)[0])
             data["bodies"]["judged"] = None if possible is None else _judged(possible)
@@ -171,9 +175,8 @@ def versions() -> dict[str, str]:
 
 
 def _recording(
-    network: AbstractLinearNetwork, patterns: Patterns, k: np.ndarray, count: int
+    network: AbstractLinearNetwork, patterns: Patterns, predicted: np.ndarray, count: int
 ) -> dict[str, Any]:
-    predicted = np.asarray(predicted_torque(network, patterns, k))
     time, q, qd = (np.asarray(values) for values in (patterns.time, patterns.q, patterns.qd))
     per_joint = isinstance(network, CSLC)  # of other systems, motion is of variables
     return {
