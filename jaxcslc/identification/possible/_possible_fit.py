@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._environment import MissingExtraError
 from ...inertia import LinkKnowledge
@@ -13,7 +13,14 @@ from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import HeldOut, RelativeError, Source, judged_errors
 from ..prior import Prior, with_knowledge
-from ..solver import FoldFit, Identification, LeastSquares, columns_in, regressor_of
+from ..solver import (
+    FoldFit,
+    HostColumns,
+    Identification,
+    LeastSquares,
+    columns_of,
+    torque_by,
+)
 from ..systematic import SystematicError
 from ._movement import moved_bodies, movement_of
 from ._physical_parameters import (
@@ -36,11 +43,14 @@ _CHANCE = 0.2
 class Part(NamedTuple):
     """A stretch of motion, or a recording, and the fit of all others.
 
-    - `regressor`, `torque`, `mask`: of the part.
+    - `support`: the coefficients that each joint's torque depends on.
+    - `columns`: of the part's regressor, for each joint those of its support.
+    - `torque`, `mask`: of the part.
     - `fit`: of the others, whose coefficients need not be those of possible bodies.
     """
 
-    regressor: Float[np.ndarray, "samples joints coefficients"]
+    support: tuple[tuple[int, ...], ...]
+    columns: HostColumns
     torque: Float[np.ndarray, "samples joints"]
     mask: Bool[np.ndarray, "samples joints"]
     fit: Identification | FoldFit
@@ -51,26 +61,38 @@ class Part(NamedTuple):
     ) -> tuple["Part", ...]:
         """Stretches of equal length of one recording: those of `cross_validated_error`."""
         fold = np.arange(patterns.samples) * folds // patterns.samples
-        regressor = np.asarray(regressor_of(network, patterns))
-        torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
-        columns = columns_in(network.support, regressor)
+        columns = columns_of(network, patterns)
         fits = solver.fits_without_folds(network, patterns, fold, columns)
-        return tuple(
-            cls(regressor[rows], torque[rows], mask[rows], fit)
-            for rows, fit in ((fold == number, fit) for number, fit in enumerate(fits))
-        )
+        return cls._of(network, patterns, columns, fold, fits)
 
     @classmethod
     def held_out(
         cls, network: CSLC, patterns: Patterns, fit: Identification, count: int
     ) -> tuple["Part", ...]:
         """Stretches of equal length of motion that a fit was not made from."""
-        regressor = np.asarray(regressor_of(network, patterns))
-        torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
         stretch = np.arange(patterns.samples) * count // patterns.samples
+        return cls._of(network, patterns, columns_of(network, patterns), stretch, (fit,) * count)
+
+    @classmethod
+    def _of(
+        cls,
+        network: CSLC,
+        patterns: Patterns,
+        columns: HostColumns,
+        fold: Int[np.ndarray, " samples"],
+        fits: Sequence[Identification | FoldFit],
+    ) -> tuple["Part", ...]:
+        torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
+        stretches = [slice(*np.searchsorted(fold, [i, i + 1]).tolist()) for i in range(len(fits))]
         return tuple(
-            cls(regressor[rows], torque[rows], mask[rows], fit)
-            for rows in (stretch == number for number in range(count))
+            cls(
+                network.support,
+                tuple(of_joint[:, rows] for of_joint in columns),
+                torque[rows],
+                mask[rows],
+                fit,
+            )
+            for rows, fit in zip(stretches, fits, strict=True)
         )
 
     @classmethod
@@ -80,7 +102,8 @@ class Part(NamedTuple):
         """Several recordings, and the fit without each."""
         return tuple(
             cls(
-                np.asarray(regressor_of(network, values)),
+                network.support,
+                columns_of(network, values),
                 np.asarray(values.torque),
                 np.asarray(values.mask),
                 without[name],
@@ -92,7 +115,7 @@ class Part(NamedTuple):
         self, k: Float[Array | np.ndarray, " coefficients"]
     ) -> Float[np.ndarray, "samples joints"]:
         """What coefficients leave of the part's torque."""
-        return self.torque - self.regressor @ np.asarray(k)
+        return self.torque - torque_by(self.support, self.columns, np.asarray(k))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -49,7 +49,7 @@ def cosine_grams(
     centres = (np.arange(count) + 0.5) / count
     shares = _shares(components, centres)
     within = 2.0 * count * (phase - np.repeat(centres, np.diff(edges)))
-    powers = weight * within[None, :] ** np.arange(_POWERS)[:, None]
+    powers = weight * np.vander(within, _POWERS, increasing=True).T
     result = np.zeros((components, size * size))
     for first in range(0, count, _TOGETHER):
         some = slice(first, min(first + _TOGETHER, count))

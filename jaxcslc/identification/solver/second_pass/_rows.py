@@ -1,4 +1,5 @@
 import abc
+from concurrent.futures import ThreadPoolExecutor
 from operator import itemgetter
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...._environment import array_namespace
+from ...._environment import array_namespace, core_count
 from ....network import AbstractLinearNetwork
 from .._equations import Equations
 from .._factors import JointFactors, Unknowns, factorise, join_rows
@@ -297,11 +298,23 @@ class KeptRows(AbstractRows):
         number = np.arange(1, components + 1)
         cosines = np.sqrt(2.0) * np.cos(np.pi * number[:, None] * phase)
         square = np.sum(cosines**2, axis=0)
+
+        def of_joint(joint: int) -> CosineSums:
+            rows, weights = self.columns[joint][:end], weight[:end, joint]
+            return CosineSums(
+                (cosines * residual[:end, joint]) @ rows,
+                cosine_grams(rows, weights, phase, components),
+                ((weights * square)[:, None] * rows).T @ rows,
+            )
+
         sums, grams, power = CosineSums.empty(np, self.of.size, components)
-        for joint, (support, columns) in enumerate(zip(self.of.support, self.columns, strict=True)):
-            rows, at = columns[:end], np.array(support, dtype=int)
-            weighted = (weight[:end, joint] * square)[:, None] * rows
-            sums[:, at] += (cosines * residual[:end, joint]) @ rows
-            grams[:, at[:, None], at] += cosine_grams(rows, weight[:end, joint], phase, components)
-            power[at[:, None], at] += weighted.T @ rows
+        joints = len(self.columns)
+        # Of one joint each, as matrix products leave the interpreter to other threads.
+        with ThreadPoolExecutor(min(core_count(), joints)) as pool:
+            parts = zip(self.of.support, pool.map(of_joint, range(joints)), strict=True)
+            for support, part in parts:
+                at = np.array(support, dtype=int)
+                sums[:, at] += part.sums
+                grams[:, at[:, None], at] += part.grams
+                power[at[:, None], at] += part.power
         return CosineSums(sums, grams, power)
