@@ -4,13 +4,16 @@ import sys
 def main() -> None:
     """The command `jaxcslc`: wrong input ends it with one line and exit code 2, Ctrl-C with 130."""
     try:
-        from ._process import prepare_process
+        from ._process import end_process, prepare_process
 
         prepare_process()
         # Imported here: Ctrl-C during an import then ends the command as quietly as later on.
         from ._app import run
 
-        run()
+        try:
+            run()
+        except SystemExit as end:
+            end_process(end)
     except (KeyboardInterrupt, ImportError) as error:
         if not _is_interruption(error):
             raise
