@@ -17,7 +17,14 @@ from .friction import SlopeFit, fit_load, fit_slopes, linearised
 from .possible import Choice, Part, judged_bodies
 from .prior import Known, Prior, with_knowledge
 from .report import Report, compare, degree_of_excitation, fit_warnings
-from .selection import Candidates, Section, Selection, choose_settings, section_of
+from .selection import (
+    Candidates,
+    Section,
+    Selection,
+    choose_settings,
+    section_of,
+    selection_with_motion,
+)
 from .solver import Identification, LeastSquares, Previous, computed_on_host
 from .systematic import SystematicError, SystematicProblem
 
@@ -37,6 +44,7 @@ class _Prepared:
     - `selection`: how the settings were chosen, if they were.
     - `notes`: what readers of the robot and of recordings decided.
     - `warnings`: about the recordings and their settings.
+    - `motion`: derivatives of `part`, if the choice of settings has left them.
     """
 
     recordings: Mapping[str, Recording]
@@ -46,6 +54,7 @@ class _Prepared:
     selection: Selection | None
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+    motion: Derivatives | None
 
     @property
     def of_training(self) -> Settings:
@@ -54,16 +63,19 @@ class _Prepared:
 
     @cached_property
     def derivatives(self) -> Mapping[str, Derivatives]:
-        """Those of all recordings, and with the name `"part"` those of a part."""
+        """Those of all recordings, and by the name `"part"` those of the part."""
         derivatives: dict[str, Derivatives] = {}
+        if self.motion is not None:
+            derivatives["part" if self.section else "training"] = self.motion
         for name, recording in self.recordings.items():
-            with recording_named(name):
-                derivatives[name] = self.settings[name].preparation.derivatives(recording)
-        whole = derivatives["training"]
-        part = (
-            whole if self.section is None else self.of_training.preparation.derivatives(self.part)
-        )
-        return MappingProxyType({**derivatives, "part": part})
+            if name not in derivatives:
+                with recording_named(name):
+                    derivatives[name] = self.settings[name].preparation.derivatives(recording)
+        if self.section is None:
+            derivatives["part"] = derivatives["training"]
+        elif "part" not in derivatives:
+            derivatives["part"] = self.of_training.preparation.derivatives(self.part)
+        return MappingProxyType(derivatives)
 
     def patterns(self) -> tuple[Mapping[str, Patterns], Patterns]:
         """Those of all recordings, and those of the part."""
@@ -259,10 +271,15 @@ def _prepared(
     section = section_of(network, training, memory)
     part = training if section is None else section.recording
     with recording_named("training"):
-        selection = selected_settings(network, part, options, folds) if settings is None else None
+        selection, motion = (
+            selected_settings(network, part, options, folds) if settings is None else (None, None)
+        )
         base = settings if selection is None else selection.settings
         assert base is not None
-        base = base.with_options(**options)
+        selected, base = base, base.with_options(**options)
+        before, after = selected.preparation, base.preparation
+        if (before.smoothing, before.velocity) != (after.smoothing, after.velocity):
+            motion = None
         of_training = base.for_network(network)
     warnings = [f"training recording: {sentence}" for sentence in base.check(training)]
     recordings, by_recording = {"training": training}, {"training": of_training}
@@ -276,20 +293,21 @@ def _prepared(
     for name, recording in recordings.items():
         notes += [f"{name} recording: {sentence}" for sentence in recording.notes]
     return _Prepared(
-        recordings, by_recording, part, section, selection, tuple(notes), tuple(warnings)
+        recordings, by_recording, part, section, selection, tuple(notes), tuple(warnings), motion
     )
 
 
 def selected_settings(
     network: CSLC, recording: Recording, options: Mapping[str, Any], folds: int | None
-) -> Selection:
-    """The settings that cross-validation selects, some options set in advance."""
+) -> tuple[Selection, Derivatives | None]:
+    """The settings that cross-validation selects, some options set in advance; and as of
+    `selection_with_motion`."""
     candidates = Candidates.suited_to(recording, network)
     if "torque_lag" in options:
         candidates = dataclasses.replace(candidates, torque_lags=(options["torque_lag"],))
     if folds is None:
         folds = max(2, min(_FOLDS, recording.samples // _FEWEST_OF_FOLD))
-    return choose_settings(network, recording, candidates, folds=folds)
+    return selection_with_motion(network, recording, candidates, folds=folds)
 
 
 def _fitted_again(slopes: SlopeFit, patterns: Patterns, solver: LeastSquares) -> SlopeFit:

@@ -47,7 +47,7 @@ def identify_several(
     main = max(training, key=lambda name: training[name].samples)
     selection = None
     if settings is None:
-        selection = selected_settings(network, training[main], options, folds)
+        selection, _ = selected_settings(network, training[main], options, folds)
         settings = selection.settings
     settings = settings.with_options(**options)
     automatic = selection is not None

@@ -7,4 +7,9 @@ from ._friction import (
     choose_friction as choose_friction,
 )
 from ._section import Section as Section, section_of as section_of, sections_of as sections_of
-from ._selection import Selection as Selection, Trial as Trial, choose_settings as choose_settings
+from ._selection import (
+    Selection as Selection,
+    Trial as Trial,
+    choose_settings as choose_settings,
+    selection_with_motion as selection_with_motion,
+)

@@ -162,6 +162,23 @@ def choose_settings(
     >>> choice.settings.preparation.torque_alignment
     'sample'
     """
+    selection, _ = selection_with_motion(
+        network, recording, candidates, backlash=backlash, folds=folds, gap=gap
+    )
+    return selection
+
+
+def selection_with_motion(
+    network: CSLC,
+    recording: Recording,
+    candidates: Candidates | None = None,
+    *,
+    backlash: bool = False,
+    folds: int = 8,
+    gap: float | None = None,
+) -> tuple[Selection, Derivatives | None]:
+    """What `choose_settings` returns, and the recording's derivatives under the best settings where
+    they were computed in this process."""
     # What friction of the load follows is not known yet, and smoothing does not depend on it.
     network = network.without_load()
     if recording.joints != network.joint_count:
@@ -184,9 +201,10 @@ def choose_settings(
             trials.scoring.interval,
         )
     chosen_on = Sampling.of(recording)
-    return Selection(
+    selection = Selection(
         dataclasses.replace(best, chosen_on=chosen_on), tuple(trials.by_settings.values())
     )
+    return selection, trials.derivatives.get(_motion_part(best.preparation))
 
 
 class _Trials:
@@ -205,7 +223,7 @@ class _Trials:
         self.network = network
         self.recording = recording
         self.by_settings: dict[Settings, Trial] = {}
-        self._derivatives: dict[Preparation, Derivatives] = {}
+        self.derivatives: dict[Preparation, Derivatives] = {}
         self._columns: tuple[Preparation, HostColumns] | None = None
         self.start = candidates.start().with_options(backlash=backlash)
         # The same ends are cut off for all, so that all are fitted and judged on the same samples.
@@ -309,9 +327,9 @@ class _Trials:
 
     def _motion(self, preparation: Preparation) -> Derivatives:
         motion = _motion_part(preparation)
-        if motion not in self._derivatives:
-            self._derivatives[motion] = motion.derivatives(self.recording)
-        return self._derivatives[motion]
+        if motion not in self.derivatives:
+            self.derivatives[motion] = motion.derivatives(self.recording)
+        return self.derivatives[motion]
 
 
 def _motion_part(preparation: Preparation) -> Preparation:
