@@ -159,6 +159,16 @@ class Planner:
     - `problem`: of the search; `check`: of limits; `bodies`: that must not collide, or None.
     - `family`, `limits`, `noise`, `knowledge`: as of `design_motion`.
     - `time`: the grid on which motions are judged.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.excitation import BSplines, Knowledge, Limits, Noise, Planner
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> knowledge = Knowledge(np.array([0.5, 2, 0.1, 0.2, 0.3]), None, np.full(5, np.inf))
+    >>> limits = Limits.of(arm, {"position": [-2, 2], "velocity": 3, "torque": 30})
+    >>> network, family = jc.derive(arm, lengths="numeric"), BSplines(3.0, 8)
+    >>> planner = Planner.of(network, limits, Noise(0.1, 1e-4), family, knowledge=knowledge)
+    >>> planner.family.description, planner.bodies is None
+    ('quintic B-splines of 8 intervals', True)
     """
 
     problem: Problem

@@ -27,6 +27,12 @@ class Use:
     - `joints`: by name of the limit, (n,).
     - `distance`: least distance of bodies less the clearance [m]; None where none is kept.
     - `nearest`: which bodies these are.
+
+    >>> import numpy as np
+    >>> from jaxcslc.excitation import Use
+    >>> use = Use({"velocity": np.array([0.5, 0.9]), "torque": np.array([0.7, 0.2])})
+    >>> use.feasible, use.worst
+    (True, 'velocity of joint 2 (90 % of its limit)')
     """
 
     joints: dict[str, Joints]

@@ -61,6 +61,18 @@ class MotionInformation(eqx.Module):
     - `size`: (p,) of coefficients: the units in which moments count.
     - `noise`: of the recording chain.
     - `interval`: between the samples of the motion that is judged [s]; the longer, the quicker.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.excitation import MotionInformation, Noise
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(arm, lengths="numeric")
+    >>> k = np.array([0.5, 0.2, 0.1])
+    >>> information = MotionInformation(network, k, k, Noise(0.1, 1e-4), 0.01)
+    >>> t = np.arange(500)[:, None] * 0.01
+    >>> motion = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
+    >>> moments = information.moments(motion, information.spectra(motion[0]))
+    >>> bool(np.all(np.linalg.eigvalsh(moments.normal) > 0.0))  # determines all coefficients
+    True
     """
 
     network: CSLC

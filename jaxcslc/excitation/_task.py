@@ -31,6 +31,17 @@ def random_parameters(
     - `spread`: of its start about the pose, as a part of the ranges; a tenth if None.
 
     **Returns** the family's parameters, (parameters, n).
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.excitation import BSplines, DenseCheck, Limits, random_parameters
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> limits = Limits.of(arm, {"position": [-1, 1], "velocity": 2})
+    >>> family = BSplines(5.0, 10)
+    >>> check = DenseCheck(jc.derive(arm, lengths="numeric"), None, limits, family)
+    >>> parameters = random_parameters(check, np.zeros(1), np.random.default_rng(0))
+    >>> q, qd, _ = family.motion(parameters, np.linspace(0.0, 5.0, 200))
+    >>> bool(np.max(np.abs(q)) <= 1.0), bool(np.max(np.abs(qd)) <= 2.0)
+    (True, True)
     """
     limits, family = check.limits, check.family
     half = (limits.high - limits.low) / 2

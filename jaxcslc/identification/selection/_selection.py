@@ -37,6 +37,12 @@ class Trial:
       for a joint that was nowhere judged.
     - `score`: geometric mean of the errors of all folds and joints, as they are and low-passed
       [N m or N]. The smallest wins.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import Trial
+    >>> trial = Trial(jc.Settings(jc.Preparation(jc.Butterworth(8.0))), np.array([0.3, 0.2]), 0.24)
+    >>> trial.settings.preparation.smoothing.description, trial.score
+    ('Butterworth at 8 Hz', 0.24)
     """
 
     settings: Settings
