@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals, Subnetwork
 from ._rules import AbstractRule
+from .fused import summed_change
 
 
 Errors = Float[Array, "outputs patterns"]
@@ -189,8 +190,8 @@ class Examples(eqx.Module):
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         """A batch's move at a rate of one: the mean over patterns."""
-        change = rule.change(network, weights, self.signals, self.targets, self.counts, learning)
-        return change / self.patterns
+        patterns = self.signals, self.targets, self.counts
+        return summed_change(network, rule, weights, *patterns, learning) / self.patterns
 
     def totals(
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"]

@@ -17,6 +17,7 @@ from ._history import OUTCOMES, History, Training
 from ._normal_equations import NormalEquations
 from ._plan import Plan
 from ._rules import AbstractRule
+from .fused import kernel_of
 
 
 def train(
@@ -105,7 +106,7 @@ def train(
         saved = Checkpoint(Path(checkpoint), made_of)
         state, records, passed = saved.load(state)
     if block is None:
-        block = _block(network, training_set, trainings or 1)
+        block = _block(network, training_set, plan, trainings or 1)
     with tqdm(
         total=epochs, initial=passed, unit="epoch", disable=None if progress else True
     ) as bar:
@@ -194,25 +195,33 @@ def _many_steps(
 
 
 def _block(
-    network: AdaptiveNetwork, training_set: Examples | NormalEquations, trainings: int
+    network: AdaptiveNetwork, training_set: Examples | NormalEquations, plan: Plan, trainings: int
 ) -> int:
     """How many of all trainings side by side; a part of them, since the program is compiled once
     more for what remains of a division."""
-    most = min(_largest_block(network, training_set), trainings)
+    most = min(_largest_block(network, training_set, plan), trainings)
     even = max(size for size in range(1, most + 1) if trainings % size == 0)
     return even if 2 * even > most else most
 
 
-def _largest_block(network: AdaptiveNetwork, training_set: Examples | NormalEquations) -> int:
+def _largest_block(
+    network: AdaptiveNetwork, training_set: Examples | NormalEquations, plan: Plan
+) -> int:
     """On a CPU what stays near its caches."""
     if isinstance(training_set, NormalEquations):
         return 256
-    if platform_of(training_set.targets) != "cpu":
-        # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch
-        # keeps some ten at a time.
-        nodes = sum(layer.links.nodes for _, layer in network.adaptive_layers)
-        return max(1, int(4e8 / (8 * max(nodes, 1) * training_set.targets.shape[-1])))
-    return 8
+    if platform_of(training_set.targets) == "cpu":
+        return 8
+    # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch keeps
+    # some ten at a time; with a kernel, for outputs, their parts by layer, and errors at trial
+    # rates, all at a time.
+    learning, layers = plan.learning(network), len(network.adaptive_layers)
+    rules = plan.schedule.rules
+    numbers = 10 * sum(layer.links.nodes for _, layer in network.adaptive_layers)
+    by_kernel = training_set.condensed is not None and training_set.trainings is None
+    if by_kernel and all(kernel_of(network, rule, learning) is not None for rule in rules):
+        numbers = network.outputs_count * (2 + layers) + 4 * layers
+    return max(1, int(4e9 / (8 * max(numbers, 1) * training_set.targets.shape[-1])))
 
 
 def _training(

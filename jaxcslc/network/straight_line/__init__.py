@@ -23,3 +23,4 @@ from ._rigid_body import (
     torque_code as torque_code,
 )
 from ._sines_text import SINES_TEXT as SINES_TEXT
+from ._traced import traced as traced

@@ -49,6 +49,14 @@ class Expressions:
         """A function of one value: sin, cos, exp, sqrt, fabs, sign, positive, negative."""
         return self._value(Operation(name, (x.index,)))
 
+    def equal(self, x: "Value", y: "Value") -> "Value":
+        """One where two values are equal, and zero elsewhere."""
+        return self._binary("equal", x, y)
+
+    def choice(self, condition: "Value", otherwise: "Value", then: "Value") -> "Value":
+        """One of two values: `then` where the condition is not zero."""
+        return self._value(Operation("choose", (condition.index, otherwise.index, then.index)))
+
     def _value(self, operation: Operation) -> "Value":
         if operation not in self._indices:
             self._indices[operation] = len(self.operations)

@@ -1,0 +1,205 @@
+"""Changes of many trainings by generated code: those of the rules themselves."""
+
+import ctypes
+import shutil
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
+from jaxcslc.network.straight_line import Expressions, Kernel, assembly, c_library, traced
+from jaxcslc.training import (
+    PERAL,
+    AbstractRule,
+    AdaptedRates,
+    Backpropagation,
+    Examples,
+    FixedRates,
+    IdealPERAL,
+    Plan,
+    examples,
+    train,
+)
+from jaxcslc.training.fused import RuleStatements, _change, rule_statements, summed_change
+
+
+PATTERNS = 30
+#: Sums of patterns in another order, and products with reciprocals in place of quotients.
+ROUNDING: Any = {"rtol": 1e-12, "atol": 1e-12}
+RULES = (PERAL(), Backpropagation())
+needs_compiler = pytest.mark.skipif(
+    shutil.which("cc") is None, reason="no C compiler (cc) on this machine"
+)
+
+
+@pytest.fixture(scope="module")
+def arm() -> AdaptiveNetwork:
+    """Two joints with friction: mass and velocity with contexts, and weights that links share."""
+    robot = jc.Manipulator.from_modified_dh(
+        [(0, 0, 0, 0), (np.pi / 2, 0.3, 0, 0)], gravity=(0, 0, -9.81)
+    )
+    return inverse_dynamics(jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric"))
+
+
+@pytest.fixture
+def patterns(arm: AdaptiveNetwork, rng: np.random.Generator) -> Examples:
+    q, qd, qdd = rng.uniform(-2.0, 2.0, (3, PATTERNS, 2))
+    counts = rng.random((PATTERNS, 2)) < 0.8
+    return examples(arm, (q, qd, qdd), rng.normal(size=(PATTERNS, 2)), counts)
+
+
+def statements_of(
+    network: AdaptiveNetwork, rule: AbstractRule, learning: tuple[bool, ...]
+) -> RuleStatements:
+    statements = rule_statements(network, rule, learning)
+    assert statements is not None
+    return statements
+
+
+def changed_by_c(statements: RuleStatements, weights: np.ndarray, patterns: Examples) -> np.ndarray:
+    lines = statements.text("row[{0}]", "weights[{0}]", "sums[{0}]")
+    rows = statements.patterns(patterns.signals, patterns.targets, patterns.counts)
+    table = np.stack([np.broadcast_to(x, PATTERNS) for x in rows], axis=1).copy()
+    source = (
+        "#include <math.h>\ntypedef double real;\n"
+        "void change(const double* row, const double* weights, double* sums, long patterns)\n"
+        f"{{ for (long i = 0; i < patterns; ++i, row += {len(rows)}) {{\n"
+    ) + "\n".join([*lines, "} }"])
+    library: Any = c_library(source)
+    sums = np.zeros(len(statements.sums))
+    arrays = (x.ctypes.data_as(ctypes.c_void_p) for x in (table, weights, sums))
+    library.change(*arrays, ctypes.c_long(PATTERNS))
+    change = np.zeros(statements.shape)
+    change.flat[list(statements.entries)] = sums
+    return change
+
+
+@needs_compiler
+@pytest.mark.parametrize("zero", [False, True], ids=["all weights", "some weights zero"])
+@pytest.mark.parametrize("learning", [(True,) * 5, (True, False, True, True, False)])
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
+def test_statements_are_the_rules_own(
+    arm: AdaptiveNetwork,
+    patterns: Examples,
+    rng: np.random.Generator,
+    rule: AbstractRule,
+    learning: tuple[bool, ...],
+    *,
+    zero: bool,
+) -> None:
+    """Compiled as C, with links that pass nothing, outputs that do not count, frozen layers."""
+    learning = learning[: len(arm.groups)]
+    weights = rng.normal(size=arm.size)
+    if zero:
+        weights[::2] = 0.0
+    arrays = patterns.signals, patterns.targets, patterns.counts
+    expected = rule.change(arm, jnp.asarray(weights), *arrays, learning)
+    statements = statements_of(arm, rule, learning)
+    assert_allclose(changed_by_c(statements, weights, patterns), expected, **ROUNDING)
+    assert 0 < statements.operations < 20 * sum(x.links.count for _, x in arm.adaptive_layers)
+
+
+def test_what_has_no_statements(arm: AdaptiveNetwork) -> None:
+    """Rules with numbers of their own, hidden layers, and functions that expressions lack."""
+    layers = (True,) * len(arm.groups)
+    assert rule_statements(arm, IdealPERAL(jnp.ones(arm.size)), layers) is None
+    hidden = fully_connected([2, 3, 1], ["hyperbolic tangent", "linear combiner"])
+    assert rule_statements(hidden, Backpropagation(), (True, True)) is None
+    assert rule_statements(fully_connected([2, 1], "logistic"), PERAL(), (True,)) is None
+
+
+def test_what_is_traced_and_what_is_not() -> None:
+    graph = Expressions()
+    x = np.array([graph.input("x"), graph.input("y")], object)
+
+    def quarters(x: Array) -> Array:
+        return jnp.where(x == 0.0, 1.0, jnp.abs(-x) ** 2 / 4.0).sum()
+
+    values = traced(graph, quarters, [x])
+    assert values is not None and values[0].shape == ()
+    assert traced(graph, jnp.sort, [x]) is None
+    one: Any = jax.jit(lambda y: jnp.zeros(()) if traced(graph, lambda x: x * y, [x]) else y)
+    assert float(one(3.0)) == 3.0  # numbers that are not known
+
+
+def test_batches_of_all_kinds(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Weights mapped once or twice go to the kernel, at once; patterns of their own do not."""
+    network = fully_connected([3, 2], "linear combiner")
+    patterns = examples(network, rng.normal(size=(10, 3)), rng.normal(size=(10, 2)))
+    rule, learning, calls = Backpropagation(), (True,), list[int]()
+
+    def change(weights: Array, signals: Any, targets: Array, counts: Array) -> Array:
+        return rule.change(network, weights, signals, targets, counts, learning)
+
+    def of_many(statements: RuleStatements, weights: Array, *arrays: Any) -> Array:
+        calls.append(len(weights))
+        return jax.vmap(lambda w: change(w, *arrays))(weights)
+
+    monkeypatch.setattr(_change, "kernel_of", rule_statements)
+    monkeypatch.setattr(_change, "change_of_many", of_many)
+    arrays = patterns.signals, patterns.targets, patterns.counts
+
+    def fused(weights: Array, signals: Any, targets: Array, counts: Array) -> Array:
+        return summed_change(network, rule, weights, signals, targets, counts, learning)
+
+    def check(map_it: Callable[..., Any], *arguments: Any) -> None:
+        expected = map_it(change)(*arguments)
+        assert_allclose(map_it(fused)(*arguments), expected, **ROUNDING)
+
+    weights = jnp.asarray(rng.normal(size=(2, 3, network.size)))
+    shared = (None, None, None)
+    check(lambda f: f, weights[0, 0], *arrays)
+    assert not calls
+    check(lambda f: jax.vmap(f, (0, *shared)), weights[0], *arrays)
+    assert calls == [3]
+    check(lambda f: jax.vmap(jax.vmap(f, (0, *shared)), (0, *shared)), weights, *arrays)
+    assert calls[1:] == [3, 6]
+    several = jax.tree.map(lambda x: jnp.stack([x, 0.5 * x, 2.0 * x]), arrays)
+    check(jax.vmap, weights[0], *several)
+    check(lambda f: jax.vmap(jax.vmap(f, (0, *shared)), (None, 0, 0, 0)), weights[0], *several)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
+@pytest.mark.parametrize("trainings", [1, 70])
+def test_the_kernel_is_the_rule(
+    arm: AdaptiveNetwork,
+    patterns: Examples,
+    rng: np.random.Generator,
+    rule: AbstractRule,
+    trainings: int,
+) -> None:
+    learning = (True,) * len(arm.groups)
+    weights = jnp.asarray(rng.normal(size=(trainings, arm.size)))
+    weights = weights.at[:, 0].set(1e-320)  # whose reciprocals are infinite
+    arrays = patterns.signals, patterns.targets, patterns.counts
+    statements = statements_of(arm, rule, learning)
+    changes = _change.change_of_many(statements, weights, *arrays)
+    expected = jax.vmap(lambda w: rule.change(arm, w, *arrays, learning))(weights)
+    assert_allclose(changes, expected, **ROUNDING)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("rates", [FixedRates(0.05), AdaptedRates(0.05)])
+def test_trainings_by_the_kernel_are_those_without(
+    arm: AdaptiveNetwork, patterns: Examples, rng: np.random.Generator, rates: Any
+) -> None:
+    starts = rng.normal(size=(5, arm.size))
+    together = train(arm, patterns, starts, Plan(PERAL(), rates), epochs=20)
+    for start, weights in zip(starts, np.asarray(together.weights), strict=True):
+        alone = train(arm, patterns, start, Plan(PERAL(), rates), epochs=20, throw=False)
+        assert_allclose(weights, alone.weights, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.gpu
+def test_assembly_of_the_kernel(arm: AdaptiveNetwork) -> None:
+    source = _change.source(statements_of(arm, PERAL(), (True,) * len(arm.groups)))
+    assert ".entry changes" in assembly(source)
+    assert Kernel("changes", source, _change.THREADS).shared_bytes == 0
