@@ -85,33 +85,40 @@ class Linear:
         """
         weights, order = self.weights, self.order
         scale = self.objective.scale
-        result = BandedEquations(order.size, len(scale), self._diagonals)
+        # Where all are fixed, a column of zeros remains.
+        free = np.flatnonzero(scale) if scale.any() else np.zeros(1, int)
+        by_border = self.by_border if len(free) == len(scale) else self.by_border[:, :, free]
+        result = BandedEquations(order.size, len(free), self._diagonals)
         add_equations(
             result.band,
             result.mixed,
             order.position,
             weights.torque,
             self.by_position,
-            self.by_border,
+            by_border,
             self.objective.whitening.order,
         )
-        result.border += self._border_square + np.diag(scale**2 * weights.border)
+        result.border += self._border_square(by_border)
+        result.border += np.diag((scale**2 * weights.border)[free])
 
         index = order.position
         result.band[index, 0] += weights.position
         offset = self.offset
-        result.mixed[index, offset] += weights.position * scale[offset]
-        np.add.at(result.border, (offset, offset), weights.position * scale[offset] ** 2)
+        column = np.zeros(len(scale), int)  # whatever for fixed ones, whose scale is 0
+        column[free] = np.arange(len(free))
+        result.mixed[index, column[offset]] += weights.position * scale[offset]
+        indices = column[offset], column[offset]
+        np.add.at(result.border, indices, weights.position * scale[offset] ** 2)
         row, joint = np.nonzero(weights.standstill)
         pair = np.stack([index[row, joint], index[row + 1, joint]], axis=1)
         difference = np.array([[1.0, -1.0], [-1.0, 1.0]])
         result.add(pair, weights.standstill[row, joint][:, None, None] * difference)
-        self._add_turns(result)
+        self._add_turns(result, by_border)
 
         diagonal = np.zeros(order.size)
         diagonal[order.position] = self.objective.weights.position
         diagonal[order.turn] = weights.turn
-        return result.factored(damping * diagonal)
+        return result.factored(damping * diagonal, free, len(scale))
 
     def step(self, factored: Factored, residuals: Residuals, damping: float = 0.0) -> Step:
         """The change of all unknowns that fits residuals best.
@@ -260,17 +267,20 @@ class Linear:
             apart += [np.abs(turn - stencil[row, 0]), np.abs(turn - stencil[row, -1])]
         return 1 + max(int(values.max(initial=0)) for values in apart)
 
-    @property
-    def _border_square(self) -> Float[np.ndarray, "border border"]:
+    def _border_square(
+        self, by_border: Float[np.ndarray, "equations joints free"]
+    ) -> Float[np.ndarray, "free free"]:
         """That of equations, some of them at a time: no copy of all is made."""
-        result = np.zeros((self.by_border.shape[2],) * 2)
-        for start in range(0, len(self.by_border), _BLOCK):
+        result = np.zeros((by_border.shape[2],) * 2)
+        for start in range(0, len(by_border), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            scaled = np.sqrt(self.weights.torque[rows])[:, :, None] * self.by_border[rows]
+            scaled = np.sqrt(self.weights.torque[rows])[:, :, None] * by_border[rows]
             result += gram(scaled.reshape(-1, scaled.shape[2]))
         return result
 
-    def _add_turns(self, result: BandedEquations) -> None:
+    def _add_turns(
+        self, result: BandedEquations, by_border: Float[np.ndarray, "equations joints free"]
+    ) -> None:
         order, torque, stencil = self.order, self.weights.torque, self._stencil
         size = self.by_position.shape[2]
         result.add(order.turn[:, None], self.weights.turn[:, None, None])
@@ -282,4 +292,4 @@ class Linear:
             block[:, 0, 0] = weight * slope
             block[:, 1:, 0] = block[:, 0, 1:] = weight[:, None] * near
             result.add(np.concatenate([turn, stencil[row]], axis=1), block)
-            result.mixed[order.turn[reversals]] += weight[:, None] * self.by_border[row, joint]
+            result.mixed[order.turn[reversals]] += weight[:, None] * by_border[row, joint]

@@ -143,6 +143,28 @@ def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, 
         assert_allclose(getattr(predicted, name), values, atol=1e-9)
 
 
+def test_fixed_unknowns_of_the_border_stay(objective: tuple[Objective, Point]) -> None:
+    problem, point = objective
+    fixed = np.arange(len(problem.scale)) % 3 == 0
+    fixed[-1] = True  # an offset, too
+    linear = Linear.of(
+        dataclasses.replace(problem, scale=np.where(fixed, 0.0, problem.scale)), point
+    )
+    factored = linear.factored(0.0)
+    step = linear.step(factored, linear.residuals)
+    assert np.all(step.border[fixed] == 0.0)
+    assert np.all(step.border[~fixed] != 0.0)
+    # Among the others it is a minimum: from there, no step leads further down.
+    further = linear.step(factored, linear.after(step, linear.residuals))
+    assert_allclose(further.border, 0.0, atol=1e-7 * np.abs(step.border).max())
+    assert_allclose(further.position, 0.0, atol=1e-7 * np.abs(step.position).max())
+    # What is not looked at is known exactly: the information is a part of that of all.
+    whole = Linear.of(problem, point).factored(0.0).information
+    expected = np.where(fixed[:, None] | fixed, 0.0, whole)
+    assert_allclose(factored.information, expected, atol=1e-9 * np.abs(whole).max())
+    assert np.all(factored.eliminated[:, fixed] == 0.0)
+
+
 @pytest.mark.parametrize("bound", [-LATEST_TURN, LATEST_TURN])
 def test_moments_of_reversals_stay_within_bounds(
     objective: tuple[Objective, Point], bound: float

@@ -83,14 +83,20 @@ class BandedEquations:
         below = np.maximum(first, second) - columns
         np.add.at(self.band, (columns, below), matrix[:, row, column])
 
-    def factored(self, damping: Float[np.ndarray, " inner"]) -> "Factored":
+    def factored(
+        self, damping: Float[np.ndarray, " inner"], free: Int[np.ndarray, " free"], size: int
+    ) -> "Factored":
         """The factorisation, with damping added to the diagonal of the banded part.
+
+        **Arguments**
+
+        - `free`: which unknowns of a larger border, of this `size`, these are; others are fixed.
 
         **Raises** `numpy.linalg.LinAlgError` if the banded part is not positive definite.
         """
         self.band[:, 0] += damping
         factor = cholesky_banded(self.band.T, lower=True, overwrite_ab=True, check_finite=False)
-        return Factored(factor, self.mixed, self.border)
+        return Factored(factor, self.mixed, self.border, free, size)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,20 +148,25 @@ class Factored:
 
     **Attributes**
 
-    - `information`: (border, border) of the border, when all else is eliminated.
+    - `information`: (border, border) of the border, when all else is eliminated; 0 of fixed
+      unknowns.
     """
 
     def __init__(
         self,
         factor: Float[np.ndarray, "diagonals inner"],
-        mixed: Float[np.ndarray, "inner border"],
-        border: Float[np.ndarray, "border border"],
+        mixed: Float[np.ndarray, "inner free"],
+        border: Float[np.ndarray, "free free"],
+        free: Int[np.ndarray, " free"],
+        size: int,
     ) -> None:
-        self._factor = factor
+        self._factor, self._free = factor, free
         # Half of a solution: a step needs the other half of one column alone.
         self._half = solved(factor, mixed, overwrite=True)
         self._diagonal = np.diag(border)
-        self.information = border - gram(self._half)
+        self.information = np.zeros((size, size))
+        self._of_free = border - gram(self._half)
+        self.information[np.ix_(free, free)] = self._of_free
 
     @property
     def log_determinant(self) -> float:
@@ -165,7 +176,9 @@ class Factored:
     @cached_property
     def eliminated(self) -> Float[np.ndarray, "inner border"]:
         """Minus the reply of unknowns in order of time to the border."""
-        return solved(self._factor, self._half, transposed=True)
+        result = np.zeros((len(self._half), len(self.information)))
+        result[:, self._free] = solved(self._factor, self._half, transposed=True)
+        return result
 
     def step(
         self,
@@ -181,9 +194,11 @@ class Factored:
         - `damping`: of the border, as a part of its information.
         """
         half = solved(self._factor, inner[:, None])[:, 0]
-        right_side = border - self._half.T @ half
+        right_side = border[self._free] - self._half.T @ half
         floor = 1e-14 * self._diagonal
-        matrix = self.information + np.diag(damping * np.diag(self.information) + floor)
+        matrix = self._of_free + np.diag(damping * np.diag(self._of_free) + floor)
         change = np.linalg.lstsq(matrix, right_side, rcond=1e-15)[0]
         remaining = half - self._half @ change
-        return solved(self._factor, remaining[:, None], transposed=True)[:, 0], change
+        of_border = np.zeros(len(border))
+        of_border[self._free] = change
+        return solved(self._factor, remaining[:, None], transposed=True)[:, 0], of_border
