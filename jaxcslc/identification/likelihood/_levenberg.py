@@ -12,6 +12,9 @@ from .band import Factored
 
 
 _MOST_TRIALS, _MOST_HALVINGS = 8, 4
+# Secants are tried up to so many times where the sum of squares falls by less than this part of
+# what linear equations promise.
+_MOST_SECANTS, _POOR = 6, 0.1
 # A whole step is corrected for what is not linear up to so many times, until the sum of squares
 # falls by this part of what linear equations promise, and as long as what is missing of that falls
 # below this part of what was missing before.
@@ -52,25 +55,37 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
     Where torque is nearly exact, a minimum is at the end of a bent valley: magnitude times slope of
     static friction stays the same along it. A step that misses it is solved again for the torque
     that linear equations missed, with the same factorisation (Transtrum and Sethna 2012), before it
-    is halved.
+    is halved. Counts and joints that stick, which a step takes from where they are flat to where
+    they are steep, get the weights of secants before anything is damped: damping holds all
+    positions for the sake of some.
 
     **Raises** `RuntimeError` if rounding has made the equations indefinite.
     """
     value, promise, size, factored = linear.objective.value(linear.present), np.inf, np.inf, None
-    for _ in range(_MOST_TRIALS):
+    bent, best = linear, None
+    for number in range(_MOST_TRIALS + _MOST_SECANTS):
         try:
-            factored = linear.factored(damping)
+            solved = bent.factored(damping)
         except LinAlgError:
             damping = _FACTOR * max(damping, SMALL_DAMPING)
             continue
-        change = linear.step(factored, linear.residuals, damping)
+        factored = solved if bent is linear or factored is None else factored
+        change = bent.step(solved, bent.residuals, damping)
         if promise == np.inf:  # before damping grows
             promise = linear.promise(change)
-            size = float(np.sqrt(max(change.border @ factored.information @ change.border, 0.0)))
+            size = float(np.sqrt(max(change.border @ solved.information @ change.border, 0.0)))
         # Where no more is promised, a rise by as much is of rounding too.
         rounding = max(1e-12 * abs(value), _ROUNDING if promise <= _ROUNDING else 0.0)
-        trials = _Trials(problem, linear, factored, damping, point, value, rounding)
+        trials = _Trials(problem, bent, solved, damping, point, value, rounding)
         trial = trials.best(change, promise)
+        if best is None or trial.fall > best.fall:
+            best = trial
+        if best.fall < _POOR * promise and promise > PROMISE and number < _MOST_SECANTS:
+            stiffer = bent.stiffened(trials.whole(change).residuals)
+            if stiffer is not None:
+                bent = stiffer
+                continue
+        trial = best
         if trial.fall >= -rounding:
             if trial.whole:
                 damping = max(damping / _FACTOR, _LEAST_DAMPING)
@@ -123,6 +138,10 @@ class _Trials:
             trial = self._trial(change.scaled(0.5**number), whole=False)
         return trial
 
+    def whole(self, change: Step) -> _Trial:
+        """The step as it is."""
+        return self._trial(change, whole=True)
+
     def _corrected(self, change: Step, promise: float) -> _Trial:
         """As long as corrections come much nearer to what linear equations promise."""
         linear, part, last = self.linear, change, None
@@ -136,7 +155,7 @@ class _Trials:
             moved, left = linear.objective.moved(self.start, part), trial.residuals
             if not np.array_equal(moved.border, trial.point.border):  # it went to a bound
                 left = linear.objective.residuals(moved)
-            missed = left.torque - linear.after(part, linear.residuals).torque
+            missed = left.torque - linear.after(part, linear.present).torque
             corrected = dataclasses.replace(
                 linear.residuals, torque=linear.residuals.torque + missed
             )

@@ -132,6 +132,42 @@ class Linear:
         inner, border = factored.step(*self._gradient(residuals), damping)
         return Step(border, inner[self.order.position], inner[self.order.turn])
 
+    def stiffened(self, after: Residuals) -> "Linear | None":
+        """With secants' weights of laws that bend on the way to a step's residuals.
+
+        A count is flat inside its interval and steep outside, and so is the bound of a joint that
+        sticks: a step that knows the flat part alone goes far out. The gradient stays.
+
+        **Arguments**
+
+        - `after`: the objective's own residuals after a step.
+
+        **Returns** None if no law rises by more than one unit over its parabola.
+        """
+        objective, present = self.objective, self.present
+        weights: dict[str, np.ndarray] = {}
+        residuals: dict[str, np.ndarray] = {}
+        for name, law in (("position", objective.readings), ("torque", objective.torques)):
+            change = getattr(after, name) - getattr(present, name)
+            weight, residual = getattr(self.weights, name), getattr(self.residuals, name)
+            slope = weight * residual
+            rise = law(after).value - law(present).value - 2.0 * slope * change
+            bent = rise > weight * change**2 + 1.0
+            if name == "torque":
+                sticking = objective.sticking
+                bent &= False if sticking is None else sticking.mask
+            if bent.any():
+                weights[name], residuals[name] = weight.copy(), residual.copy()
+                weights[name][bent] = secant = rise[bent] / change[bent] ** 2
+                residuals[name][bent] = slope[bent] / secant
+        if not weights:
+            return None
+        return dataclasses.replace(
+            self,
+            weights=dataclasses.replace(self.weights, **weights),
+            residuals=dataclasses.replace(self.residuals, **residuals),
+        )
+
     def promise(self, step: Step) -> float:
         """How much the sum of squares would fall in a step, were all equations linear."""
         inner, border = self._gradient(self.residuals)

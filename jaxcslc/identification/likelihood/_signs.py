@@ -163,6 +163,16 @@ class Signs:
                 result[sample - 1, joint] |= not np.any(apart <= 1)
         return result
 
+    def at_bounds(
+        self, turn: Float[np.ndarray, " reversals"]
+    ) -> Bool[np.ndarray, "equations joints"]:
+        """Equations of reversals whose moments are as far from their samples as they may be: there
+        velocity is zero at one moment, and friction changes its sign at another."""
+        result = np.zeros(self.direction.shape, bool)
+        late = np.abs(turn) >= LATEST_TURN
+        result[self.samples[late] - 1, self.joints[late]] = True
+        return result
+
     def carried(
         self, before: "Signs", turn: Float[np.ndarray, " earlier"]
     ) -> Float[np.ndarray, " reversals"]:

@@ -39,6 +39,14 @@ def test_reversals_without_a_moment_are_said() -> None:
     assert_array_equal(np.flatnonzero(signs.without_moments(moments)[:, 0]), [signs.samples[1] - 1])
 
 
+def test_reversals_at_bounds_are_said() -> None:
+    signs = signs_of(np.sin(7 * TIME)[:, None])
+    turn = np.zeros(len(signs.samples))
+    turn[[0, 2]] = LATEST_TURN, -LATEST_TURN
+    rows = np.flatnonzero(signs.at_bounds(turn)[:, 0])
+    assert_array_equal(rows, signs.samples[[0, 2]] - 1)
+
+
 def test_a_search_from_a_minimum_ends_there() -> None:
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
     network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")

@@ -21,6 +21,9 @@ _MOST_STEPS = 60
 # than this where coefficients move by a tenth of that part. Then positions alone are left, which
 # take some steps more in intervals, and nothing follows these.
 _SETTLED, _PROMISE_OF_POSITIONS = 1e-2, 1.0
+# Or where the sum of squares falls by less than this, though a little more is promised, by up to
+# this factor: at a kink of friction nothing of what linear equations promise ever comes.
+_LEVEL, _AT_KINKS = 1e-2, 5.0
 # Beside intervals, edges and the level of torque noise follow steps of less than so many of these:
 # while the level is far too large, steps are short.
 _NEARER = 3.0
@@ -107,6 +110,8 @@ def search(
         quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
         settled |= step.change <= 0.1 * _SETTLED and step.promise <= _PROMISE_OF_POSITIONS
+        if step.change <= _AT_KINKS * _SETTLED and step.promise <= _AT_KINKS * PROMISE:
+            settled |= step.fall * objective.value(linear.present) <= _LEVEL
         converged = quiet and settled and state.final and (edge is None or number > first)
         # Rounding lets the sum grow: without a tolerance, that is no end.
         small = tolerance > 0.0 and state.final and number >= len(MARGINS)

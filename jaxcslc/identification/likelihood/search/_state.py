@@ -83,7 +83,8 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
     """The signs of the present motion, unless they are those of before, which is said.
 
     A reversal between two samples belongs to the one that it was with. Of a reversal that comes and
-    goes, as next to a rest, equations stay uncertain.
+    goes, as next to a rest, and of one whose moment would leave its samples, as where a joint
+    breaks away, equations stay uncertain.
     """
     readings, before, point = problem.readings, state.signs, state.point
     modelled = number >= len(MARGINS)
@@ -107,6 +108,8 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
         if before is None or number <= len(MARGINS):
             break
         unmatched = signs.unmatched(before)
+        if number >= _SIGN_STEPS:
+            unmatched |= before.at_bounds(point.turn)
         if not unmatched.any():
             return state, True
         if number < _SIGN_STEPS or np.all(ambiguous[unmatched]):
