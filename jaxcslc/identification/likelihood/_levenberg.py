@@ -12,9 +12,9 @@ from .band import Factored
 
 
 _MOST_TRIALS, _MOST_HALVINGS = 8, 4
-# Secants are tried up to so many times where the sum of squares falls by less than this part of
-# what linear equations promise.
-_MOST_SECANTS, _POOR = 6, 0.1
+# Other parabolas are tried up to so many times where the sum of squares falls by less than this
+# part of what linear equations promise.
+_MOST_PARABOLAS, _POOR = 6, 0.1
 # A whole step is corrected for what is not linear up to so many times, until the sum of squares
 # falls by this part of what linear equations promise, and as long as what is missing of that falls
 # below this part of what was missing before.
@@ -56,14 +56,14 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
     static friction stays the same along it. A step that misses it is solved again for the torque
     that linear equations missed, with the same factorisation (Transtrum and Sethna 2012), before it
     is halved. Counts and joints that stick, which a step takes from where they are flat to where
-    they are steep, get the weights of secants before anything is damped: damping holds all
+    they are steep, get parabolas of the step's end before anything is damped: damping holds all
     positions for the sake of some.
 
     **Raises** `RuntimeError` if rounding has made the equations indefinite.
     """
     value, promise, size, factored = linear.objective.value(linear.present), np.inf, np.inf, None
     bent, best = linear, None
-    for number in range(_MOST_TRIALS + _MOST_SECANTS):
+    for number in range(_MOST_TRIALS + _MOST_PARABOLAS):
         try:
             solved = bent.factored(damping)
         except LinAlgError:
@@ -80,7 +80,7 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
         trial = trials.best(change, promise)
         if best is None or trial.fall > best.fall:
             best = trial
-        if best.fall < _POOR * promise and promise > PROMISE and number < _MOST_SECANTS:
+        if best.fall < _POOR * promise and promise > PROMISE and number < _MOST_PARABOLAS:
             stiffer = bent.stiffened(trials.whole(change).residuals)
             if stiffer is not None:
                 bent = stiffer
