@@ -5,16 +5,13 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from ._linear import Linear
+from ._linear_minimum import LinearMinimum
 from ._objective import Point, Residuals, Step
 from ._problem import Problem
 from ._signs import LATEST_TURN
-from .band import Factored
 
 
 _MOST_TRIALS, _MOST_HALVINGS = 8, 4
-# Other parabolas are tried up to so many times where the sum of squares falls by less than this
-# part of what linear equations promise.
-_MOST_PARABOLAS, _POOR = 6, 0.1
 # A whole step is corrected for what is not linear up to so many times, until the sum of squares
 # falls by this part of what linear equations promise, and as long as what is missing of that falls
 # below this part of what was missing before.
@@ -34,19 +31,24 @@ _SLOPE_STEP = 0.7
 class LevenbergStep:
     """A step of Levenberg and Marquardt's method.
 
-    - `point`: after it; `residuals` there; `factored`: the equations that it solves.
+    - `point`: after it; `residuals` there.
+    - `minimum`: that it went for, before damping grew.
     - `damping`: for the next one.
     - `change`: of the border, in standard errors: no coefficient moves by more of its own.
-    - `promise`: as of `Linear`; `fall`: how much the sum of squares fell, as a part of it.
+    - `fall`: how much the sum of squares fell, as a part of it.
     """
 
     point: Point
     residuals: Residuals
-    factored: Factored
+    minimum: LinearMinimum
     damping: float
     change: float
-    promise: float
     fall: float
+
+    @property
+    def promise(self) -> float:
+        """How far the sum of squares was to fall, were all equations linear."""
+        return self.minimum.promise
 
 
 def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: float) -> LevenbergStep:
@@ -55,50 +57,37 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
     Where torque is nearly exact, a minimum is at the end of a bent valley: magnitude times slope of
     static friction stays the same along it. A step that misses it is solved again for the torque
     that linear equations missed, with the same factorisation (Transtrum and Sethna 2012), before it
-    is halved. Counts and joints that stick, which a step takes from where they are flat to where
-    they are steep, get parabolas of the step's end before anything is damped: damping holds all
-    positions for the sake of some.
+    is halved. Damping that had to grow stays for another step.
 
     **Raises** `RuntimeError` if rounding has made the equations indefinite.
     """
-    value, promise, size, factored = linear.objective.value(linear.present), np.inf, np.inf, None
-    bent, best = linear, None
-    for number in range(_MOST_TRIALS + _MOST_PARABOLAS):
+    value, first, size = linear.objective.value(linear.present), None, np.inf
+    start: Linear | None = None
+    for number in range(_MOST_TRIALS):
         try:
-            solved = bent.factored(damping)
+            minimum = LinearMinimum.of(linear, damping, PROMISE, start)
         except LinAlgError:
             damping = _FACTOR * max(damping, SMALL_DAMPING)
             continue
-        factored = solved if bent is linear or factored is None else factored
-        change = bent.step(solved, bent.residuals, damping)
-        if promise == np.inf:  # before damping grows
-            promise = linear.promise(change)
-            size = float(np.sqrt(max(change.border @ solved.information @ change.border, 0.0)))
+        if first is None:  # before damping grows
+            first, border = minimum, minimum.step.border
+            size = float(np.sqrt(max(border @ first.factored.information @ border, 0.0)))
         # Where no more is promised, a rise by as much is of rounding too.
-        rounding = max(1e-12 * abs(value), _ROUNDING if promise <= _ROUNDING else 0.0)
-        trials = _Trials(problem, bent, solved, damping, point, value, rounding)
-        trial = trials.best(change, promise)
-        if best is None or trial.fall > best.fall:
-            best = trial
-        if best.fall < _POOR * promise and promise > PROMISE and number < _MOST_PARABOLAS:
-            stiffer = bent.stiffened(trials.whole(change).residuals)
-            if stiffer is not None:
-                bent = stiffer
-                continue
-        trial = best
+        rounding = max(1e-12 * abs(value), _ROUNDING if first.promise <= _ROUNDING else 0.0)
+        trial = _Trials(problem, minimum, damping, point, value, rounding).best()
         if trial.fall >= -rounding:
-            if trial.whole:
+            if trial.whole and not number:
                 damping = max(damping / _FACTOR, _LEAST_DAMPING)
             fall = trial.fall / value if value > 0.0 else 0.0
-            return LevenbergStep(
-                trial.point, trial.residuals, factored, damping, size, promise, fall
-            )
+            return LevenbergStep(trial.point, trial.residuals, first, damping, size, fall)
         damping = _FACTOR * max(damping, 1e-5)
-    if factored is None:
+        start = minimum.linear
+        del minimum  # its matrices are as large as all else together
+    if first is None:
         raise RuntimeError("maximum likelihood: rounding has made the normal equations indefinite")
     # A minimum up to rounding, if nothing was to be expected.
-    damping = SMALL_DAMPING if promise <= PROMISE else DAMPING
-    return LevenbergStep(point, linear.present, factored, damping, size, promise, 0.0)
+    damping = SMALL_DAMPING if first.promise <= PROMISE else DAMPING
+    return LevenbergStep(point, linear.present, first, damping, size, 0.0)
 
 
 class _Trial(NamedTuple):
@@ -115,37 +104,36 @@ class _Trial(NamedTuple):
 class _Trials:
     """Steps from a point with one factorisation.
 
+    - `minimum`: of linear equations; `damping`: of these.
     - `value`: the sum of squares there; `rounding`: how far it may rise.
     """
 
     problem: Problem
-    linear: Linear
-    factored: Factored
+    minimum: LinearMinimum
     damping: float
     start: Point
     value: float
     rounding: float
 
-    def best(self, change: Step, promise: float) -> _Trial:
+    def best(self) -> _Trial:
         """The step with its corrections or, where none is good, the first part of it that is.
 
         The sum of squares need not fall in it.
         """
-        trial = self._corrected(change, promise)
+        trial = self._corrected()
+        missing, promise = self.minimum.promise - trial.fall, self.minimum.promise
         for number in range(1, _MOST_HALVINGS):
-            if trial.fall >= -self.rounding:
+            # What is not linear in residuals grows with the square of a step.
+            if trial.fall >= -self.rounding or 0.5 ** (4 * number) * missing > promise:
                 break
-            trial = self._trial(change.scaled(0.5**number), whole=False)
+            trial = self._trial(self.minimum.step.scaled(0.5**number), whole=False)
         return trial
 
-    def whole(self, change: Step) -> _Trial:
-        """The step as it is."""
-        return self._trial(change, whole=True)
-
-    def _corrected(self, change: Step, promise: float) -> _Trial:
+    def _corrected(self) -> _Trial:
         """As long as corrections come much nearer to what linear equations promise."""
-        linear, part, last = self.linear, change, None
-        best = trial = self._trial(change, whole=True)
+        linear, part, promise = self.minimum.linear, self.minimum.step, self.minimum.promise
+        last = None
+        best = trial = self._trial(part, whole=True)
         for _ in range(_MOST_CORRECTIONS if promise > _ROUNDING else 0):
             if trial.fall > best.fall:
                 best = trial
@@ -159,12 +147,12 @@ class _Trials:
             corrected = dataclasses.replace(
                 linear.residuals, torque=linear.residuals.torque + missed
             )
-            part, last = linear.step(self.factored, corrected, self.damping), missing
+            part, last = linear.step(self.minimum.factored, corrected, self.damping), missing
             trial = self._trial(part, whole=True)
         return trial if trial.fall > best.fall else best
 
     def _trial(self, part: Step, *, whole: bool) -> _Trial:
-        objective = self.linear.objective
+        objective = self.minimum.linear.objective
         point = _bounded(self.problem, objective.moved(self.start, part), self.start)
         residuals = objective.residuals(point)
         return _Trial(point, residuals, self.value - objective.value(residuals), whole)

@@ -27,6 +27,7 @@ class Linear:
       samples and at as many before as the order of the filter.
     - `by_border`: (equations, n, border) of the same, in units of the border's scale.
     - `by_turn`: (3 + order, reversals) of the same from one sample before a reversal's on.
+    - `level`: of laws of readings and of equations, at the vertices of these squares, together.
     """
 
     objective: Objective
@@ -37,6 +38,7 @@ class Linear:
     by_position: Float[np.ndarray, "equations joints positions"]
     by_border: Float[np.ndarray, "equations joints border"]
     by_turn: Float[np.ndarray, "rows reversals"]
+    level: float
 
     @classmethod
     def of(cls, objective: Objective, point: Point) -> "Linear":
@@ -75,6 +77,7 @@ class Linear:
             whitening.stencil(np.asarray(derivatives.by_position) / gain[:, None]),
             whitening.applied(by_border),
             whitening.by_turn(by_turn, signs.joints),
+            readings.level + torques.level,
         )
         return result._within_bounds(point.turn)
 
@@ -132,44 +135,34 @@ class Linear:
         inner, border = factored.step(*self._gradient(residuals), damping)
         return Step(border, inner[self.order.position], inner[self.order.turn])
 
-    def stiffened(self, after: Residuals) -> "Linear | None":
-        """With other parabolas for laws that bend on the way to a step's residuals.
+    def about(self, residuals: Residuals) -> "Linear":
+        """With the parabolas that laws have at other residuals of the objective's.
 
         A count is flat inside its interval and steep outside, and so is the bound of a joint that
-        sticks: a step that knows the flat part alone goes far out. Such laws get the parabola that
-        touches them at the step's end, which ends at the edge or bound (an active set). Secants
-        from here to there hold them where they are: where a joint creeps for many samples before it
-        turns, at its bound all the time, each step then moved by 3 % of what was left.
-
-        **Arguments**
-
-        - `after`: the objective's own residuals after a step.
-
-        **Returns** None if no law rises by more than one unit over its parabola.
+        sticks: a step that knows the flat part alone goes far out.
         """
         objective, present = self.objective, self.present
-        weights: dict[str, np.ndarray] = {}
-        residuals: dict[str, np.ndarray] = {}
-        for name, law in (("position", objective.readings), ("torque", objective.torques)):
-            change = getattr(after, name) - getattr(present, name)
-            weight, residual = getattr(self.weights, name), getattr(self.residuals, name)
-            end = law(after)
-            rise = end.value - law(present).value - 2.0 * weight * residual * change
-            bent = rise > weight * change**2 + 1.0
-            if name == "torque":
-                sticking = objective.sticking
-                bent &= False if sticking is None else sticking.mask
-            if not bent.any():
-                continue
-            weights[name] = np.where(bent, end.weight, weight)
-            residuals[name] = np.where(bent, end.residual - change, residual)
-        if not weights:
-            return None
+        readings, torques = objective.readings(residuals), objective.torques(residuals)
+        # Where parabolas have their vertices, about the present.
+        of_position = present.position - residuals.position + readings.residual
+        of_torque = present.torque - residuals.torque + torques.residual
         return dataclasses.replace(
             self,
-            weights=dataclasses.replace(self.weights, **weights),
-            residuals=dataclasses.replace(self.residuals, **residuals),
+            weights=dataclasses.replace(
+                self.weights, position=readings.weight, torque=torques.weight
+            ),
+            residuals=dataclasses.replace(self.residuals, position=of_position, torque=of_torque),
+            level=readings.level + torques.level,
         )
+
+    def value(self, residuals: Residuals) -> float:
+        """The sum of squares at other residuals of the objective's, by these parabolas."""
+        total = self.level + self.objective.squares(residuals)
+        for name in ("position", "torque"):
+            vertex = getattr(self.present, name) - getattr(self.residuals, name)
+            squares = (getattr(residuals, name) - vertex) ** 2
+            total += float(np.sum(getattr(self.weights, name) * squares))
+        return total
 
     def promise(self, step: Step) -> float:
         """How much the sum of squares would fall in a step, were all equations linear."""

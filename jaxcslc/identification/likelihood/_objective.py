@@ -123,13 +123,17 @@ class Objective:
 
     def value(self, residuals: Residuals) -> float:
         """The sum of squares over their variances; of intervals, minus twice their logarithm."""
-        total = sum(
+        of_torque, of_readings = self.torques(residuals), self.readings(residuals)
+        total = float(np.sum(of_torque.value)) + float(np.sum(of_readings.value))
+        return total + self.squares(residuals)
+
+    def squares(self, residuals: Residuals) -> float:
+        """The part of the sum that is not of equations of motion or of readings."""
+        return sum(
             float(np.sum(getattr(self.weights, name) * values**2))
             for name, values in vars(residuals).items()
             if name not in ("position", "torque")
         )
-        of_torque, of_readings = self.torques(residuals), self.readings(residuals)
-        return total + float(np.sum(of_torque.value)) + float(np.sum(of_readings.value))
 
     def torques(self, residuals: Residuals) -> WorkingReadings:
         """The weighted squares that equations count as, about residuals."""

@@ -86,6 +86,11 @@ class WorkingReadings:
     weight: Float[np.ndarray, "*shape"]
     residual: Float[np.ndarray, "*shape"]
 
+    @property
+    def level(self) -> float:
+        """Of all parabolas with these derivatives, the values at their vertices, together."""
+        return float(np.sum(self.value - self.weight * self.residual**2))
+
 
 @dataclasses.dataclass(frozen=True)
 class Intervals:

@@ -11,9 +11,7 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
-from jaxcslc.identification.likelihood._readings import Intervals
 from jaxcslc.identification.likelihood._signs import LATEST_TURN, Signs
-from jaxcslc.identification.likelihood._sticking import Sticking
 from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
 from jaxcslc.identification.likelihood.errors import eliminated_rows
 from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
@@ -183,55 +181,6 @@ def test_moments_of_reversals_stay_within_bounds(
             assert_allclose(step.turn, 0.0, atol=1e-12)
         else:
             assert np.sign(step.turn[0]) == -np.sign(bound)
-
-
-def test_bent_laws_get_the_parabola_of_the_end(objective: tuple[Objective, Point]) -> None:
-    """Counts and a bound, from where they are flat to where they are steep."""
-    problem, point = objective
-    white = dataclasses.replace(problem, whitening=Whitening(np.zeros((0, 2))))
-    torque = white.residuals(point).torque
-    mask = np.zeros(torque.shape, bool)
-    mask[4, 1] = True
-    noise = np.full(torque.shape, 0.2 * abs(torque[4, 1]))
-    edges = np.full(point.q.shape, 0.02)
-    bent = dataclasses.replace(
-        white,
-        intervals=Intervals(np.ones(point.q.shape), np.full(point.q.shape, 4e-3), edges),
-        sticking=Sticking(mask, -np.sign(torque), noise),
-    )
-    linear = Linear.of(bent, point)
-    assert linear.stiffened(linear.present) is None
-    after = dataclasses.replace(
-        linear.present,
-        position=linear.present.position - np.where(np.arange(SAMPLES) < 5, 4e-3, 1e-4)[:, None],
-        torque=linear.present.torque - 1.5 * np.where(mask, torque, 0.0),
-    )
-    stiff = linear.stiffened(after)
-    assert stiff is not None
-    far = np.repeat(np.arange(SAMPLES)[:, None] < 5, 2, axis=1)
-    for name, law, steep in (
-        ("position", bent.readings, far),
-        ("torque", bent.torques, mask),
-    ):
-        weight, residual = getattr(stiff.weights, name), getattr(stiff.residuals, name)
-        before = getattr(linear.weights, name)
-        changed = weight != before
-        np.testing.assert_array_equal(changed, steep)
-        change = getattr(after, name) - getattr(linear.present, name)
-        end = law(after)
-        assert_allclose((weight * (residual + change))[changed], (end.weight * end.residual)[steep])
-        # Half of the value's slope there, by differences.
-        small = dict.fromkeys(("position", "torque"), 0.0) | {name: 1e-6 * np.abs(change).max()}
-        plus, minus = (
-            dataclasses.replace(
-                after, **{key: getattr(after, key) + way * small[key] for key in small}
-            )
-            for way in (1.0, -1.0)
-        )
-        half = (law(plus).value - law(minus).value) / (4.0 * small[name])
-        assert_allclose((weight * (residual + change))[changed], half[steep], rtol=1e-5)
-        kept = ~steep
-        np.testing.assert_array_equal(residual[kept], getattr(linear.residuals, name)[kept])
 
 
 def test_stretches_are_the_motion(arm: jc.CSLC, monkeypatch: pytest.MonkeyPatch) -> None:

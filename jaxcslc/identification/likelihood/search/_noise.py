@@ -5,10 +5,9 @@ from jaxtyping import Int
 
 from .._levels import Levels, NoiseDraws, hidden_noise, noise_levels, position_errors
 from .._levenberg import DAMPING, LevenbergStep
-from .._linear import Linear
+from .._linear_minimum import LinearMinimum
 from .._objective import Residuals
 from .._problem import Problem
-from ..band import Factored
 from ..torque import Whitening, autocovariance
 from ._state import MARGINS, Mask, State, intervals_of
 from ._weighting import outlier_weights
@@ -32,14 +31,12 @@ _SHARP, _EDGE, _LEAST_EDGE = 0.1, 2.0, 0.01
 
 
 def with_levels(
-    problem: Problem, state: State, linear: Linear, step: LevenbergStep, counted: Mask, number: int
+    problem: Problem, state: State, step: LevenbergStep, counted: Mask, number: int
 ) -> State:
     """Noise levels and weights of outliers that follow the residuals of a step."""
-    draws = NoiseDraws.of(
-        linear, step.factored, problem.readings.part, state.torque_noise, state.position_noise
-    )
+    draws = _draws(problem, state, step.minimum)
     torque_noise, position_noise = _levels_of(problem, state, step.residuals, draws, counted)
-    hidden = hidden_noise(problem.scatter, linear, problem.readings.part, torque_noise)
+    hidden = hidden_noise(problem.scatter, step.minimum.linear, problem.readings.part, torque_noise)
     position_noise = np.maximum(position_noise, hidden)
     if number > _FREE_LEVEL_STEPS:
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
@@ -74,8 +71,18 @@ def with_levels(
     return dataclasses.replace(
         levelled,
         whitening=whitening,
-        outlier_weight=outlier_weights(problem, levelled, linear, step, counted),
+        outlier_weight=outlier_weights(problem, levelled, step, counted),
         levels_fixed=final,
+    )
+
+
+def _draws(problem: Problem, state: State, minimum: LinearMinimum) -> NoiseDraws:
+    return NoiseDraws.of(
+        minimum.linear,
+        minimum.factored,
+        problem.readings.part,
+        state.torque_noise,
+        state.position_noise,
     )
 
 
@@ -127,11 +134,9 @@ def _all_sharp(problem: Problem, draws: NoiseDraws, position_noise: Levels) -> b
     return bool(np.all(np.isinf(errors) | (steps & (errors <= _SHARP))))
 
 
-def with_intervals(problem: Problem, state: State, linear: Linear, factored: Factored) -> State:
+def with_intervals(problem: Problem, state: State, minimum: LinearMinimum) -> State:
     """Counts as intervals, where positions are known much better than a step."""
-    part = problem.readings.part
-    draws = NoiseDraws.of(linear, factored, part, state.torque_noise, state.position_noise)
-    errors = _in_steps(problem, draws)
+    errors = _in_steps(problem, _draws(problem, state, minimum))
     counts = state.position_noise <= problem.least_position_noise
     edge = np.where(counts & (errors <= _SHARP), np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
     intervals = intervals_of(problem, edge)
@@ -142,7 +147,7 @@ def with_intervals(problem: Problem, state: State, linear: Linear, factored: Fac
 
 
 def with_refined_intervals(
-    problem: Problem, state: State, linear: Linear, step: LevenbergStep, counted: Mask
+    problem: Problem, state: State, step: LevenbergStep, counted: Mask
 ) -> State:
     """Torque noise and edges that follow what intervals leave.
 
@@ -151,7 +156,7 @@ def with_refined_intervals(
     """
     part, intervals = problem.readings.part, state.intervals
     assert intervals is not None
-    draws = NoiseDraws.of(linear, step.factored, part, state.torque_noise, state.position_noise)
+    draws = _draws(problem, state, step.minimum)
     errors = _in_steps(problem, draws)
     torque_noise, _ = _levels_of(problem, state, step.residuals, draws, counted)
     if state.refinements >= _FREE_REFINEMENTS:

@@ -130,12 +130,12 @@ def search(
                 converged,
             )
         if edge is not None and number == first:
-            weight = outlier_weights(problem, state, linear, step, counted)
+            weight = outlier_weights(problem, state, step, counted)
             state = dataclasses.replace(state, outlier_weight=weight)
         elif not state.levels_fixed:
-            state = with_levels(problem, state, linear, step, counted, number)
+            state = with_levels(problem, state, step, counted, number)
         elif state.intervals is not None and not state.final and step.change <= _NEARER:
-            state = with_refined_intervals(problem, state, linear, step, counted)
+            state = with_refined_intervals(problem, state, step, counted)
         waiting = state.levels_fixed and state.intervals is None and not state.final
         if waiting and quiet and step.change <= NEAR:
-            state = with_intervals(problem, state, linear, step.factored)
+            state = with_intervals(problem, state, step.minimum)

@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import Float
 
 from .._levenberg import LevenbergStep
-from .._linear import Linear
 from .._objective import TURN, Objective, Point, Residuals
 from .._problem import Problem
 from .._signs import Signs
@@ -112,12 +111,13 @@ def _friction_variance(
 
 
 def outlier_weights(
-    problem: Problem, state: State, linear: Linear, step: LevenbergStep, counted: Mask
+    problem: Problem, state: State, step: LevenbergStep, counted: Mask
 ) -> Float[np.ndarray, "equations joints"]:
     """Huber's weights of a step's residuals.
 
     Uncertain friction is within break-away; what pushes a joint at its limit is not.
     """
+    linear = step.minimum.linear
     signs, noise = linear.objective.signs, state.torque_noise[problem.readings.part[1:-1]]
     extra = np.where(signs.uncertain, _friction_variance(problem, signs, step.point), 0.0)
     extra = state.whitening.variance(extra)

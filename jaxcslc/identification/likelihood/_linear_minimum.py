@@ -1,0 +1,69 @@
+import dataclasses
+
+from ._linear import Linear
+from ._objective import Residuals, Step
+from .band import Factored
+
+
+# The laws of counts and of joints that stick are taken where a step ends up to so many times, until
+# the sum of squares falls by this part of what their parabolas promise.
+_MOST_SOLUTIONS, _GOOD = 8, 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearMinimum:
+    """The step to the minimum of an objective, were all equations of motion linear.
+
+    Counts and bounds of joints that stick are flat on one side and steep on the other. Parabolas
+    about the present residuals are those of one side: the step to their minimum goes far beyond the
+    other one, and what it promises never comes. So parabolas are taken where that step ends, and it
+    is solved again: Newton's method on the laws as they are, which are convex, without another
+    evaluation of the equations of motion.
+
+    **Attributes**
+
+    - `linear`: with the parabolas of the last solution; `factored`: its normal equations.
+    - `step`: to its minimum; `after`: residuals there.
+    - `promise`: how far the sum of squares falls in the step, if these parabolas are right.
+    """
+
+    linear: Linear
+    factored: Factored
+    step: Step
+    after: Residuals
+    promise: float
+
+    @classmethod
+    def of(
+        cls, linear: Linear, damping: float, least: float, start: Linear | None = None
+    ) -> "LinearMinimum":
+        """Of equations about a point.
+
+        **Arguments**
+
+        - `damping`: of the normal equations.
+        - `least`: what is promised below this is not worth another solution.
+        - `start`: the same equations, whose parabolas are the first; those of `linear` if None.
+
+        **Raises** `numpy.linalg.LinAlgError` if rounding has made the equations indefinite.
+        """
+        objective, present = linear.objective, linear.present
+        value = objective.value(present)
+
+        def solved(linear: Linear) -> LinearMinimum:
+            factored = linear.factored(damping)
+            step = linear.step(factored, linear.residuals, damping)
+            after = linear.after(step, present)
+            return cls(linear, factored, step, after, value - linear.value(after))
+
+        result = solved(start or linear)
+        if objective.intervals is None and objective.sticking is None:
+            return dataclasses.replace(result, promise=linear.promise(result.step))
+        for _ in range(_MOST_SOLUTIONS):
+            fall = value - objective.value(result.after)
+            if result.promise <= least or fall >= _GOOD * result.promise:
+                break
+            bent = linear.about(result.after)
+            del result  # its matrices are as large as all else together
+            result = solved(bent)
+        return result

@@ -1,0 +1,125 @@
+"""Steps among counts and joints that stick, whose laws are flat on one side and steep on the other:
+where equations of motion are linear, a step is to the minimum of the laws as they are."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.identification.likelihood._linear import Linear
+from jaxcslc.identification.likelihood._linear_minimum import LinearMinimum
+from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals, Step
+from jaxcslc.identification.likelihood._readings import Intervals
+from jaxcslc.identification.likelihood._signs import Signs
+from jaxcslc.identification.likelihood._sticking import Sticking
+from jaxcslc.identification.likelihood.equations import Stretches
+from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
+
+
+SAMPLES = 60
+STEP = 4e-3
+NOISE = 1e-2
+
+
+@pytest.fixture(scope="module")
+def linear() -> Linear:
+    """A pendulum's counts, with some equations that bound its friction."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    rng = np.random.default_rng(0)
+    time = 0.01 * np.arange(SAMPLES)
+    q = np.sin(3 * time + 0.2)[:, None]
+    signs = Signs.of(q, time, np.zeros((SAMPLES - 1, 1), bool), margin=1, modelled=True)
+    border = network.size + 1 + 1  # a slope that nothing has, and an offset
+    weights = Residuals(
+        torque=np.full((SAMPLES - 2, 1), NOISE**-2),
+        position=np.full((SAMPLES, 1), 12.0 / STEP**2),
+        standstill=np.zeros((SAMPLES - 1, 1)),
+        turn=np.full(len(signs.samples), 4.0),
+        border=np.ones(border),
+    )
+    mask = np.zeros((SAMPLES - 2, 1), bool)
+    mask[5:9] = True
+    shape = (SAMPLES, 1)
+    objective = Objective(
+        Stretches(network, np.diff(time)),
+        STEP * np.round(q / STEP),
+        TorqueCalibration(TorqueRecord((time,), (rng.normal(size=shape),), "held"), ()),
+        np.zeros(SAMPLES, int),
+        signs,
+        weights,
+        np.zeros(border),
+        np.ones(border),
+        Whitening(np.zeros((0, 1))),
+        Intervals(np.ones(shape), np.full(shape, STEP), np.full(shape, 0.02)),
+        Sticking(mask, np.ones(mask.shape), np.full(mask.shape, NOISE)),
+    )
+    k = rng.uniform(0.2, 1.0, network.size)
+    return Linear.of(objective, Point(k, np.zeros(1), np.zeros(0), np.zeros((1, 1)), q, signs.turn))
+
+
+def derivative(linear: Linear, at: Residuals, along: Step, damping: float, step: Step) -> float:
+    """Of the damped sum of squares at residuals that are linear in a step, in a direction."""
+    size = 1e-6
+    ends = (linear.after(along.scaled(sign * size), at) for sign in (1.0, -1.0))
+    high, low = (linear.objective.value(end) for end in ends)
+    weight = damping * linear.objective.weights.position
+    return (high - low) / (2 * size) + 2.0 * float(np.sum(weight * step.position * along.position))
+
+
+def test_parabolas_touch_the_laws(linear: Linear) -> None:
+    rng = np.random.default_rng(1)
+    there = dataclasses.replace(
+        linear.present,
+        position=rng.uniform(-0.6, 0.6, (SAMPLES, 1)) * STEP,
+        torque=rng.normal(size=(SAMPLES - 2, 1)) * NOISE,
+    )
+    bent = linear.about(there)
+    assert_allclose(bent.value(there), linear.objective.value(there), rtol=1e-9)
+    for name in ("position", "torque"):
+        change = 1e-7 * rng.normal(size=getattr(there, name).shape) * getattr(there, name).std()
+        ends = [
+            dataclasses.replace(there, **{name: getattr(there, name) + sign * change})
+            for sign in (1.0, -1.0)
+        ]
+        of_laws, of_parabolas = (
+            value(ends[0]) - value(ends[1]) for value in (linear.objective.value, bent.value)
+        )
+        assert_allclose(of_parabolas, of_laws, rtol=1e-4)
+
+
+def test_a_step_is_to_the_minimum_of_the_laws(linear: Linear) -> None:
+    # It may end before it is exact: the next one goes on.
+    damping = 1e-4
+    minimum = LinearMinimum.of(linear, damping, 0.0)
+    for _ in range(7):
+        bent = minimum.linear.about(minimum.after)
+        minimum = LinearMinimum.of(linear, damping, 0.0, bent)
+    assert minimum.promise > 0.0
+    fall = linear.objective.value(linear.present) - linear.objective.value(minimum.after)
+    assert_allclose(minimum.promise, fall, rtol=1e-6)
+    rng = np.random.default_rng(2)
+    undamped = dataclasses.replace(minimum.step, border=np.zeros(len(minimum.step.border)))
+    for _ in range(5):
+        along = Step(
+            np.zeros(len(undamped.border)),
+            STEP * rng.normal(size=(SAMPLES, 1)),
+            rng.normal(size=minimum.step.turn.shape),
+        )
+        slopes = [
+            abs(derivative(linear, at, along, damping, step))
+            for at, step in ((linear.present, undamped.scaled(0.0)), (minimum.after, undamped))
+        ]
+        assert slopes[1] < 1e-4 * slopes[0]
+
+
+def test_flat_sides_need_a_second_solution(linear: Linear) -> None:
+    minimum = LinearMinimum.of(linear, 1e-3, 0.0)
+    first = linear.step(linear.factored(1e-3), linear.residuals, 1e-3)
+    value = linear.objective.value
+    assert value(minimum.after) < value(linear.present)
+    assert value(minimum.after) < value(linear.after(first, linear.present))
+    # Nothing is solved again for what is not worth it.
+    assert LinearMinimum.of(linear, 1e-3, np.inf).linear is linear
