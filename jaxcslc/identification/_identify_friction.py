@@ -27,14 +27,18 @@ def friction_choice(
     horizon: bool,
     step: Callable[[str], None],
 ) -> FrictionChoice:
-    """Friction terms that `identify` fits, joint by joint, chosen on the longest recording."""
+    """Friction terms that `identify` fits, joint by joint, chosen on the longest recording.
+
+    With maximum likelihood, static friction too.
+    """
     longest = max(training.values(), key=lambda recording: recording.samples)
     # What `identify` fits by other ways than one least-squares fit knows no friction of the load.
     plain = estimator == "least-squares" and not horizon and len(training) == 1
     candidates = [
         kind for kind in FRICTION_CANDIDATES if plain or kind not in (LOAD, DIRECTIONAL_LOAD)
     ]
-    return choose_friction(network, longest, settings, candidates=candidates, progress=step)
+    choice = choose_friction(network, longest, settings, candidates=candidates, progress=step)
+    return choice.with_static_friction() if estimator == "maximum-likelihood" else choice
 
 
 def with_friction_choice(

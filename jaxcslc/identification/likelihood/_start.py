@@ -24,6 +24,8 @@ _FEWEST_SAMPLES = 10
 _STATIC_SHARE, _DECAY, _LEAST_DECAY, _MOST_DECAY = 0.1, 1 / 30, 1 / 1.5, 1 / 300
 # Standard deviation of the logarithm of a slope about the first one, beforehand.
 _SLOPE_DEVIATION = 1.0
+# Standard deviation of static friction below dry friction, as a part of the one above it.
+_BELOW_DRY = 0.1
 # Below this part of its greatest speed, a joint whose readings stay the same is at rest.
 _SLOW = 2e-3
 # Steps of readings below this part of their noise are those of rounding, not of an encoder.
@@ -100,10 +102,12 @@ def starting_point(
     def known(point: Point) -> tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]:
         # Encoders are within half a step, and friction at rest rarely is above twice the dry one:
         # without the latter, static friction that the motion does not show grows without bounds,
-        # with a slope that hides it.
-        dry = static.dry(point.k)[static.joints]
+        # with a slope that hides it. Nor is it below the dry one: a search whose motion crosses
+        # zero too quickly to show it may end at friction that would drive a joint at rest.
+        spread = static.dry(point.k)[static.joints]
+        spread = np.where(point.k[static.indices] < 0.0, _BELOW_DRY * spread, spread)
         of_k = np.zeros(p)
-        of_k[static.indices] = np.where(static.with_dry, np.maximum(dry, 1e-9) ** -2.0, 0.0)
+        of_k[static.indices] = np.where(static.with_dry, np.maximum(spread, 1e-9) ** -2.0, 0.0)
         of_slopes = np.zeros(n)
         of_slopes[static.joints] = _SLOPE_DEVIATION**-2
         expected = precision * values / np.maximum(of_k + precision, 1e-300)

@@ -16,7 +16,24 @@ from ._selection import choose_settings
 
 
 # In the order in which they are tried: a constant decides more, on real arms, than all others.
-FRICTION_CANDIDATES = ("offset", "static", "root", "quadratic", "spring", LOAD, DIRECTIONAL_LOAD)
+# Friction that differs between directions is viscous and dry: tried one by one, either makes up for
+# the other.
+FRICTION_CANDIDATES = (
+    "offset",
+    "asymmetric_viscous",
+    "asymmetric_viscous and offset",
+    "static",
+    "root",
+    "quadratic",
+    "spring",
+    LOAD,
+    DIRECTIONAL_LOAD,
+)
+# Kinds that take the place of another one, which they have in them.
+_REPLACES = {"asymmetric_viscous": "viscous"}
+# An offset is told from gravity if its standard error is at most this part of the joint's dry
+# friction, or if it is so many standard errors from 0.
+_OFFSET_ERROR, _OFFSET_SIGNIFICANT = 0.1, 5.0
 # What trials of a state of dry friction are called (`fit_pre_sliding`).
 PRE_SLIDING = "pre-sliding"
 # Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
@@ -29,13 +46,13 @@ class FrictionTrial:
 
     **Attributes**
 
-    - `joint`: counted from 1; `kind`: of the term.
+    - `joint`: counted from 1; `kind`: of the term, or two of them joined by "and".
     - `relative`: the joint's held-out error with the term over that without it; of pre-sliding over
       all samples, of other kinds over those that masks leave in.
     - `used`: whether the joint has the term in the end.
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
       coefficient of the load may be none that friction has, no length of pre-sliding may fit
-      better than none.
+      better than none. An offset is possible where the motion tells it from gravity.
     - `length`: of pre-sliding [`length_unit`]; None of other kinds. `length_unit`: rad or m.
 
     >>> from jaxcslc.identification import FrictionTrial, RelativeError
@@ -53,7 +70,8 @@ class FrictionTrial:
 
     def __str__(self) -> str:
         if not self.possible:
-            return f"{self.kind} dropped by the fit"
+            reason = "not told from gravity" if "offset" in self.kind else "dropped by the fit"
+            return f"{self.kind} {reason}"
         length = (
             ""
             if self.length is None
@@ -76,6 +94,7 @@ class FrictionChoice:
 
     - `network`: with the terms; the robot that it was derived from is `network.robot`.
     - `trials`: in the order in which they were made.
+    - `note`: what was added without a trial, if anything was.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.identification import choose_friction
@@ -93,6 +112,7 @@ class FrictionChoice:
 
     network: CSLC
     trials: tuple[FrictionTrial, ...]
+    note: str | None = None
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -101,11 +121,12 @@ class FrictionChoice:
         for trial in self.trials:
             by_joint.setdefault(trial.joint, []).append(str(trial))
         names = self.network.output_names
-        return tuple(
+        tried = (
             f"friction of {names[joint - 1]}, held-out error with a term over that without:"
-            f" {'; '.join(tried)}"
-            for joint, tried in sorted(by_joint.items())
+            f" {'; '.join(of_joint)}"
+            for joint, of_joint in sorted(by_joint.items())
         )
+        return (*tried, *(() if self.note is None else (self.note,)))
 
     def document(self) -> list[dict[str, Any]]:
         """The trials as plain data."""
@@ -130,6 +151,27 @@ class FrictionChoice:
         )
         return dataclasses.replace(self, trials=(*self.trials, *trials))
 
+    def with_static_friction(self) -> "FrictionChoice":
+        """With static friction of every joint that has dry friction.
+
+        Smoothed reversals, which trials are judged on, do not show it. An estimator without a
+        smoothing sees it, and without it makes up for it by gravity and dry friction.
+        """
+        kinds = self.network.friction_per_joint
+        wider = [
+            (*laws, "static") if "dry" in laws and "static" not in laws else laws for laws in kinds
+        ]
+        joints = [i for i, (new, old) in enumerate(zip(wider, kinds, strict=True)) if new != old]
+        if not joints:
+            return self
+        names = ", ".join(self.network.output_names[joint] for joint in joints)
+        return FrictionChoice(
+            self.network.with_joint_friction(wider),
+            self.trials,
+            f"friction of kind 'static' added, {names}: maximum likelihood estimates it where"
+            " smoothed motion does not show it",
+        )
+
     def __str__(self) -> str:
         return "\n".join(self.sentences)
 
@@ -148,13 +190,19 @@ def choose_friction(
     it, and a joint gets the one that makes its error smallest on stretches that were left out of
     the fit, if it falls by 1 % at least and by more than chance explains (Student's t over the
     stretches, one-sided, at 5 % divided by the number of candidates); until no joint gets another.
+    Viscous friction of each direction takes the place of that of both.
+
+    Stretches of one recording have one range of motion, in which an offset may be as good as a
+    wrong gravity that another range shows. So a joint gets an offset only if its standard error is
+    at most a tenth of the joint's dry friction, or a fifth of the offset.
 
     **Arguments**
 
     - `network`: n joints, p coefficients.
     - `recording`: to choose on.
     - `settings`: of preparation and fit; chosen on the recording if None.
-    - `candidates`: kinds of friction. Those that are collinear with a joint's terms are left out.
+    - `candidates`: kinds of friction, or some joined by "and". Those that are collinear with a
+      joint's terms are left out.
     - `progress`: is called with a few words at each trial.
 
     **Returns** a `FrictionChoice`.
@@ -189,9 +237,10 @@ def choose_friction(
                 except (ValueError, RuntimeError):  # nothing in the motion determines it
                     continue
                 fold = _fold(len(mask))
+                unclear = _unclear_offsets(richer, recording, settings) if "offset" in kind else ()
                 for joint in joints:
                     relative = RelativeError.of_joint(errors, before, mask, fold, joint)
-                    possible = kind in laws[joint - 1]
+                    possible = {*_kinds(kind)} <= {*laws[joint - 1]} and joint not in unclear
                     tried.append(FrictionTrial(joint, kind, relative, False, possible))
         best = _best(tried, chance)
         trials += [dataclasses.replace(trial, used=trial in best.values()) for trial in tried]
@@ -199,7 +248,7 @@ def choose_friction(
             break
         network = network.with_joint_friction(
             [
-                (*kinds, best[joint].kind) if joint in best else kinds
+                _with_kind(kinds, best[joint].kind) if joint in best else kinds
                 for joint, kinds in enumerate(network.friction_per_joint, start=1)
             ]
         )
@@ -214,13 +263,14 @@ def _with(network: CSLC, kind: str) -> Iterator[tuple[CSLC, list[int]]]:
     kinds_of_joints = list(network.friction_per_joint)
     joints: list[int] = []
     for joint, kinds in enumerate(kinds_of_joints, start=1):
-        if kind in kinds:
+        if {*_kinds(kind)} & {*kinds}:
             continue
+        richer = _with_kind(kinds, kind)
         try:
-            network.robot.with_friction(*kinds, kind, joint=joint)
+            network.robot.with_friction(*richer, joint=joint)
         except RobotError:  # collinear
             continue
-        kinds_of_joints[joint - 1] = (*kinds, kind)
+        kinds_of_joints[joint - 1] = richer
         joints.append(joint)
     sets = [[joint] for joint in joints] if kind == DIRECTIONAL_LOAD else [joints]
     for some in sets:
@@ -232,6 +282,46 @@ def _with(network: CSLC, kind: str) -> Iterator[tuple[CSLC, list[int]]]:
                 )
             ]
             yield network.with_joint_friction(laws), some
+
+
+def _kinds(candidate: str) -> tuple[str, ...]:
+    return tuple(candidate.split(" and "))
+
+
+def _with_kind(kinds: Sequence[str], candidate: str) -> tuple[str, ...]:
+    """A joint's friction with a candidate, in place of what this has in it."""
+    more = _kinds(candidate)
+    replaced = [_REPLACES.get(kind) for kind in more]
+    return (*(kind for kind in kinds if kind not in replaced), *more)
+
+
+def _unclear_offsets(network: CSLC, recording: Recording, settings: Settings) -> tuple[int, ...]:
+    """Joints, from 1, whose offset the motion does not tell from gravity.
+
+    Of a joint without dry friction, there is nothing that its offset would be small beside.
+    """
+    if network.load_terms:
+        network = network.without_load()
+    if "static" in network.robot.friction_terms:
+        network = network.without_law("static", range(1, network.joint_count + 1))
+    suited = settings.for_network(network)
+    fit = suited.fit(network, suited.patterns(recording))
+    k, error = np.abs(np.asarray(fit.k)), np.asarray(fit.standard_error)
+    offset, dry = (_indices(network, kind) for kind in ("offset", "dry"))
+    return tuple(
+        joint
+        for joint in offset.keys() & dry.keys()
+        if not error[offset[joint]]
+        <= max(_OFFSET_ERROR * k[dry[joint]], k[offset[joint]] / _OFFSET_SIGNIFICANT)
+    )
+
+
+def _indices(network: CSLC, kind: str) -> dict[int, int]:
+    """By joint, from 1, the index of its coefficient of a kind of friction."""
+    if kind not in network.robot.friction_terms:
+        return {}
+    joints = (j for j, kinds in enumerate(network.friction_per_joint, start=1) if kind in kinds)
+    return dict(zip(joints, network.layout.indices(kind).tolist(), strict=True))
 
 
 def _held_out(

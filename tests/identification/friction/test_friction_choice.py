@@ -75,6 +75,69 @@ def test_collinear_terms_are_not_tried() -> None:
     assert result.trials == ()
 
 
+class TestFrictionOfEachDirection:
+    def test_is_chosen_with_its_offset(self) -> None:
+        """One by one, viscous friction of each direction and an offset would stand in for one
+        another."""
+        network = jc.derive(arm(), lengths="numeric")
+        t = 0.01 * np.arange(1500)[:, None]
+        rate = np.array([2.0, 3.1])
+        phase = rate * t + 0.4 * np.sin(0.7 * t)
+        motion = np.sin(phase), np.gradient(np.sin(phase), 0.01, axis=0)
+        motion += (np.gradient(motion[1], 0.01, axis=0),)
+        true = network.with_joint_friction(
+            [("dry", "asymmetric_viscous", "offset"), ("viscous", "dry")]
+        )
+        values = {"kvp1": 0.5, "kvn1": 0.2, "ko1": 0.2}
+        k = np.array([values.get(name, 0.4) for name in true.names])
+        torque = np.asarray(true.torque(k, *motion))
+        torque = torque + 0.02 * np.random.default_rng(0).normal(size=torque.shape)
+        candidates = ("offset", "asymmetric_viscous", "asymmetric_viscous and offset")
+        choice = choose_friction(
+            network,
+            jc.Recording(t[:, 0], np.asarray(motion[0]), torque),
+            jc.Settings(),
+            candidates=candidates,
+        )
+        first, second = choice.network.robot.friction_per_joint
+        assert set(first) == {"dry", "asymmetric_viscous", "offset"}
+        assert set(second) == {"viscous", "dry"}
+
+    def test_replaces_that_of_both(self) -> None:
+        network = jc.derive(arm(), lengths="numeric")
+        tried = choose_friction(
+            network, recording(network), jc.Settings(), candidates=("asymmetric_viscous",)
+        ).trials
+        assert [trial.joint for trial in tried[:2]] == [1, 2]
+        assert all(trial.possible for trial in tried)
+
+
+def test_an_offset_that_gravity_explains_is_not_used() -> None:
+    """In a range of 0.06 rad, sine and cosine of gravity are a constant and a line."""
+    pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(pendulum, lengths="numeric")
+    t = 0.01 * np.arange(1500)[:, None]
+    motion = 0.03 * np.sin(2 * t) + 0.7, 0.06 * np.cos(2 * t), -0.12 * np.sin(2 * t)
+    true = network.with_joint_friction([("viscous", "dry", "offset")])
+    torque = np.asarray(true.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.4, 0.5]), *motion))
+    torque = torque + 0.02 * np.random.default_rng(0).normal(size=torque.shape)
+    noisy = jc.Recording(t[:, 0], motion[0], torque)
+    choice = choose_friction(network, noisy, jc.Settings(), candidates=("offset",))
+    assert choice.network.names == network.names
+    assert [trial.possible for trial in choice.trials] == [False]
+    assert choice.sentences[0].endswith("offset not told from gravity")
+
+
+def test_maximum_likelihood_has_static_friction() -> None:
+    """Where there is dry friction: trials on smoothed motion do not show it."""
+    network = jc.derive(arm().with_friction("viscous", joint=2), lengths="numeric")
+    choice = FrictionChoice(network, ()).with_static_friction()
+    assert choice.network.robot.friction_per_joint == (("viscous", "dry", "static"), ("viscous",))
+    assert choice.sentences == (choice.note,)
+    assert "'static' added, joint 1:" in str(choice)
+    assert choice.with_static_friction() is choice
+
+
 def test_the_command(tmp_path: Path) -> None:
     """What was tried is among the notes, and the report is of the chosen terms."""
     robot = tmp_path / "pendulum.toml"

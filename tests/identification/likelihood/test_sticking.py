@@ -1,11 +1,14 @@
 """Joints that stick: a bound of friction at break-away, as a censored observation."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import scipy
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.identification.likelihood._start import starting_point
 from jaxcslc.identification.likelihood._sticking import bound, sticking_equations
 
 
@@ -68,3 +71,20 @@ def test_torque_that_friction_bears_bounds_break_away(greatest: float) -> None:
     value = dict(zip(result.fit.names, np.asarray(result.k), strict=True))
     assert value["kd1"] + value["ks1"] > greatest - 0.01
     assert_allclose([value["kB1"], value["kv1"]], [INERTIA, VISCOUS], rtol=0.05)
+
+
+def test_friction_at_rest_is_expected_above_dry_friction() -> None:
+    """Known beforehand: about as far above dry friction as that is large, hardly below it."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)])
+    network = jc.derive(robot.with_friction("dry", "static"), lengths="numeric")
+    time = 0.01 * np.arange(200)
+    recording = jc.Recording(time, np.sin(2 * time)[:, None], np.cos(2 * time)[:, None])
+    problem, point, *_ = starting_point(network, [recording], jc.Settings(), "held", None, None)
+    static = network.layout.indices("static")[0]
+    deviation = []
+    for value in (0.5, -0.5):
+        k = np.array([1.0, 2.0, value])
+        mean, precision = problem.known(dataclasses.replace(point, k=k))
+        assert mean[static] == 0.0
+        deviation.append(precision[static] ** -0.5)
+    assert_allclose(deviation, [2.0, 0.2])
