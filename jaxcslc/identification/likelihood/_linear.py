@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,6 +11,8 @@ from .band import BandedEquations, Factored, Order, add_equations, gram
 
 # Equations whose squares are added up at a time.
 _BLOCK = 256
+# A law that is so far above its parabola is steeper.
+_BENT = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +30,7 @@ class Linear:
       samples and at as many before as the order of the filter.
     - `by_border`: (equations, n, border) of the same, in units of the border's scale.
     - `by_turn`: (3 + order, reversals) of the same from one sample before a reversal's on.
-    - `level`: of laws of readings and of equations, at the vertices of these squares, together.
+    - `levels`: of laws of readings and of equations, at the vertices of these squares.
     """
 
     objective: Objective
@@ -38,7 +41,7 @@ class Linear:
     by_position: Float[np.ndarray, "equations joints positions"]
     by_border: Float[np.ndarray, "equations joints border"]
     by_turn: Float[np.ndarray, "rows reversals"]
-    level: float
+    levels: Mapping[str, Float[np.ndarray, "_ joints"]]
 
     @classmethod
     def of(cls, objective: Objective, point: Point) -> "Linear":
@@ -77,7 +80,7 @@ class Linear:
             whitening.stencil(np.asarray(derivatives.by_position) / gain[:, None]),
             whitening.applied(by_border),
             whitening.by_turn(by_turn, signs.joints),
-            readings.level + torques.level,
+            {"position": readings.levels, "torque": torques.levels},
         )
         return result._within_bounds(point.turn)
 
@@ -135,33 +138,44 @@ class Linear:
         inner, border = factored.step(*self._gradient(residuals), damping)
         return Step(border, inner[self.order.position], inner[self.order.turn])
 
-    def about(self, residuals: Residuals) -> "Linear":
+    def about(self, residuals: Residuals, *, steeper: bool = False) -> "Linear":
         """With the parabolas that laws have at other residuals of the objective's.
 
         A count is flat inside its interval and steep outside, and so is the bound of a joint that
         sticks: a step that knows the flat part alone goes far out.
+
+        **Arguments**
+
+        - `steeper`: only where laws are above their present parabolas there.
         """
-        objective, present = self.objective, self.present
-        readings, torques = objective.readings(residuals), objective.torques(residuals)
-        # Where parabolas have their vertices, about the present.
-        of_position = present.position - residuals.position + readings.residual
-        of_torque = present.torque - residuals.torque + torques.residual
+        objective = self.objective
+        weights, vertices, levels = {}, {}, {}
+        for name, law in (("position", objective.readings), ("torque", objective.torques)):
+            at, present = getattr(residuals, name), getattr(self.present, name)
+            weight, vertex = getattr(self.weights, name), getattr(self.residuals, name)
+            end, level = law(residuals), self.levels[name]
+            of_end = end.residual + present - at, end.levels
+            if steeper:
+                bent = end.value > level + weight * (vertex + at - present) ** 2 + _BENT
+                weight = np.where(bent, end.weight, weight)
+                vertex, level = np.where(bent, of_end, (vertex, level))
+            else:
+                weight, (vertex, level) = end.weight, of_end
+            weights[name], vertices[name], levels[name] = weight, vertex, level
         return dataclasses.replace(
             self,
-            weights=dataclasses.replace(
-                self.weights, position=readings.weight, torque=torques.weight
-            ),
-            residuals=dataclasses.replace(self.residuals, position=of_position, torque=of_torque),
-            level=readings.level + torques.level,
+            weights=dataclasses.replace(self.weights, **weights),
+            residuals=dataclasses.replace(self.residuals, **vertices),
+            levels=levels,
         )
 
     def value(self, residuals: Residuals) -> float:
         """The sum of squares at other residuals of the objective's, by these parabolas."""
-        total = self.level + self.objective.squares(residuals)
-        for name in ("position", "torque"):
+        total = self.objective.squares(residuals)
+        for name, level in self.levels.items():
             vertex = getattr(self.present, name) - getattr(self.residuals, name)
             squares = (getattr(residuals, name) - vertex) ** 2
-            total += float(np.sum(getattr(self.weights, name) * squares))
+            total += float(np.sum(level + getattr(self.weights, name) * squares))
         return total
 
     def promise(self, step: Step) -> float:

@@ -16,15 +16,17 @@ class LinearMinimum:
 
     Counts and bounds of joints that stick are flat on one side and steep on the other. Parabolas
     about the present residuals are those of one side: the step to their minimum goes far beyond the
-    other one, and what it promises never comes. So parabolas are taken where that step ends, and it
-    is solved again: Newton's method on the laws as they are, which are convex, without another
-    evaluation of the equations of motion.
+    other one, and what it promises never comes. So where the laws are steeper, their parabolas are
+    taken where that step ends, and it is solved again, without another evaluation of the equations
+    of motion: an active set. (Newton's method, which takes all parabolas from there, goes to and
+    fro between the sides where a joint creeps before it turns, and leans on its bound for long.)
 
     **Attributes**
 
     - `linear`: with the parabolas of the last solution; `factored`: its normal equations.
     - `step`: to its minimum; `after`: residuals there.
-    - `promise`: how far the sum of squares falls in the step, if these parabolas are right.
+    - `promise`: how far the sum of squares falls in the step, by these parabolas or by the laws as
+      they are.
     """
 
     linear: Linear
@@ -61,9 +63,11 @@ class LinearMinimum:
             return dataclasses.replace(result, promise=linear.promise(result.step))
         for _ in range(_MOST_SOLUTIONS):
             fall = value - objective.value(result.after)
-            if result.promise <= least or fall >= _GOOD * result.promise:
+            if 0.0 <= result.promise <= least or fall >= _GOOD * max(result.promise, 0.0):
                 break
-            bent = linear.about(result.after)
+            bent = result.linear.about(result.after, steeper=True)
             del result  # its matrices are as large as all else together
             result = solved(bent)
-        return result
+        # Parabolas of steep sides are above flat ones, and may promise less than there is.
+        fall = value - objective.value(result.after)
+        return dataclasses.replace(result, promise=max(result.promise, fall))

@@ -87,9 +87,9 @@ class WorkingReadings:
     residual: Float[np.ndarray, "*shape"]
 
     @property
-    def level(self) -> float:
-        """Of all parabolas with these derivatives, the values at their vertices, together."""
-        return float(np.sum(self.value - self.weight * self.residual**2))
+    def levels(self) -> Float[np.ndarray, "*shape"]:
+        """(...), of parabolas with these derivatives, the values at their vertices."""
+        return self.value - self.weight * self.residual**2
 
 
 @dataclasses.dataclass(frozen=True)
