@@ -6,11 +6,9 @@ from jaxtyping import Float, Int
 
 from ._objective import Objective, Point, Residuals, Step
 from ._signs import LATEST_TURN
-from .band import BandedEquations, Factored, Order, add_equations, gram
+from .band import BandedEquations, Factored, JointColumns, Order, add_equations
 
 
-# Equations whose squares are added up at a time.
-_BLOCK = 256
 # A law that is so far above its parabola is steeper.
 _BENT = 0.1
 
@@ -28,7 +26,7 @@ class Linear:
     - `order`: of the unknowns.
     - `by_position`: (equations, n, (3 + order) n) of torque made white, by the positions at three
       samples and at as many before as the order of the filter.
-    - `by_border`: (equations, n, border) of the same, in units of the border's scale.
+    - `by_border`: of the same by the border, in units of its scale.
     - `by_turn`: (3 + order, reversals) of the same from one sample before a reversal's on.
     - `levels`: of laws of readings and of equations, at the vertices of these squares.
     """
@@ -39,7 +37,7 @@ class Linear:
     present: Residuals
     order: Order
     by_position: Float[np.ndarray, "equations joints positions"]
-    by_border: Float[np.ndarray, "equations joints border"]
+    by_border: JointColumns
     by_turn: Float[np.ndarray, "rows reversals"]
     levels: Mapping[str, Float[np.ndarray, "_ joints"]]
 
@@ -55,20 +53,17 @@ class Linear:
         predicted = np.asarray(derivatives.torque)
         of_coefficients = np.asarray(derivatives.by_coefficient)
         of_calibration = objective.torque.by_values(point.calibration, predicted / gain)
-        first = of_coefficients.shape[2]
-        last = first + of_calibration.shape[2]
-        # Long arrays: each pass over them counts.
-        by_border = np.empty((samples - 2, n, len(scale)))
-        np.multiply(of_coefficients, scale[:first] / gain[:, None], out=by_border[:, :, :first])
-        by_border[:, :, first:last] = of_calibration * scale[first:last]
-        by_border[:, :, last:] = 0.0
+        if of_calibration.shape[2]:
+            of_calibration = of_calibration * gain[:, None]
+            of_coefficients = np.concatenate([of_coefficients, of_calibration], axis=2)
+        whitening = objective.whitening
+        by_border = JointColumns.of(of_coefficients, len(scale)).scaled(scale / gain[:, None])
         all_by_turn = np.asarray(derivatives.by_turn) / gain
         by_turn = np.zeros((3, len(signs.samples)))
         for index, offset in enumerate((-1, 0, 1)):
             inside = np.abs(point.turn - offset) < 1.0
             of_turn = all_by_turn[signs.samples - 1 + offset, signs.joints]
             by_turn[index] = np.where(inside, of_turn, 0.0)
-        whitening = objective.whitening
         residuals = objective.residuals_of(point, predicted)
         readings, torques = objective.readings(residuals), objective.torques(residuals)
         result = cls(
@@ -78,7 +73,7 @@ class Linear:
             residuals,
             Order.of(samples, n, signs.samples),
             whitening.stencil(np.asarray(derivatives.by_position) / gain[:, None]),
-            whitening.applied(by_border),
+            whitening.of_columns(by_border),
             whitening.by_turn(by_turn, signs.joints),
             {"position": readings.levels, "torque": torques.levels},
         )
@@ -93,7 +88,9 @@ class Linear:
         scale = self.objective.scale
         # Where all are fixed, a column of zeros remains.
         free = np.flatnonzero(scale) if scale.any() else np.zeros(1, int)
-        by_border = self.by_border if len(free) == len(scale) else self.by_border[:, :, free]
+        # Columns of the same joints side by side: whole registers of zeros are left out.
+        free = free[np.argsort(self.by_border.patterns[free], kind="stable")]
+        by_border = self.by_border.among(free)
         result = BandedEquations(order.size, len(free), self._diagonals)
         add_equations(
             result.band,
@@ -104,7 +101,7 @@ class Linear:
             by_border,
             self.objective.whitening.order,
         )
-        result.border += self._border_square(by_border)
+        result.border += by_border.square(weights.torque)
         result.border += np.diag((scale**2 * weights.border)[free])
 
         index = order.position
@@ -191,7 +188,7 @@ class Linear:
     def after(self, step: Step, residuals: Residuals) -> Residuals:
         """The residuals that a step leaves, were all equations linear."""
         objective = self.objective
-        torque = (self._flat_border @ step.border).reshape(residuals.torque.shape)
+        torque = self.by_border.times(step.border)
         n = step.position.shape[1]
         near = np.zeros((len(torque), self.by_position.shape[2]))
         for i, equations, of_equation in self.stencil_parts:
@@ -207,11 +204,6 @@ class Linear:
             residuals.turn - step.turn,
             residuals.border - change,
         )
-
-    @property
-    def _flat_border(self) -> Float[np.ndarray, "rows border"]:
-        """Of all equations' joints, one after the other."""
-        return self.by_border.reshape(-1, self.by_border.shape[2])
 
     @property
     def offset(self) -> Int[np.ndarray, "samples joints"]:
@@ -235,7 +227,7 @@ class Linear:
     def turn_parts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Equations that a reversal is in, the first of each reversal, then the second, and so on:
         numbers of reversals, equations, joints and derivatives."""
-        signs, equations = self.objective.signs, len(self.by_border)
+        signs, equations = self.objective.signs, len(self.by_position)
         parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
         for index, derivatives in enumerate(self.by_turn):
             rows = signs.samples - 2 + index
@@ -271,7 +263,7 @@ class Linear:
         inner[order.position[1:]] += standstill
         inner[order.position[:-1]] -= standstill
         inner[order.turn] += self._turn_gradient(residuals, force)
-        border = force.ravel() @ self._flat_border
+        border = self.by_border.summed(force)
         np.add.at(border, self.offset, reading * scale[self.offset])
         border += scale * weights.border * residuals.border
         return inner, border
@@ -313,20 +305,7 @@ class Linear:
             apart += [np.abs(turn - stencil[row, 0]), np.abs(turn - stencil[row, -1])]
         return 1 + max(int(values.max(initial=0)) for values in apart)
 
-    def _border_square(
-        self, by_border: Float[np.ndarray, "equations joints free"]
-    ) -> Float[np.ndarray, "free free"]:
-        """That of equations, some of them at a time: no copy of all is made."""
-        result = np.zeros((by_border.shape[2],) * 2)
-        for start in range(0, len(by_border), _BLOCK):
-            rows = slice(start, start + _BLOCK)
-            scaled = np.sqrt(self.weights.torque[rows])[:, :, None] * by_border[rows]
-            result += gram(scaled.reshape(-1, scaled.shape[2]))
-        return result
-
-    def _add_turns(
-        self, result: BandedEquations, by_border: Float[np.ndarray, "equations joints free"]
-    ) -> None:
+    def _add_turns(self, result: BandedEquations, by_border: JointColumns) -> None:
         order, torque, stencil = self.order, self.weights.torque, self._stencil
         size = self.by_position.shape[2]
         result.add(order.turn[:, None], self.weights.turn[:, None, None])
@@ -338,4 +317,4 @@ class Linear:
             block[:, 0, 0] = weight * slope
             block[:, 1:, 0] = block[:, 0, 1:] = weight[:, None] * near
             result.add(np.concatenate([turn, stencil[row]], axis=1), block)
-            result.mixed[order.turn[reversals]] += weight[:, None] * by_border[row, joint]
+            result.mixed[order.turn[reversals]] += weight[:, None] * by_border.rows(row, joint)

@@ -8,7 +8,13 @@ import pytest
 import scipy
 from numpy.testing import assert_allclose
 
-from jaxcslc.identification.likelihood.band import _assembly, _triangle, add_equations, solved
+from jaxcslc.identification.likelihood.band import (
+    JointColumns,
+    _assembly,
+    _triangle,
+    add_equations,
+    solved,
+)
 
 
 SAMPLES, JOINTS, BORDER = 9, 2, 43  # columns for all parts of rows that registers hold
@@ -35,9 +41,11 @@ def test_equations_add_their_squares(order: int) -> None:
     weight = rng.uniform(0.5, 1.5, (count, JOINTS))
     by_position = rng.normal(size=(count, JOINTS, slots * JOINTS))
     by_border = rng.normal(size=(count, JOINTS, BORDER))
+    by_border[:, 0, 5:14] = by_border[:, 1, 9:24] = 0.0
     size = SAMPLES * JOINTS + 1
     band, mixed = np.zeros((size, slots * JOINTS + 1)), np.zeros((size, BORDER))
-    add_equations(band, mixed, position, weight, by_position, by_border, order)
+    columns = JointColumns.of(by_border)
+    add_equations(band, mixed, position, weight, by_position, columns, order)
 
     rows = np.zeros((count, JOINTS, size))
     for equation in range(count):
@@ -69,3 +77,26 @@ def test_triangles_are_those_of_dense_matrices(columns: int) -> None:
     transposed = np.linalg.solve(lower.T, right)
     assert_allclose(solved(factor, right, transposed=True), transposed, atol=1e-12)
     assert_allclose(right, before)
+
+
+def test_columns_without_zeros_are_those_of_dense_matrices() -> None:
+    rng = np.random.default_rng(7)
+    dense = rng.normal(size=(50, 3, 8))
+    dense[:, 0, 2:5] = dense[:, 1] = dense[:, 2, :6] = 0.0
+    columns, flat = JointColumns.of(dense, 9), np.zeros((50, 3, 9))
+    flat[:, :, :8] = dense
+    assert_allclose(columns.dense, flat)
+    assert columns.values.shape == (50, 5 + 2)
+    vector, factors = rng.normal(size=9), rng.normal(size=(50, 3))
+    assert_allclose(columns.times(vector), flat @ vector, atol=1e-12)
+    assert_allclose(columns.summed(factors), np.einsum("ej,ejc->c", factors, flat), atol=1e-12)
+    square = np.einsum("ej,eja,ejb->ab", factors**2, flat, flat)
+    assert_allclose(columns.square(factors**2), square, atol=1e-12)
+    some = np.array([7, 0, 3])
+    assert_allclose(columns.among(some).dense, flat[:, :, some])
+    assert_allclose(columns.scaled(flat[0]).dense, flat * flat[0])
+    equations, joints = np.array([3, 0, 41]), np.array([2, 0, 1])
+    assert_allclose(columns.rows(equations, joints), flat[equations, joints])
+    same = columns.patterns[:, None] == columns.patterns
+    some_joints = (flat != 0.0).any(axis=0).T
+    assert_allclose(same, np.all(some_joints[:, None] == some_joints, axis=2))

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ....network.straight_line import c_library
+from ._columns import JointColumns
 from ._source import SOURCE
 
 
@@ -17,7 +18,7 @@ def add_equations(
     position: Int[np.ndarray, "samples joints"],
     weight: Float[np.ndarray, "equations joints"],
     by_position: Float[np.ndarray, "equations joints positions"],
-    by_border: Float[np.ndarray, "equations joints border"],
+    by_border: JointColumns,
     order: int,
 ) -> None:
     """Adds the squares of equations of motion to normal equations, but for the border's own.
@@ -33,17 +34,21 @@ def add_equations(
     """
     library = c_library(SOURCE)
     if library is None:
-        _add_in_blocks(band, mixed, position, weight, by_position, by_border, order)
+        _add_in_blocks(band, mixed, position, weight, by_position, by_border.dense, order)
         return
     count, n, stencil = by_position.shape
+    long, columns = np.dtype(ctypes.c_long), mixed.shape[1]
     arrays = (
-        np.ascontiguousarray(position[:, 0], np.dtype(ctypes.c_long)),
-        *(np.ascontiguousarray(x, float) for x in (weight, by_position, by_border)),
+        np.ascontiguousarray(position[:, 0], long),
+        *(np.ascontiguousarray(x, float) for x in (weight, by_position, by_border.values)),
+        *(np.ascontiguousarray(x, long) for x in (by_border.joints, by_border.columns)),
         band,
         mixed,
-        np.empty(stencil + n),
+        np.zeros((stencil + columns + 8) * (n + 2)),
+        np.zeros((n + 1) * (columns // 2 + 1) + stencil, long),
     )
-    sizes = (count, n, stencil // n, order, band.shape[1], mixed.shape[1])
+    entries = len(by_border.joints)
+    sizes = (count, n, stencil // n, order, band.shape[1], columns, entries)
     library.add_equations(
         *(array.ctypes.data_as(ctypes.c_void_p) for array in arrays), *map(ctypes.c_long, sizes)
     )

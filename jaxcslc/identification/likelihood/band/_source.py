@@ -58,71 +58,82 @@ void solve(
     }
 }
 
-/* A row plus factors times rows. */
-#define ADDED(type, parts)                                                                       \\
-    {                                                                                            \\
-        type sum[parts];                                                                         \\
-        for (int c = 0; c < parts; ++c)                                                          \\
-            sum[c] = ((type*)row)[c];                                                            \\
-        for (long j = 0; j < n; ++j)                                                             \\
-            if (factors[j] != 0.0) {                                                             \\
-                const type* const other = (const type*)(rows + j * columns);                     \\
-                for (int c = 0; c < parts; ++c)                                                  \\
-                    sum[c] += factors[j] * other[c];                                             \\
-            }                                                                                    \\
-        for (int c = 0; c < parts; ++c)                                                          \\
-            ((type*)row)[c] = sum[c];                                                            \\
-        row += parts * sizeof(type) / sizeof(double);                                            \\
-        rows += parts * sizeof(type) / sizeof(double);                                           \\
-        left -= parts * sizeof(type) / sizeof(double);                                           \\
+/* Adds products to so many rows: of each register of the border's columns, those of the joints that
+   are not 0 there, two at a time. `factors` and `rows` joint by joint. */
+#define ADDED(type, at, one, other)                                                              \
+    {                                                                                            \
+        const type x = *(const type*)(rows + one * padded + at);                                 \
+        const type y = *(const type*)(rows + other * padded + at);                               \
+        for (long r = first; r < stencil; ++r)                                                   \
+            *(type*)(mixed + targets[r] + at) +=                                                  \
+                factors[one * stencil + r] * x + factors[other * stencil + r] * y;               \
     }
-
-static void add_rows(double* row, const double* factors, const double* rows, long n, long columns)
-{
-    long left = columns;
-    while (left >= 4 * LANES)
-        ADDED(lanes, 4)
-    while (left >= LANES)
-        ADDED(lanes, 1)
-    while (left)
-        ADDED(double, 1)
-}
 
 /* Adds the squares of equations, n at an instant. Each instant's are of positions at `slots`
    samples; the first of them is `order` before the instant, or missing.
 
    - firsts: where the n positions of each sample are in the band.
-   - weight: (count, n); by_position: (count, n, slots n); by_border: (count, n, columns).
+   - weight: (count, n); by_position: (count, n, slots n).
+   - values: (count, entries) derivatives by the border that are not 0, of `joints` and `indices`.
    - band: (size, width), diagonals first, a column after the other; mixed: (size, columns).
-   - memory: slots n + n numbers. */
+   - memory: (slots n + columns + 8) (n + 2) numbers; integers: (n + 1) (columns / 2 + 1) + slots n,
+     all 0. */
 void add_equations(
-    const long* firsts, const double* weight, const double* by_position, const double* by_border,
-    double* band, double* mixed, double* memory, long count, long n, long slots, long order,
-    long width, long columns)
+    const long* firsts, const double* weight, const double* by_position, const double* values,
+    const long* joints, const long* indices, double* band, double* mixed, double* memory,
+    long* integers, long count, long n, long slots, long order, long width, long columns,
+    long entries)
 {
-    const long stencil = slots * n;
+    const long stencil = slots * n, parts = columns / LANES + 1, padded = parts * LANES;
     double* const sums = memory;
-    double* const factors = memory + stencil;
+    double* const factors = sums + stencil;
+    double* const rows = factors + stencil * (n + 1);
+    long* const ends = integers;
+    long* const active = ends + parts;
+    long* const targets = active + parts * n;
+    long number = 0;
+    for (long c = 0; c < parts; ++c) {
+        for (long j = 0; j < n; ++j) {
+            long some = 0;
+            for (long i = 0; i < entries; ++i)
+                some |= joints[i] == j && indices[i] / LANES == c;
+            if (some)
+                active[number++] = j;
+        }
+        ends[c] = number;
+    }
     for (long e = 0; e < count; ++e) {
         const double* const a = by_position + e * n * stencil;
-        const long missing = e < order ? order - e : 0;
+        const long missing = e < order ? order - e : 0, first = missing * n;
+        for (long i = 0; i < entries; ++i)
+            rows[joints[i] * padded + indices[i]] = values[e * entries + i];
+        for (long j = 0; j < n; ++j)
+            for (long r = first; r < stencil; ++r)
+                factors[j * stencil + r] = weight[e * n + j] * a[j * stencil + r];
         for (long slot = missing; slot < slots; ++slot)
             for (long m = 0; m < n; ++m) {
                 const long r = slot * n + m, row = firsts[e - order + slot] + m;
-                for (long j = 0; j < n; ++j)
-                    factors[j] = weight[e * n + j] * a[j * stencil + r];
+                targets[r] = row * columns;
                 for (long s = 0; s <= r; ++s)
                     sums[s] = 0.0;
                 for (long j = 0; j < n; ++j)
-                    for (long s = missing * n; s <= r; ++s)
-                        sums[s] += factors[j] * a[j * stencil + s];
+                    for (long s = first; s <= r; ++s)
+                        sums[s] += factors[j * stencil + r] * a[j * stencil + s];
                 for (long other = missing; other <= slot; ++other) {
                     const long most = other < slot ? n - 1 : m;
                     const long column = firsts[e - order + other];
                     for (long l = 0; l <= most; ++l)
                         band[(column + l) * width + row - column - l] += sums[other * n + l];
                 }
-                add_rows(mixed + row * columns, factors, by_border + e * n * columns, n, columns);
+            }
+        for (long c = 0; c < parts; ++c)
+            for (long i = c ? ends[c - 1] : 0; i < ends[c]; i += 2) {
+                const long one = active[i], other = i + 1 < ends[c] ? active[i + 1] : n;
+                if (c < parts - 1)
+                    ADDED(lanes, c * LANES, one, other)
+                else
+                    for (long column = c * LANES; column < columns; ++column)
+                        ADDED(double, column, one, other)
             }
     }
 }

@@ -19,7 +19,7 @@ def eliminated_rows(
     weights, residuals, eliminated = linear.weights, linear.residuals, factored.eliminated
     samples, n = order.position.shape
     of_position = eliminated[order.position]  # (samples, n, border)
-    torque = linear.by_border.copy()
+    torque = linear.by_border.dense
     for i, equations, of_equation in linear.stencil_parts:
         stencil = linear.by_position[equations, :, i * n : (i + 1) * n]
         torque[equations] -= np.matmul(stencil, of_position[of_equation])

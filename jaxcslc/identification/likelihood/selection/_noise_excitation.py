@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ....network import CSLC
 from .._linear import Linear
-from ..band import Factored, Spectrum
+from ..band import Factored, JointColumns, Spectrum
 from ..search import Minimum
 
 
@@ -60,9 +60,10 @@ class NoiseExcitation:
         linear, inertial = minimum.linear, network.layout.inertial
         there = Linear.of(minimum.objective, dataclasses.replace(minimum.point, q=smooth))
         # Friction has no accelerations, and slow reversals, which smoothing takes out, excite it.
-        columns = linear.by_border.copy()
-        columns[:, :, inertial] = there.by_border[:, :, inertial]
-        at_smooth_motion = dataclasses.replace(linear, by_border=columns).factored(0.0)
+        columns = linear.by_border.dense
+        columns[:, :, inertial] = there.by_border.dense[:, :, inertial]
+        smoother = dataclasses.replace(linear, by_border=JointColumns.of(columns))
+        at_smooth_motion = smoother.factored(0.0)
         errors = (_errors(factored)[inertial] for factored in (at_smooth_motion, minimum.factored))
         there_error, error = errors
         ratios = there_error / np.where(error > 0.0, error, np.inf)  # 0 for what is fixed

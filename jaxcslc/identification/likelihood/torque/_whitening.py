@@ -4,6 +4,8 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
+from ..band import JointColumns
+
 
 # With a longer filter, one equation would hold two reversals of a joint.
 MOST_ORDER = 2
@@ -52,6 +54,11 @@ class Whitening:
                 result = values.copy()
             result[lag:] += row.reshape(-1, *(1,) * (values.ndim - 2)) * values[:-lag]
         return result
+
+    def of_columns(self, derivatives: JointColumns) -> JointColumns:
+        """Derivatives of filtered values."""
+        of_entry = Whitening(self.coefficients[:, derivatives.joints])
+        return dataclasses.replace(derivatives, values=of_entry.applied(derivatives.values))
 
     def removed(
         self, white: Float[np.ndarray, "equations joints"]
