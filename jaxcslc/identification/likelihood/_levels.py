@@ -56,15 +56,13 @@ class NoiseDraws:
             readings = intervals.working(np.where(counts, errors, 0.0), weight)
             position = np.where(counts, readings.weight * readings.residual / weight, position)
 
-        def left(drawn: Residuals) -> Residuals:
-            return linear.after(linear.step(factored, drawn), drawn)
-
-        return cls(
-            left(dataclasses.replace(zeros, torque=torque)),
-            left(dataclasses.replace(zeros, position=position)),
-            normal,
-            position,
-        )
+        drawn = [
+            dataclasses.replace(zeros, torque=torque),
+            dataclasses.replace(zeros, position=position),
+        ]
+        steps = linear.steps(factored, drawn)
+        by_torque, by_position = map(linear.after, steps, drawn)
+        return cls(by_torque, by_position, normal, position)
 
 
 def noise_levels(

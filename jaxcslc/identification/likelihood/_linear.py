@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -132,8 +132,19 @@ class Linear:
         - `residuals`: those of the present point, or others.
         - `damping`: of the border, as a part of its information.
         """
-        inner, border = factored.step(*self._gradient(residuals), damping)
-        return Step(border, inner[self.order.position], inner[self.order.turn])
+        return self.steps(factored, [residuals], damping)[0]
+
+    def steps(
+        self, factored: Factored, residuals: Sequence[Residuals], damping: float = 0.0
+    ) -> list[Step]:
+        """`step` for several residuals, which takes less time than one by one."""
+        gradients = [self._gradient(values) for values in residuals]
+        inner, border = (np.stack(sides, axis=1) for sides in zip(*gradients, strict=True))
+        inner, border = factored.step(inner, border, damping)
+        return [
+            Step(of_border, of_inner[self.order.position], of_inner[self.order.turn])
+            for of_inner, of_border in zip(inner.T, border.T, strict=True)
+        ]
 
     def about(self, residuals: Residuals, *, steeper: bool = False) -> "Linear":
         """With the parabolas that laws have at other residuals of the objective's.

@@ -164,6 +164,7 @@ class Factored:
         # Half of a solution: a step needs the other half of one column alone.
         self._half = solved(factor, mixed, overwrite=True)
         self._diagonal = np.diag(border)
+        self._eigenvectors: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         self.information = np.zeros((size, size))
         self._of_free = border - gram(self._half)
         self.information[np.ix_(free, free)] = self._of_free
@@ -182,23 +183,34 @@ class Factored:
 
     def step(
         self,
-        inner: Float[np.ndarray, " inner"],
-        border: Float[np.ndarray, " border"],
+        inner: Float[np.ndarray, "inner sides"],
+        border: Float[np.ndarray, "border sides"],
         damping: float,
-    ) -> tuple[Float[np.ndarray, " inner"], Float[np.ndarray, " border"]]:
-        """The unknowns for a right side.
+    ) -> tuple[Float[np.ndarray, "inner sides"], Float[np.ndarray, "border sides"]]:
+        """The unknowns for right sides, of which long matrices are read once for all.
 
         **Arguments**
 
-        - `inner`, `border`: the right side.
+        - `inner`, `border`: the right sides.
         - `damping`: of the border, as a part of its information.
         """
-        half = solved(self._factor, inner[:, None])[:, 0]
+        half = solved(self._factor, inner)
         right_side = border[self._free] - self._half.T @ half
-        floor = 1e-14 * self._diagonal
-        matrix = self._of_free + np.diag(damping * np.diag(self._of_free) + floor)
-        change = np.linalg.lstsq(matrix, right_side, rcond=1e-15)[0]
-        remaining = half - self._half @ change
-        of_border = np.zeros(len(border))
+        change = self._border(right_side, damping)
+        half -= self._half @ change
+        of_border = np.zeros_like(border)
         of_border[self._free] = change
-        return solved(self._factor, remaining[:, None], transposed=True)[:, 0], of_border
+        return solved(self._factor, half, transposed=True, overwrite=True), of_border
+
+    def _border(
+        self, right_side: Float[np.ndarray, "free sides"], damping: float
+    ) -> Float[np.ndarray, "free sides"]:
+        """The solution for the border, of least length; its eigenvectors stay for the next one."""
+        if damping not in self._eigenvectors:
+            floor = 1e-14 * self._diagonal
+            matrix = self._of_free + np.diag(damping * np.diag(self._of_free) + floor)
+            values, vectors = np.linalg.eigh(matrix)
+            counted = np.abs(values) > 1e-15 * np.abs(values).max(initial=0.0)
+            self._eigenvectors[damping] = values[counted], vectors[:, counted]
+        values, vectors = self._eigenvectors[damping]
+        return vectors @ ((vectors.T @ right_side) / values[:, None])

@@ -90,9 +90,11 @@ def _change(
     explained = np.zeros((count, len(objective.scale)))
     scores = np.zeros((len(weights.position), count))
     gram = np.zeros((count, count))
-    for number in range(count):
-        of_input = Residuals(**{**vars(zeros), "torque": filtered[:, :, number]})
-        step = linear.step(factored, of_input)
+    of_inputs = [
+        Residuals(**{**vars(zeros), "torque": filtered[:, :, number]}) for number in range(count)
+    ]
+    steps = linear.steps(factored, of_inputs) if of_inputs else []
+    for number, (step, of_input) in enumerate(zip(steps, of_inputs, strict=True)):
         left = linear.after(step, of_input)
         explained[number] = step.border
         weighted = weights.torque * left.torque
