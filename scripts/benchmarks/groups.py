@@ -94,6 +94,14 @@ GROUPS: dict[str, Group] = {
         " all samples, whose noise is 0.05 N m.",
         long=True,
     ),
+    "mujoco.sysid": Group(
+        "peers.mujoco_sysid",
+        "MuJoCo's toolbox, which fits by simulation, on the training recording of a PUMA 560 with"
+        " the default disturbances, twenty steps from bodies a fifth too large; the direct solve of"
+        " the same patterns, and all of `jaxcslc.identify` with settings of its choice. Torque"
+        " errors are on these patterns, over the torque.",
+        long=True,
+    ),
     "Parquet file": Group(
         "files.parquet",
         "20 million patterns streamed from a Parquet file, a process of its own.",

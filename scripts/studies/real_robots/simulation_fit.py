@@ -47,19 +47,26 @@ _FIELDS = ("armature", "damping", "frictionloss")
 
 
 def simulation_fit(
-    network: jc.CSLC, patterns: Patterns, mass: float, stretch: float, steps: int
+    network: jc.CSLC,
+    patterns: Patterns,
+    start: float | Sequence[jc.LinkParameters],
+    stretch: float,
+    steps: int,
 ) -> tuple[Float[np.ndarray, " coefficients"], int]:
     """Coefficients of the network's terms and the number of parameters that were searched for.
 
     - `network`: with viscous and dry friction, offsets and coupled joints, or some of these.
     - `patterns`: of the training recording, smoothed.
-    - `mass`: of all bodies together, to start from [kg].
+    - `start`: of the search: bodies of all links, or the mass of equal ones together [kg].
     - `stretch`: length of a simulation [s], each from a state of the recording.
     - `steps`: of the search, at most.
     """
-    spec = arm_model(network.robot, mass, patterns)
+    robot = network.robot
+    equal = isinstance(start, int | float)
+    links = equal_bodies(robot, start, patterns) if equal else start
+    spec = arm_model(robot, links, patterns)
     model = spec.compile()
-    start = start_parameters(spec, model, network, patterns)
+    parameters = start_parameters(spec, model, network, patterns)
     trajectories = list(_trajectories(model, patterns, stretch))
     n = network.joint_count
     scale = np.std(np.concatenate([patterns.q, patterns.qd], axis=1), axis=0)
@@ -84,21 +91,31 @@ def simulation_fit(
         errors = errors.ravel() if x.ndim == 1 else errors.T.reshape(points, -1).T
         return [errors], predicted, measured
 
-    best, _ = sysid.optimize(start, residual, verbose=False, max_iters=steps, x_scale="jac")
+    best, _ = sysid.optimize(parameters, residual, verbose=False, max_iters=steps, x_scale="jac")
     return coefficients_of(network, sysid.apply_param_modifiers(best, spec), best), best.size
 
 
-def arm_model(robot: jc.Manipulator, total: float, patterns: Patterns) -> mujoco.MjSpec:
-    """Equal balls at the links' frames, the coupled shafts as tendons, and sensors."""
+def equal_bodies(
+    robot: jc.Manipulator, total: float, patterns: Patterns
+) -> list[jc.LinkParameters]:
+    """Equal balls at the links' frames, of a total mass [kg]."""
     n = robot.joint_count
     reach = max(abs(float(x.value or 0.0)) for joint in robot.joints for x in (joint.a, joint.d))
     mass = total / n
     tensor = 0.4 * mass * (_RADIUS * (reach or 1.0)) ** 2 * np.eye(3)
-    torque, qd, qdd = (_rms(x) for x in (patterns.torque, patterns.qd, patterns.qdd))
-    links = [
+    torque, qdd = _rms(patterns.torque), _rms(patterns.qdd)
+    return [
         jc.LinkParameters(mass, np.zeros(3), tensor, float(_SHARE * torque[i] / qdd[i]))
         for i in range(n)
     ]
+
+
+def arm_model(
+    robot: jc.Manipulator, links: Sequence[jc.LinkParameters], patterns: Patterns
+) -> mujoco.MjSpec:
+    """Bodies, the coupled shafts as tendons, and sensors."""
+    n = robot.joint_count
+    torque, qd = _rms(patterns.torque), _rms(patterns.qd)
     text = sim.mjcf(
         robot,
         links,

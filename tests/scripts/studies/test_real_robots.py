@@ -130,7 +130,8 @@ def test_coefficients_of_a_simulated_model_are_its_inverse_dynamics() -> None:
     arm = pendulum(Path())
     patterns = jc.Settings(jc.Preparation(threshold_fraction=0.0)).patterns(arm.training)
     network = jc.derive(arm.robot, lengths="numeric")
-    spec = simulation_fit.arm_model(arm.robot, 2.0, patterns)
+    links = simulation_fit.equal_bodies(arm.robot, 2.0, patterns)
+    spec = simulation_fit.arm_model(arm.robot, links, patterns)
     parameters = simulation_fit.start_parameters(spec, spec.compile(), network, patterns)
     assert parameters.size == 13  # ten of the body, motor inertia, viscous and dry friction
     parameters["link_1_inertia"].value[:] += 0.1 * np.arange(10)
