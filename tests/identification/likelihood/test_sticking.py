@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.identification.likelihood._start import starting_point
 from jaxcslc.identification.likelihood._sticking import bound, sticking_equations
+from jaxcslc.identification.likelihood.search import search
 
 
 STEP, INERTIA, VISCOUS, DRY = 0.005, 0.4, 0.3, 0.8
@@ -88,3 +89,24 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
         assert mean[static] == 0.0
         deviation.append(precision[static] ** -0.5)
     assert_allclose(deviation, [2.0, 0.2])
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    problem, point, torque_noise, position_noise = starting_point(
+        network, [ramp(0.75)], jc.Settings(), "held", None, None
+    )
+    of_coefficients = np.arange(len(problem.scale)) < network.size
+    scale = np.where(of_coefficients & fixed, 0.0, problem.scale)
+    minimum = search(
+        dataclasses.replace(problem, scale=scale),
+        point,
+        torque_noise,
+        position_noise,
+        lambda words: None,
+        fixed_levels=True,
+        most_steps=5,
+    )
+    assert (minimum.objective.sticking is None) == fixed

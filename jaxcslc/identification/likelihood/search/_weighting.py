@@ -79,10 +79,13 @@ def _truncation(
 def with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
     """With the equations of joints that stick, which bound friction at break-away.
 
-    Not beside torque noise with a spectrum: an equation that is a bound has no residual.
+    Not beside torque noise with a spectrum: an equation that is a bound has no residual. Nor where
+    all coefficients are fixed, of which alone bounds say something: wrong ones would draw positions
+    to where friction bears what they make of the torque.
     """
     point, breakaway = state.point, problem.breakaway(state.point)
-    if state.whitening.order or not problem.at_rest.any():
+    fixed = not problem.scale[: len(point.k)].any()
+    if state.whitening.order or fixed or not problem.at_rest.any():
         return objective
     part, signs = problem.readings.part, objective.signs
     friction = objective.residuals(point).torque + signs.direction * breakaway
