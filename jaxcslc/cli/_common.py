@@ -14,7 +14,7 @@ from ..manipulator import Manipulator, Mimics, RobotError, load_robot, panda, pu
 from ..motion import Recording, RecordingError
 from ..motion.files import load_recording
 from ..network import CSLC, derive
-from ._progress_lines import progress_lines
+from ._progress_lines import PASSED, progress_lines
 
 
 if TYPE_CHECKING:
@@ -286,13 +286,17 @@ def one_line_errors() -> Generator[None]:
 
 
 @contextlib.contextmanager
-def progress(first: str) -> Generator[Callable[[str], None]]:
+def progress(first: str, *, estimated: bool = True) -> Generator[Callable[[str], None]]:
     """Shows the current step on standard error: on a terminal as it changes, elsewhere a line now
-    and then, from half a minute on."""
+    and then, from half a minute on.
+
+    - `estimated`: whether such a line says what is left, as far as it is known.
+    """
     console = Console(stderr=True)
     if console.is_terminal:
         with console.status(first) as status:
             yield lambda text: status.update(text)
         return
-    with progress_lines(first, lambda line: print(line, file=sys.stderr, flush=True)) as step:
+    write: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True)
+    with progress_lines(first, write, passed=PASSED if estimated else {}) as step:
         yield step

@@ -126,7 +126,8 @@ def identify_command(
 
     Or those of another system, from a recording with a column for each of its variables.
     """
-    with one_line_errors(), progress("reading") as step, processes_beside():
+    known = estimator == "least-squares"  # the time that it takes
+    with one_line_errors(), progress("reading", estimated=known) as step, processes_beside():
         check_output_folder(output)
         if dask is not None or fleet:
             return typer.echo(identified_on_cluster(context, step))

@@ -1,6 +1,6 @@
 import contextlib
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from threading import Event, Thread
 
 
@@ -27,6 +27,7 @@ def progress_lines(
     *,
     after: float = FIRST,
     every: float = BETWEEN,
+    passed: Mapping[str, float] = PASSED,
     clock: Callable[[], float] = time.monotonic,
 ) -> Generator[Callable[[str], None]]:
     """Writes a line when a step begins, and now and then while it goes on.
@@ -39,6 +40,8 @@ def progress_lines(
     - `first`: the step that it begins with.
     - `write`: is called with each line, from another thread too.
     - `after`, `every`: seconds before the first line, and between lines of one step.
+    - `passed`: the part of the time that has passed when a step begins; without it, no line says
+      what is left.
     - `clock`: the time [s].
 
     **Returns** a function to be called with the step that begins.
@@ -48,13 +51,14 @@ def progress_lines(
 
     def line() -> str:
         name, begun = current[0]
-        passed = clock() - start
-        text = f"jaxcslc: {name}, {passed:.0f} s so far"
-        if name in PASSED and begun > 0.0:
+        seconds = clock() - start
+        text = f"jaxcslc: {name}, {seconds:.0f} s so far"
+        if name in passed and begun > 0.0:
             # As fast as before, until the next step should have begun.
-            share = PASSED[name]
-            share = min(share * passed / begun, _next(share))
-            text += f", about {_rounded(passed * (1.0 - share) / share)} s left"
+            share = passed[name]
+            following = min((other for other in passed.values() if other > share), default=0.99)
+            share = min(share * seconds / begun, following)
+            text += f", about {_rounded(seconds * (1.0 - share) / share)} s left"
         return text
 
     def watch() -> None:
@@ -76,11 +80,6 @@ def progress_lines(
     finally:
         done.set()
         thread.join()
-
-
-def _next(share: float) -> float:
-    """The part of the time that has passed when the next step begins."""
-    return min((other for other in PASSED.values() if other > share), default=0.99)
 
 
 def _rounded(seconds: float) -> str:

@@ -147,3 +147,10 @@ class TestProgress:
             "jaxcslc: writing, 80 s so far, about 12 s left",
         ]
         assert list(PASSED.values()) == sorted(PASSED.values())
+
+    def test_nothing_is_said_of_what_is_not_known(self) -> None:
+        now, lines = [0.0], list[str]()
+        with progress_lines("reading", lines.append, passed={}, clock=lambda: now[0]) as step:
+            now[0] = 64.0
+            step("fitting coefficients")
+        assert lines == ["jaxcslc: fitting coefficients, 64 s so far"]

@@ -5,18 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._processes import computed_beside
 from ...motion import Patterns, Recording, joined_patterns
 from ...network import CSLC
 from .._held_out import RelativeError, Source
 from .._held_out_part import FEWEST_SAMPLES, held_out_from
-from ..likelihood import (
-    Estimator,
-    EstimatorComparison,
-    LikelihoodFit,
-    MaximumLikelihood,
-    Misfit,
-)
+from ..likelihood import Estimator, EstimatorComparison, LikelihoodFit, MaximumLikelihood
 from ..possible import (
     Choice,
     Part,
@@ -303,15 +296,13 @@ class _Judged:
             likelihood.network, self.least_squares.network, unfitted.least_squares
         )
         rigid = dataclasses.replace(likelihood, transmission=None)
-
-        def misfit(network: CSLC, k: np.ndarray, fit: LikelihoodFit) -> Misfit:
-            return estimator.misfit(network, unfitted.recordings, k, *levels, fit)
-
-        # What fits beside this process need, misfits do.
-        beside = self.beside is not None
-        with computed_beside(lambda: misfit(*other, rigid), allowed=beside) as result:
-            ours = misfit(likelihood.network, predicted, likelihood)
-            theirs = result()
+        ours, theirs = (
+            estimator.misfit(network, unfitted.recordings, k, *levels, fit)
+            for network, k, fit in (
+                (likelihood.network, predicted, likelihood),
+                (*other, rigid),
+            )
+        )
         stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)
         return RelativeError.of(
             *(
