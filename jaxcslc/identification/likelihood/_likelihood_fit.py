@@ -290,5 +290,9 @@ def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> 
         play_error=errors.play,
         rotor_inertia=values.rotor_inertia,
         rotor_inertia_error=errors.rotor_inertia,
+        viscous_share=values.viscous_share,
+        viscous_share_error=errors.viscous_share,
+        dry_share=values.dry_share,
+        dry_share_error=errors.dry_share,
         link_position=point.q[:, len(point.slopes) :],
     )

@@ -3,6 +3,7 @@ from ._input_expressions import (
     term_entries as term_entries,
 )
 from ._input_term import (
+    HOST_FUNCTIONS as HOST_FUNCTIONS,
     JAX_FUNCTIONS as JAX_FUNCTIONS,
     AbstractFunctions as AbstractFunctions,
     AbstractInputTerm as AbstractInputTerm,

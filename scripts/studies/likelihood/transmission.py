@@ -14,7 +14,7 @@ moves.
   known beforehand to be no larger than a tenth of the regression's dry friction (a standard
   deviation): motion in a small range, as joint 2's, does not tell an offset from gravity.
 - **friction selected** (`--selected`), of both: what `jaxcslc identify --friction auto` selects of
-  the training recording, beginning with viscous and dry friction.
+  the training recording for this estimator, beginning with viscous and dry friction.
 - **true**: the machine's coefficients, in the model of the regression.
 
 Beside ε, how many 95 % intervals cover the true coefficient, of 43 and of 52, with systematic
@@ -166,7 +166,7 @@ def _friction_selected(
         converged,
     )
     started = time.perf_counter()
-    report = identify(report.friction.network, trained)
+    report = identify(plain, trained, friction="auto")
     low_high = means_of_directions(plain, report.fit, report.systematic)
     yield row("regression, friction selected", report.network, report.k, low_high, started)
     yield selected

@@ -13,8 +13,10 @@ from ._staged_search import transmission_search
 from ._transmission_equations import TransmissionEquations
 
 
-# A joint's gears are rigid if their compliance is not above so many standard errors.
-_SIGNIFICANT = 3.0
+# A joint's gears are rigid if their compliance is not above so many standard errors, or if their
+# play is below 0 by so many of them and by the width of its edges: teeth do not overlap. A spring
+# and a light link may follow noise of torque so.
+_SIGNIFICANT, _OVERLAP = 3.0, 2.0
 
 
 class TransmissionChoice(eqx.Module):
@@ -26,21 +28,25 @@ class TransmissionChoice(eqx.Module):
       logarithm of the number of equations for each further parameter. The latter is infinite if no
       compliance is significant.
     - `joints`: whose links were apart in the latter, from 1.
+    - `converged`: whether the search of the latter did. One that did not is never supported: of
+      what its coefficients are, its likelihood says nothing.
     """
 
     rigid: float = eqx.field(static=True)
     apart: float = eqx.field(static=True)
     joints: tuple[int, ...] = eqx.field(static=True)
+    converged: bool = eqx.field(static=True, default=True)
 
     @property
     def supported(self) -> bool:
         """Whether rotors and links are apart."""
-        return self.apart < self.rigid
+        return self.converged and self.apart < self.rigid
 
     def document(self) -> dict[str, Any]:
         """As plain data; None in place of an infinite criterion."""
         apart = self.apart if np.isfinite(self.apart) else None
-        return {"rigid": self.rigid, "apart": apart, "joints": list(self.joints)}
+        values = {"rigid": self.rigid, "apart": apart, "joints": list(self.joints)}
+        return {**values, "converged": self.converged}
 
 
 def choice_line(choice: Mapping[str, Any]) -> str:
@@ -56,6 +62,8 @@ def choice_line(choice: Mapping[str, Any]) -> str:
     if choice["apart"] is None:
         return "gears that give way: not supported by the recording"
     joints = ", ".join(str(joint) for joint in choice["joints"])
+    if not choice.get("converged", True):
+        return f"gears that give way at joint {joints}: not used, their search did not converge"
     difference = choice["apart"] - choice["rigid"]
     verdict = "supported" if difference < 0.0 else "not supported"
     side = "below" if difference < 0.0 else "above"
@@ -84,13 +92,17 @@ def chosen_minimum(
         parameters = TransmissionParameters.of(apart.point.transmission)
         spectrum, scale = Spectrum.of(apart.factored.information), apart.objective.scale
         first = len(apart.point.k) + len(apart.point.slopes)
-        index = np.arange(first, first + len(links))
-        error = np.sqrt(np.diag(spectrum.covariance)[index]) * scale[index]
-        significant = parameters.compliance > _SIGNIFICANT * error
+        index = np.arange(first, first + len(apart.point.transmission))
+        variance = np.diag(spectrum.covariance)[index]
+        error = TransmissionParameters.of(np.sqrt(variance) * scale[index])
+        equations = apart.objective.equations
+        assert isinstance(equations, TransmissionEquations)
+        significant = parameters.compliance > _SIGNIFICANT * error.compliance
+        significant &= parameters.play > -_OVERLAP * error.play - equations.width
         if np.all(significant):
-            # Short of its minimum, a search only understates what its likelihood is.
             criteria = criterion(rigid), criterion(apart)
-            choice = TransmissionChoice(*criteria, tuple(link + 1 for link in links))
+            numbers = tuple(link + 1 for link in links)
+            choice = TransmissionChoice(*criteria, numbers, apart.converged)
             return (apart if choice.supported else rigid), choice
         links = [link for link, keep in zip(links, significant, strict=True) if keep]
     return rigid, TransmissionChoice(criterion(rigid), float(np.inf), ())

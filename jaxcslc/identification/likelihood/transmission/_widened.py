@@ -19,6 +19,10 @@ from ._transmission_equations import TransmissionEquations
 # Least compliance and inertia of a rotor beside those at first, and the standard deviation
 # beforehand of the latter.
 _LEAST, _ROTOR = 1e-3, 1.0
+# Standard deviation beforehand of the share of friction that acts on a link, about none.
+_SHARE = 0.5
+# A link that sticks creeps by less than this part of its joint's greatest speed.
+_CREEP = 1e-4
 # Positions of links are not read: standard deviation of what would be readings [rad or m].
 _UNREAD = 1e3
 
@@ -47,15 +51,19 @@ def with_transmission(
     index, zeros = np.array(links), np.zeros(len(links))
     friction = np.zeros(network.size, bool)
     friction[network.layout.friction] = True
-    parameters = TransmissionParameters(first.compliance, first.lag, zeros, first.rotor_inertia)
+    of_gears = first.compliance, first.lag, zeros, first.rotor_inertia
+    parameters = TransmissionParameters(*of_gears, zeros, zeros)
+    free = np.full(f, -np.inf)
     least = TransmissionParameters(
-        _LEAST * first.compliance, zeros, np.full(f, -np.inf), _LEAST * first.rotor_inertia
+        _LEAST * first.compliance, zeros, free, _LEAST * first.rotor_inertia, free, free
     )
     size = np.std(readings.torque.averaged()[:, index], axis=0)
-    scale = parameters._replace(play=first.compliance * size)
-    expected = TransmissionParameters(zeros, zeros, zeros, first.rotor_inertia).values
-    precision = (_ROTOR * first.rotor_inertia) ** -2.0
-    weight = TransmissionParameters(zeros, zeros, zeros, precision).values
+    share = np.full(f, _SHARE)
+    scale = parameters._replace(play=first.compliance * size, viscous_share=share, dry_share=share)
+    inertia = first.rotor_inertia
+    expected = TransmissionParameters(zeros, zeros, zeros, inertia, zeros, zeros).values
+    precision = (_ROTOR * first.rotor_inertia) ** -2.0, share**-2.0, share**-2.0
+    weight = TransmissionParameters(zeros, zeros, zeros, *precision).values
     record = readings.torque
     of_links = tuple(np.zeros((len(torque), f)) for torque in record.torques)
     wide_record = dataclasses.replace(
@@ -65,7 +73,14 @@ def with_transmission(
         ),
     )
     apart = TransmissionEquations(
-        equations, index, readings.time, friction, np.max(start.position_noise, axis=0)[index]
+        equations,
+        index,
+        readings.time,
+        friction,
+        np.max(start.position_noise, axis=0)[index],
+        _CREEP
+        * np.max(np.abs(np.diff(point.q[:, index], axis=0)), axis=0)
+        / np.median(equations.intervals),
     )
 
     def narrow(point: Point) -> Point:

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 from jaxtyping import Float
 from numpy.testing import assert_allclose
 
@@ -12,10 +13,12 @@ from jaxcslc.identification import Settings
 from jaxcslc.identification.likelihood._problem import Problem
 from jaxcslc.identification.likelihood._start import starting_point
 from jaxcslc.identification.likelihood.search import Minimum, search
-from jaxcslc.identification.likelihood.transmission._choice import criterion
+from jaxcslc.identification.likelihood.transmission import _staged_search
+from jaxcslc.identification.likelihood.transmission._choice import choice_line, criterion
 from jaxcslc.identification.likelihood.transmission._first_gears import FirstGears
 from jaxcslc.identification.likelihood.transmission._search_start import SearchStart
 from jaxcslc.identification.likelihood.transmission._widened import with_transmission
+from scripts.studies.likelihood.two_masses import TwoMasses
 
 
 SAMPLES, INTERVAL = 24, 0.05
@@ -103,4 +106,21 @@ def test_rigid_gears_and_others(rng: np.random.Generator) -> None:
     deviation = np.r_[np.full(SAMPLES + 2, WIDE), np.full(rows, LINK_NOISE)]
     expected = minus_twice_log(torque, position, of_torque, of_reading, deviation)
     expected += -(SAMPLES + 2) * log + 2.0 * np.log(2.0 * np.pi * windup**2)
-    assert_allclose(criterion(minima[1]), expected + 4.0 * np.log(rows), atol=0.5)
+    assert_allclose(criterion(minima[1]), expected + 6.0 * np.log(rows), atol=0.5)
+
+
+def test_a_search_that_did_not_converge_is_not_used(
+    network: jc.CSLC, with_play: TwoMasses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though its criterion is far below that of rigid gears."""
+    recording = with_play.recording(5e-5, 0.05, np.random.default_rng(1), 600)
+    stages = tuple((free, 8, speed) for free, _, speed in _staged_search._STAGES)
+    monkeypatch.setattr(_staged_search, "_STAGES", stages)
+    fit = jc.MaximumLikelihood(unknowns=("transmission",)).fit(network, recording)
+    choice = fit.transmission_choice
+    assert choice is not None and choice.apart < choice.rigid and choice.joints == (1,)
+    assert not choice.converged and not choice.supported
+    assert fit.transmission is None and fit.converged
+    assert choice_line(choice.document()).endswith(
+        "joint 1: not used, their search did not converge"
+    )

@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from scripts.studies.likelihood.two_masses import TwoMasses
+from jaxcslc.identification.likelihood.transmission import transmission_lines
+from scripts.studies.likelihood.two_masses import TwoMasses, network_of_two_masses, two_masses
 
 
 STEP, NOISE = 5e-5, 0.05
@@ -59,6 +60,24 @@ def test_gears_without_play(network: jc.CSLC, without_play: TwoMasses) -> None:
     low, high = gears.play_interval[0]
     assert low < 0.0 < high < 2e-4
     assert abs(gears.compliance[0] - 1 / 2500.0) < FAR * gears.compliance_error[0]
+
+
+def test_friction_of_links() -> None:
+    """30 % of viscous and of dry friction act on the link."""
+    true = two_masses(4e-3, dry=1.0, link_share=0.3)
+    network = network_of_two_masses(dry=True)
+    recording = true.recording(STEP, NOISE, np.random.default_rng(3))
+    fit = jc.MaximumLikelihood(transmission=(1,)).fit(network, recording)
+    gears = fit.transmission
+    assert fit.converged and gears is not None
+    for share, error in (
+        (gears.viscous_share, gears.viscous_share_error),
+        (gears.dry_share, gears.dry_share_error),
+    ):
+        assert error[0] < 0.02 and abs(share[0] - 0.3) < FAR * error[0]
+    assert np.all(np.abs(np.asarray(fit.k) - true.k) < FAR * np.asarray(fit.fit.standard_error))
+    assert abs(gears.stiffness[0] / true.stiffness - 1.0) < 5e-3
+    assert "of its dry friction" in transmission_lines(gears.document())[0]
 
 
 def test_rigid_gears_are_supported(network: jc.CSLC, rng: np.random.Generator) -> None:
