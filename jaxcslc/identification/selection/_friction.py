@@ -34,6 +34,8 @@ _REPLACES = {"asymmetric_viscous": "viscous"}
 # An offset is told from gravity if its standard error is at most this part of the joint's dry
 # friction, or if it is so many standard errors from 0.
 _OFFSET_ERROR, _OFFSET_SIGNIFICANT = 0.1, 5.0
+# Two terms together are used in place of one if the logarithm of errors is smaller by this.
+_GAIN_OF_SECOND = 0.01
 # What trials of a state of dry friction are called (`fit_pre_sliding`).
 PRE_SLIDING = "pre-sliding"
 # Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
@@ -356,8 +358,12 @@ def _fold(samples: int) -> Int[np.ndarray, " samples"]:
 
 def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionTrial]:
     """By joint, the trial with the smallest error, of those that are better beyond chance."""
+
+    def cost(trial: FrictionTrial) -> float:
+        return trial.relative.change + _GAIN_OF_SECOND * (len(_kinds(trial.kind)) - 1)
+
     best: dict[int, FrictionTrial] = {}
-    for trial in sorted(trials, key=lambda trial: trial.relative.change, reverse=True):
+    for trial in sorted(trials, key=cost, reverse=True):
         if trial.possible and trial.relative.beyond_chance(chance):
             best[trial.joint] = trial
     return best
