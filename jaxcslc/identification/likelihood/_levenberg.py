@@ -23,6 +23,9 @@ _ROUNDING = 1e-5
 DAMPING, _LEAST_DAMPING, _FACTOR, SMALL_DAMPING = 1e-3, 1e-9, 10.0, 1e-6
 # A minimum is where linear equations promise less than this of the sum of squares.
 PROMISE = 0.02
+# At a kink they may promise as much as this, and it never comes; damping that grew there says
+# nothing of the next step.
+AT_KINK = 0.1
 # How far the logarithm of a slope moves in a step.
 _SLOPE_STEP = 0.7
 
@@ -78,6 +81,8 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
         if trial.fall >= -rounding:
             if trial.whole and not number:
                 damping = max(damping / _FACTOR, _LEAST_DAMPING)
+            if first.promise <= AT_KINK:
+                damping = min(damping, SMALL_DAMPING)
             fall = trial.fall / value if value > 0.0 else 0.0
             return LevenbergStep(trial.point, trial.residuals, first, damping, size, fall)
         damping = _FACTOR * max(damping, 1e-5)

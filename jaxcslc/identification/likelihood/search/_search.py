@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._levels import Levels
-from .._levenberg import PROMISE, SMALL_DAMPING, levenberg_step
+from .._levenberg import AT_KINK, PROMISE, SMALL_DAMPING, levenberg_step
 from .._linear import Linear
 from .._objective import Objective, Point
 from .._problem import Problem
@@ -21,9 +21,14 @@ _MOST_STEPS = 60
 # than this where coefficients move by a tenth of that part. Then positions alone are left, which
 # take some steps more in intervals, and nothing follows these.
 _SETTLED, _PROMISE_OF_POSITIONS = 1e-2, 1.0
-# Or where the sum of squares falls by less than this, though a little more is promised, by up to
-# this factor: at a kink of friction nothing of what linear equations promise ever comes.
-_LEVEL, _AT_KINKS = 1e-2, 5.0
+# Or at a kink of friction, where little of what linear equations promise ever comes: less than
+# half, and less than this. No coefficient is then further from the minimum of the equations' than
+# the square root of the promise, a third of a standard error.
+_LEVEL = 1e-2
+# At the end, what friction may be where its sign is uncertain is fixed, once a step is less than so
+# many standard errors. Else weights follow static friction that hardly any motion shows, and it
+# follows these, to and fro.
+_FIXED = 1.0
 # Beside intervals, edges and the level of torque noise follow steps of less than so many of these:
 # while the level is far too large, steps are short.
 _NEARER = 3.0
@@ -110,8 +115,9 @@ def search(
         quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
         settled |= step.change <= 0.1 * _SETTLED and step.promise <= _PROMISE_OF_POSITIONS
-        if step.change <= _AT_KINKS * _SETTLED and step.promise <= _AT_KINKS * PROMISE:
-            settled |= step.fall * objective.value(linear.present) <= _LEVEL
+        fall = step.fall * objective.value(linear.present)
+        at_kink = step.promise <= AT_KINK and fall <= min(_LEVEL, 0.5 * step.promise)
+        settled |= at_kink
         converged = quiet and settled and state.final and (edge is None or number > first)
         # Rounding lets the sum grow: without a tolerance, that is no end.
         small = tolerance > 0.0 and state.final and number >= len(MARGINS)
@@ -136,6 +142,8 @@ def search(
             state = with_levels(problem, state, step, counted, number)
         elif state.intervals is not None and not state.final and step.change <= _NEARER:
             state = with_refined_intervals(problem, state, step, counted)
+        if state.final and state.breakaway is None and step.change <= _FIXED:
+            state = dataclasses.replace(state, breakaway=problem.breakaway(state.point))
         waiting = state.levels_fixed and state.intervals is None and not state.final
-        if waiting and quiet and step.change <= NEAR:
+        if waiting and quiet and (at_kink or step.change <= NEAR):
             state = with_intervals(problem, state, step.minimum)

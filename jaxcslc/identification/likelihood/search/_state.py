@@ -33,6 +33,7 @@ class State:
     - `moments`: (samples, n) of reversals to start from, NaN where they are not known; None if none
       is.
     - `refinements`: of the level of torque noise beside intervals.
+    - `breakaway`: (n,) that says how uncertain friction is [N m or N]; None: the present one does.
     """
 
     point: Point
@@ -48,6 +49,7 @@ class State:
     final: bool
     refinements: int = 0
     moments: Float[np.ndarray, "samples _"] | None = None
+    breakaway: Float[np.ndarray, " joints"] | None = None
 
     @classmethod
     def start(

@@ -26,7 +26,7 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
     readings, signs, point = problem.readings, state.signs, state.point
     assert signs is not None
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
-    extra = state.whitening.variance(_friction_variance(problem, signs, point))
+    extra = state.whitening.variance(_friction_variance(problem, signs, _breakaway(problem, state)))
     weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + extra)
     beyond = problem.calibration.outside(point.calibration)
     without = state.whitening.touched(problem.at_rest | (readings.joined | beyond)[:, None])
@@ -102,11 +102,14 @@ def with_sticking(problem: Problem, state: State, objective: Objective) -> Objec
     )
 
 
+def _breakaway(problem: Problem, state: State) -> Float[np.ndarray, " joints"]:
+    return problem.breakaway(state.point) if state.breakaway is None else state.breakaway
+
+
 def _friction_variance(
-    problem: Problem, signs: Signs, point: Point
+    problem: Problem, signs: Signs, breakaway: Float[np.ndarray, " joints"]
 ) -> Float[np.ndarray, "equations joints"]:
     """Variance of friction that signs do not tell."""
-    breakaway = problem.breakaway(point)
     extra = np.where(signs.uncertain, (_UNCERTAIN * breakaway) ** 2, 0.0)
     for offset in (-1, 0, 1):
         extra[signs.samples - 1 + offset, signs.joints] = (_REVERSAL * breakaway[signs.joints]) ** 2
@@ -122,7 +125,9 @@ def outlier_weights(
     """
     linear = step.minimum.linear
     signs, noise = linear.objective.signs, state.torque_noise[problem.readings.part[1:-1]]
-    extra = np.where(signs.uncertain, _friction_variance(problem, signs, step.point), 0.0)
+    extra = np.where(
+        signs.uncertain, _friction_variance(problem, signs, problem.breakaway(step.point)), 0.0
+    )
     extra = state.whitening.variance(extra)
     deviation = np.sqrt(noise**2 + extra)
     robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
