@@ -146,30 +146,27 @@ class Linear:
             for of_inner, of_border in zip(inner.T, border.T, strict=True)
         ]
 
-    def about(self, residuals: Residuals, *, steeper: bool = False) -> "Linear":
-        """With the parabolas that laws have at other residuals of the objective's.
+    def about(self, residuals: Residuals) -> "Linear":
+        """With the parabolas of laws at other residuals, where they are above the present ones.
 
         A count is flat inside its interval and steep outside, and so is the bound of a joint that
         sticks: a step that knows the flat part alone goes far out.
 
         **Arguments**
 
-        - `steeper`: only where laws are above their present parabolas there.
+        - `residuals`: the objective's, at a step's end.
         """
         objective = self.objective
         weights, vertices, levels = {}, {}, {}
         for name, law in (("position", objective.readings), ("torque", objective.torques)):
-            at, present = getattr(residuals, name), getattr(self.present, name)
+            # Vertices are kept as residuals about the present ones.
+            change = getattr(residuals, name) - getattr(self.present, name)
             weight, vertex = getattr(self.weights, name), getattr(self.residuals, name)
             end, level = law(residuals), self.levels[name]
-            of_end = end.residual + present - at, end.levels
-            if steeper:
-                bent = end.value > level + weight * (vertex + at - present) ** 2 + _BENT
-                weight = np.where(bent, end.weight, weight)
-                vertex, level = np.where(bent, of_end, (vertex, level))
-            else:
-                weight, (vertex, level) = end.weight, of_end
-            weights[name], vertices[name], levels[name] = weight, vertex, level
+            bent = end.value > level + weight * (vertex + change) ** 2 + _BENT
+            weights[name] = np.where(bent, end.weight, weight)
+            vertices[name] = np.where(bent, end.residual - change, vertex)
+            levels[name] = np.where(bent, end.levels, level)
         return dataclasses.replace(
             self,
             weights=dataclasses.replace(self.weights, **weights),

@@ -65,7 +65,7 @@ class LinearMinimum:
             fall = value - objective.value(result.after)
             if 0.0 <= result.promise <= least or fall >= _GOOD * max(result.promise, 0.0):
                 break
-            bent = result.linear.about(result.after, steeper=True)
+            bent = result.linear.about(result.after)
             del result  # its matrices are as large as all else together
             result = solved(bent)
         # Parabolas of steep sides are above flat ones, and may promise less than there is.

@@ -22,8 +22,8 @@ _MOST_STEPS = 60
 # take some steps more in intervals, and nothing follows these.
 _SETTLED, _PROMISE_OF_POSITIONS = 1e-2, 1.0
 # Or at a kink of friction, where little of what linear equations promise ever comes: less than
-# half, and less than this. No coefficient is then further from the minimum of the equations' than
-# the square root of the promise, a third of a standard error.
+# half, and less than this. In standard errors, no coefficient is then further from the minimum of
+# the linear equations than the square root of the promise, a third.
 _LEVEL = 1e-2
 # At the end, what friction may be where its sign is uncertain is fixed, once a step is less than so
 # many standard errors. Else weights follow static friction that hardly any motion shows, and it
