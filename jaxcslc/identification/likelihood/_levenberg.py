@@ -64,7 +64,7 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
 
     **Raises** `RuntimeError` if rounding has made the equations indefinite.
     """
-    value, first, size = linear.objective.value(linear.present), None, np.inf
+    value, first, size = linear.present_value, None, np.inf
     start: Linear | None = None
     for number in range(_MOST_TRIALS):
         try:

@@ -6,7 +6,15 @@ from jaxtyping import Float, Int
 
 from ._objective import Objective, Point, Residuals, Step
 from ._signs import LATEST_TURN
-from .band import BandedEquations, Factored, JointColumns, Order, add_equations
+from .band import (
+    BandedEquations,
+    Factored,
+    JointColumns,
+    Order,
+    add_equations,
+    equation_changes,
+    equation_gradients,
+)
 
 
 # A law that is so far above its parabola is steeper.
@@ -29,6 +37,7 @@ class Linear:
     - `by_border`: of the same by the border, in units of its scale.
     - `by_turn`: (3 + order, reversals) of the same from one sample before a reversal's on.
     - `levels`: of laws of readings and of equations, at the vertices of these squares.
+    - `present_value`: the objective's at the point.
     """
 
     objective: Objective
@@ -40,6 +49,7 @@ class Linear:
     by_border: JointColumns
     by_turn: Float[np.ndarray, "rows reversals"]
     levels: Mapping[str, Float[np.ndarray, "_ joints"]]
+    present_value: float
 
     @classmethod
     def of(cls, objective: Objective, point: Point) -> "Linear":
@@ -50,15 +60,16 @@ class Linear:
             point.k, point.laws, point.q, signs.turns(point.turn), signs.direction
         )
         gain = objective.torque.gain(point.calibration)
-        predicted = np.asarray(derivatives.torque)
-        of_coefficients = np.asarray(derivatives.by_coefficient)
+        predicted = derivatives.torque
+        by_border = derivatives.by_coefficient
         of_calibration = objective.torque.by_values(point.calibration, predicted / gain)
+        by_position = derivatives.by_position
         if of_calibration.shape[2]:
-            of_calibration = of_calibration * gain[:, None]
-            of_coefficients = np.concatenate([of_coefficients, of_calibration], axis=2)
+            by_border = by_border.beside(JointColumns.of(of_calibration * gain[:, None]))
+            by_position = by_position / gain[:, None]
         whitening = objective.whitening
-        by_border = JointColumns.of(of_coefficients, len(scale)).scaled(scale / gain[:, None])
-        all_by_turn = np.asarray(derivatives.by_turn) / gain
+        by_border = by_border.widened(len(scale)).scaled(scale / gain[:, None])
+        all_by_turn = derivatives.by_turn / gain
         by_turn = np.zeros((3, len(signs.samples)))
         for index, offset in enumerate((-1, 0, 1)):
             inside = np.abs(point.turn - offset) < 1.0
@@ -72,10 +83,11 @@ class Linear:
             dataclasses.replace(residuals, position=readings.residual, torque=torques.residual),
             residuals,
             Order.of(samples, n, signs.samples),
-            whitening.stencil(np.asarray(derivatives.by_position) / gain[:, None]),
+            whitening.stencil(by_position),
             whitening.of_columns(by_border),
             whitening.by_turn(by_turn, signs.joints),
             {"position": readings.levels, "torque": torques.levels},
+            objective.total(residuals, torques, readings),
         )
         return result._within_bounds(point.turn)
 
@@ -196,12 +208,7 @@ class Linear:
     def after(self, step: Step, residuals: Residuals) -> Residuals:
         """The residuals that a step leaves, were all equations linear."""
         objective = self.objective
-        torque = self.by_border.times(step.border)
-        n = step.position.shape[1]
-        near = np.zeros((len(torque), self.by_position.shape[2]))
-        for i, equations, of_equation in self.stencil_parts:
-            near[equations, i * n : (i + 1) * n] = step.position[of_equation]
-        torque += np.matmul(self.by_position, near[:, :, None])[:, :, 0]
+        torque = equation_changes(self.by_position, self.by_border, step.position, step.border)
         for reversals, rows, joints, derivative in self.turn_parts:
             np.add.at(torque, (rows, joints), derivative * step.turn[reversals])
         change = objective.scale * step.border
@@ -219,17 +226,6 @@ class Linear:
         n, part = self.order.position.shape[1], self.objective.part
         first = len(self.objective.scale) - n * (int(part[-1]) + 1)
         return first + n * part[:, None] + np.arange(n)
-
-    @property
-    def stencil_parts(self) -> list[tuple[int, slice, slice]]:
-        """Parts of equations' stencils, from the earliest sample: number, equations, samples."""
-        samples, n = self.order.position.shape
-        parts: list[tuple[int, slice, slice]] = []
-        for i in range(self.by_position.shape[2] // n):
-            first = max(self.objective.whitening.order - i, 0)
-            shift = i - self.objective.whitening.order
-            parts.append((i, slice(first, samples - 2), slice(first + shift, samples - 2 + shift)))
-        return parts
 
     @property
     def turn_parts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
@@ -259,19 +255,16 @@ class Linear:
     ) -> tuple[Float[np.ndarray, " inner"], Float[np.ndarray, " border"]]:
         objective, order = self.objective, self.order
         weights, scale = self.weights, objective.scale
-        n = weights.position.shape[1]
-        inner = np.zeros(order.size)
         force = weights.torque * residuals.torque
-        by_position = np.matmul(force[:, None, :], self.by_position)[:, 0]
-        for i, equations, of_equation in self.stencil_parts:
-            inner[order.position[of_equation]] += by_position[equations, i * n : (i + 1) * n]
+        of_positions, border = equation_gradients(self.by_position, self.by_border, force)
         reading = weights.position * residuals.position
-        inner[order.position] += reading
+        of_positions += reading
         standstill = weights.standstill * residuals.standstill
-        inner[order.position[1:]] += standstill
-        inner[order.position[:-1]] -= standstill
+        of_positions[1:] += standstill
+        of_positions[:-1] -= standstill
+        inner = np.zeros(order.size)
+        inner[order.position] = of_positions
         inner[order.turn] += self._turn_gradient(residuals, force)
-        border = self.by_border.summed(force)
         np.add.at(border, self.offset, reading * scale[self.offset])
         border += scale * weights.border * residuals.border
         return inner, border

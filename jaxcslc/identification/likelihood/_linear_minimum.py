@@ -49,8 +49,7 @@ class LinearMinimum:
 
         **Raises** `numpy.linalg.LinAlgError` if rounding has made the equations indefinite.
         """
-        objective, present = linear.objective, linear.present
-        value = objective.value(present)
+        objective, present, value = linear.objective, linear.present, linear.present_value
 
         def solved(linear: Linear) -> LinearMinimum:
             factored = linear.factored(damping)
@@ -61,13 +60,13 @@ class LinearMinimum:
         result = solved(start or linear)
         if objective.intervals is None and objective.sticking is None:
             return dataclasses.replace(result, promise=linear.promise(result.step))
+        fall = value - objective.value(result.after)
         for _ in range(_MOST_SOLUTIONS):
-            fall = value - objective.value(result.after)
             if 0.0 <= result.promise <= least or fall >= _GOOD * max(result.promise, 0.0):
                 break
             bent = result.linear.about(result.after)
             del result  # its matrices are as large as all else together
             result = solved(bent)
+            fall = value - objective.value(result.after)
         # Parabolas of steep sides are above flat ones, and may promise less than there is.
-        fall = value - objective.value(result.after)
         return dataclasses.replace(result, promise=max(result.promise, fall))

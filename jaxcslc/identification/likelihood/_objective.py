@@ -123,9 +123,14 @@ class Objective:
 
     def value(self, residuals: Residuals) -> float:
         """The sum of squares over their variances; of intervals, minus twice their logarithm."""
-        of_torque, of_readings = self.torques(residuals), self.readings(residuals)
-        total = float(np.sum(of_torque.value)) + float(np.sum(of_readings.value))
-        return total + self.squares(residuals)
+        return self.total(residuals, self.torques(residuals), self.readings(residuals))
+
+    def total(
+        self, residuals: Residuals, torques: WorkingReadings, readings: WorkingReadings
+    ) -> float:
+        """`value`, of these laws at the residuals."""
+        of_laws = float(np.sum(torques.value)) + float(np.sum(readings.value))
+        return of_laws + self.squares(residuals)
 
     def squares(self, residuals: Residuals) -> float:
         """The part of the sum that is not of equations of motion or of readings."""

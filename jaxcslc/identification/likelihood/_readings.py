@@ -5,6 +5,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
+from ..._chunks import over_chunks
 from ...motion import Recording
 from .torque import TorqueRecord, TorqueSampling
 
@@ -13,6 +14,10 @@ from .torque import TorqueRecord, TorqueSampling
 _OUTSIDE = 6.0
 # Least curvature, in inverse squares of a step: a reading amid its interval says nothing.
 _LEAST_CURVATURE = 1e-2
+# Readings further inside than this, in the same widths, say nothing: their probability rounds to 1.
+_INSIDE = 9.0
+# Readings that a thread computes.
+_CHUNK = 32_768
 # Terms of the exponential beyond which a normal density is nothing.
 _FAR = 38.0
 
@@ -145,6 +150,24 @@ def interval(
     >>> interval(np.array([0.0, 0.49, 0.5, 0.53]), np.full(4, 0.01)).value.round(2).tolist()
     [-0.0, 0.35, 1.39, 13.22]
     """
+    result = np.zeros(residual.shape), np.full(residual.shape, _LEAST_CURVATURE), 0.0 * residual
+    flat = [np.ravel(x) for x in (residual, edge)]
+
+    def compute(first: int, last: int) -> None:
+        of_chunk = [x[first:last] for x in flat]
+        near = np.flatnonzero(np.abs(of_chunk[0]) > 0.5 - _INSIDE * of_chunk[1])
+        values = _near_edges(*(x[near] for x in of_chunk))
+        for of_all, of_near in zip(result, values, strict=True):
+            of_all.reshape(-1)[first:last][near] = of_near
+
+    over_chunks(compute, residual.size, _CHUNK)
+    return WorkingReadings(*result)
+
+
+def _near_edges(
+    residual: Float[np.ndarray, " readings"], edge: Float[np.ndarray, " readings"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values, weights and residuals of `interval`."""
     size = np.abs(residual)
     outside = np.maximum(size - 0.5 - _OUTSIDE * edge, 0.0)
     inside = size - outside
@@ -158,7 +181,7 @@ def interval(
     curvature = (score**2 + bend) / (1.0 + outside / (_OUTSIDE * edge))
     curvature = np.maximum(curvature, _LEAST_CURVATURE)
     value = -2.0 * np.log(probability) + 2.0 * score * outside
-    return WorkingReadings(value, curvature, np.copysign(score, residual) / curvature)
+    return value, curvature, np.copysign(score, residual) / curvature
 
 
 def score_share(edge: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:

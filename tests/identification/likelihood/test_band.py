@@ -11,8 +11,11 @@ from numpy.testing import assert_allclose
 from jaxcslc.identification.likelihood.band import (
     JointColumns,
     _assembly,
+    _products,
     _triangle,
     add_equations,
+    equation_changes,
+    equation_gradients,
     solved,
 )
 
@@ -24,13 +27,20 @@ SAMPLES, JOINTS, BORDER = 9, 2, 43  # columns for all parts of rows that registe
 def code(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
     """With a compiler, and as without."""
     if request.param == "numpy":
-        for module in (_assembly, _triangle):
+        for module in (_assembly, _products, _triangle):
             monkeypatch.setattr(module, "c_library", lambda source: None)
     elif shutil.which("cc") is None:
         pytest.skip("no C compiler (cc) on this machine")
 
 
-@pytest.mark.usefixtures("code")
+@pytest.fixture(params=[1000, 5], ids=["alone", "in chunks"])
+def chunk(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread for all equations, and several, which share samples."""
+    for module in (_assembly, _products):
+        monkeypatch.setattr(module, "_CHUNK", request.param)
+
+
+@pytest.mark.usefixtures("code", "chunk")
 @pytest.mark.parametrize("order", [0, 1, 2])
 def test_equations_add_their_squares(order: int) -> None:
     rng = np.random.default_rng(order)
@@ -61,9 +71,37 @@ def test_equations_add_their_squares(order: int) -> None:
     assert_allclose(mixed, weighted.T @ by_border.reshape(-1, BORDER), atol=1e-12)
 
 
+@pytest.mark.usefixtures("code", "chunk")
+@pytest.mark.parametrize("order", [0, 2])
+def test_products_are_those_of_dense_matrices(order: int) -> None:
+    rng = np.random.default_rng(order)
+    count, slots = SAMPLES - 2, 3 + order
+    by_position = rng.normal(size=(count, JOINTS, slots * JOINTS))
+    by_border = rng.normal(size=(count, JOINTS, BORDER))
+    by_border[:, 0, 5:14] = by_border[:, 1] = 0.0
+    rows = np.zeros((count, JOINTS, SAMPLES, JOINTS))
+    for equation in range(count):
+        for slot in range(max(order - equation, 0), slots):
+            of_slot = by_position[equation, :, slot * JOINTS : (slot + 1) * JOINTS]
+            rows[equation, :, equation - order + slot] = of_slot
+    columns = JointColumns.of(by_border)
+    position, border = rng.normal(size=(SAMPLES, JOINTS)), rng.normal(size=BORDER)
+    expected = np.einsum("ejsm,sm->ej", rows, position) + by_border @ border
+    changes = equation_changes(by_position, columns, position, border)
+    assert_allclose(changes, expected, atol=1e-12)
+    force = rng.normal(size=(count, JOINTS))
+    of_positions, of_border = equation_gradients(by_position, columns, force)
+    assert_allclose(of_positions, np.einsum("ej,ejsm->sm", force, rows), atol=1e-12)
+    assert_allclose(of_border, np.einsum("ej,ejc->c", force, by_border), atol=1e-12)
+
+
 @pytest.mark.usefixtures("code")
+@pytest.mark.parametrize("long", [1, 1000], ids=["in chunks", "alone"])
 @pytest.mark.parametrize("columns", [1, BORDER])
-def test_triangles_are_those_of_dense_matrices(columns: int) -> None:
+def test_triangles_are_those_of_dense_matrices(
+    columns: int, long: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_triangle, "_LONG", long)
     rng = np.random.default_rng(5)
     size, width = 12, 4
     lower = np.tril(np.triu(rng.uniform(0.5, 1.0, (size, size)), 1 - width)) + 2.0 * np.eye(size)
@@ -83,7 +121,7 @@ def test_columns_without_zeros_are_those_of_dense_matrices() -> None:
     rng = np.random.default_rng(7)
     dense = rng.normal(size=(50, 3, 8))
     dense[:, 0, 2:5] = dense[:, 1] = dense[:, 2, :6] = 0.0
-    columns, flat = JointColumns.of(dense, 9), np.zeros((50, 3, 9))
+    columns, flat = JointColumns.of(dense).widened(9), np.zeros((50, 3, 9))
     flat[:, :, :8] = dense
     assert_allclose(columns.dense, flat)
     assert columns.values.shape == (50, 5 + 2)
@@ -95,6 +133,8 @@ def test_columns_without_zeros_are_those_of_dense_matrices() -> None:
     some = np.array([7, 0, 3])
     assert_allclose(columns.among(some).dense, flat[:, :, some])
     assert_allclose(columns.scaled(flat[0]).dense, flat * flat[0])
+    both = np.concatenate([flat, dense], axis=2)
+    assert_allclose(columns.beside(JointColumns.of(dense)).dense, both)
     equations, joints = np.array([3, 0, 41]), np.array([2, 0, 1])
     assert_allclose(columns.rows(equations, joints), flat[equations, joints])
     same = columns.patterns[:, None] == columns.patterns

@@ -7,4 +7,9 @@ from ._normal_equations import (
     Spectrum as Spectrum,
     gram as gram,
 )
+from ._products import (
+    equation_changes as equation_changes,
+    equation_gradients as equation_gradients,
+    stencil_parts as stencil_parts,
+)
 from ._triangle import solved as solved

@@ -3,6 +3,7 @@ import ctypes
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...._chunks import over_chunks
 from ....network.straight_line import c_library
 from ._columns import JointColumns
 from ._source import SOURCE
@@ -10,6 +11,8 @@ from ._source import SOURCE
 
 # Equations whose products are in memory at a time, where there is no compiler.
 _BLOCK = 256
+# Equations that a thread adds.
+_CHUNK = 4096
 
 
 def add_equations(
@@ -44,14 +47,24 @@ def add_equations(
         *(np.ascontiguousarray(x, long) for x in (by_border.joints, by_border.columns)),
         band,
         mixed,
-        np.zeros((stencil + columns + 8) * (n + 2)),
-        np.zeros((n + 1) * (columns // 2 + 1) + stencil, long),
     )
-    entries = len(by_border.joints)
-    sizes = (count, n, stencil // n, order, band.shape[1], columns, entries)
-    library.add_equations(
-        *(array.ctypes.data_as(ctypes.c_void_p) for array in arrays), *map(ctypes.c_long, sizes)
-    )
+    addresses = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
+    sizes = (n, stencil // n, order, band.shape[1], columns, len(by_border.joints))
+
+    def add(first: int, last: int) -> None:
+        memory = np.zeros((stencil + columns + 8) * (n + 2))
+        integers = np.zeros((n + 1) * (columns // 2 + 1) + stencil, long)
+        library.add_equations(
+            *addresses,
+            *(x.ctypes.data_as(ctypes.c_void_p) for x in (memory, integers)),
+            *map(ctypes.c_long, (first, last, *sizes)),
+        )
+
+    # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
+    shared = stencil // n - 1
+    over_chunks(lambda first, last: add(first, last - shared * (last < count)), count, _CHUNK)
+    for last in range(_CHUNK, count, _CHUNK):
+        add(last - shared, last)
 
 
 def _add_in_blocks(

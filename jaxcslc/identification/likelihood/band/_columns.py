@@ -5,11 +5,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...._chunks import over_chunks
 from ._normal_equations import gram
 
 
-# Equations whose squares are added up at a time.
-_BLOCK = 1024
+# Equations whose squares are added up at a time, and those that a thread multiplies.
+_BLOCK, _CHUNK = 1024, 16_384
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,17 +41,25 @@ class JointColumns:
     shape: tuple[int, int]
 
     @classmethod
-    def of(
-        cls, dense: Float[np.ndarray, "equations joints columns"], size: int | None = None
-    ) -> "JointColumns":
-        """Those that are not zero in all equations.
-
-        - `size`: number of columns, further ones of zeros; that of `dense` if None.
-        """
+    def of(cls, dense: Float[np.ndarray, "equations joints columns"]) -> "JointColumns":
+        """Those that are not zero in all equations."""
         count, n, width = dense.shape
         joints, columns = np.nonzero(dense.any(axis=0))
         values = np.take(dense.reshape(count, -1), joints * width + columns, axis=1)
-        return cls(values, joints, columns, (n, size or width))
+        return cls(values, joints, columns, (n, width))
+
+    def widened(self, size: int) -> "JointColumns":
+        """With further columns of zeros: so many in all."""
+        return dataclasses.replace(self, shape=(self.shape[0], size))
+
+    def beside(self, other: "JointColumns") -> "JointColumns":
+        """With another's columns after these."""
+        joints = np.concatenate([self.joints, other.joints])
+        columns = np.concatenate([self.columns, other.columns + self.shape[1]])
+        order = np.argsort(joints, kind="stable")
+        values = np.concatenate([self.values, other.values], axis=1)[:, order]
+        shape = self.shape[0], self.shape[1] + other.shape[1]
+        return JointColumns(values, joints[order], columns[order], shape)
 
     @property
     def patterns(self) -> Int[np.ndarray, " columns"]:
@@ -108,7 +117,13 @@ class JointColumns:
     def scaled(self, factors: Float[np.ndarray, "joints columns"]) -> "JointColumns":
         """With each joint's columns times factors."""
         of_entry = factors[self.joints, self.columns]
-        return dataclasses.replace(self, values=self.values * of_entry)
+        values = np.empty(self.values.shape)
+
+        def multiply(first: int, last: int) -> None:
+            np.multiply(self.values[first:last], of_entry, out=values[first:last])
+
+        over_chunks(multiply, len(values), _CHUNK)
+        return dataclasses.replace(self, values=values)
 
     def rows(
         self, equations: Int[np.ndarray, " rows"], joints: Int[np.ndarray, " rows"]

@@ -42,19 +42,20 @@ static void eliminate(
 }
 
 /* Solves with the triangle of a banded factorisation, diagonals first, a column after the other;
-   or with its transpose. (size, columns) in place. */
+   or with its transpose. Columns from `first` to before `last` of (size, columns), in place. */
 void solve(
-    const double* factor, double* right, long size, long width, long columns, long transposed)
+    const double* factor, double* right, long size, long width, long columns, long transposed,
+    long first, long last)
 {
     for (long n = 0; n < size; ++n) {
         const long i = transposed ? size - 1 - n : n;
         const long most = n < width - 1 ? n : width - 1;
         const double* const diagonal = factor + i * width;
+        double* const row = right + i * columns + first;
         if (transposed)
-            eliminate(diagonal, 1, 1.0 / *diagonal, right + i * columns, columns, most, columns);
+            eliminate(diagonal, 1, 1.0 / *diagonal, row, columns, most, last - first);
         else
-            eliminate(diagonal, 1 - width, 1.0 / *diagonal, right + i * columns, -columns, most,
-                      columns);
+            eliminate(diagonal, 1 - width, 1.0 / *diagonal, row, -columns, most, last - first);
     }
 }
 
@@ -69,8 +70,8 @@ void solve(
                 factors[one * stencil + r] * x + factors[other * stencil + r] * y;               \
     }
 
-/* Adds the squares of equations, n at an instant. Each instant's are of positions at `slots`
-   samples; the first of them is `order` before the instant, or missing.
+/* Adds the squares of the equations of instants from `begin` to before `end`, n each. An instant's
+   are of positions at `slots` samples; the first of them is `order` before the instant, or missing.
 
    - firsts: where the n positions of each sample are in the band.
    - weight: (count, n); by_position: (count, n, slots n).
@@ -81,7 +82,7 @@ void solve(
 void add_equations(
     const long* firsts, const double* weight, const double* by_position, const double* values,
     const long* joints, const long* indices, double* band, double* mixed, double* memory,
-    long* integers, long count, long n, long slots, long order, long width, long columns,
+    long* integers, long begin, long end, long n, long slots, long order, long width, long columns,
     long entries)
 {
     const long stencil = slots * n, parts = columns / LANES + 1, padded = parts * LANES;
@@ -102,7 +103,7 @@ void add_equations(
         }
         ends[c] = number;
     }
-    for (long e = 0; e < count; ++e) {
+    for (long e = begin; e < end; ++e) {
         const double* const a = by_position + e * n * stencil;
         const long missing = e < order ? order - e : 0, first = missing * n;
         for (long i = 0; i < entries; ++i)
@@ -135,6 +136,70 @@ void add_equations(
                     for (long column = c * LANES; column < columns; ++column)
                         ADDED(double, column, one, other)
             }
+    }
+}
+
+/* The sum of products of so many numbers. */
+static double product(const double* one, const double* other, long count)
+{
+    lanes sums = {0.0};
+    double sum = 0.0;
+    for (; count >= LANES; count -= LANES, one += LANES, other += LANES)
+        sums += *(const lanes*)one * *(const lanes*)other;
+    for (; count; --count)
+        sum += *one++ * *other++;
+    for (int i = 0; i < LANES; ++i)
+        sum += sums[i];
+    return sum;
+}
+
+/* Adds a factor times so many numbers. */
+static void add_product(double factor, const double* one, double* sum, long count)
+{
+    for (; count >= LANES; count -= LANES, one += LANES, sum += LANES)
+        *(lanes*)sum += factor * *(const lanes*)one;
+    for (; count; --count)
+        *sum++ += factor * *one++;
+}
+
+/* How equations of instants from `begin` to before `end` change, (count, n).
+
+   - by_position, values: as of `add_equations`; a joint's values begin at `firsts`, (n + 1).
+   - position: (count + slots - order - 1, n) changes; border: (entries) those of each value. */
+void change_equations(
+    const double* by_position, const double* values, const long* firsts, const double* position,
+    const double* border, double* change, long begin, long end, long n, long slots, long order)
+{
+    const long stencil = slots * n, entries = firsts[n];
+    for (long e = begin; e < end; ++e) {
+        const long first = e < order ? (order - e) * n : 0;
+        const double* const near = position + (e - order) * n;
+        for (long j = 0; j < n; ++j) {
+            const double* const a = by_position + (e * n + j) * stencil;
+            const double* const b = values + e * entries;
+            change[e * n + j] = product(a + first, near + first, stencil - first)
+                + product(b + firsts[j], border + firsts[j], firsts[j + 1] - firsts[j]);
+        }
+    }
+}
+
+/* Adds the derivatives of the same equations times `force`, (count, n), to those by positions and
+   by each value. */
+void add_gradients(
+    const double* by_position, const double* values, const long* firsts, const double* force,
+    double* position, double* border, long begin, long end, long n, long slots, long order)
+{
+    const long stencil = slots * n, entries = firsts[n];
+    for (long e = begin; e < end; ++e) {
+        const long first = e < order ? (order - e) * n : 0;
+        double* const near = position + (e - order) * n;
+        for (long j = 0; j < n; ++j) {
+            const double factor = force[e * n + j];
+            const double* const a = by_position + (e * n + j) * stencil;
+            const double* const b = values + e * entries;
+            add_product(factor, a + first, near + first, stencil - first);
+            add_product(factor, b + firsts[j], border + firsts[j], firsts[j + 1] - firsts[j]);
+        }
     }
 }
 """

@@ -4,8 +4,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dtbtrs
 
+from ...._chunks import over_chunks
 from ....network.straight_line import c_library
 from ._source import SOURCE
+
+
+# Columns that a thread solves for: all of them read the whole factor.
+_COLUMNS = 32
+# Unknowns from which on threads are worth their start.
+_LONG = 20_000
 
 
 def solved(
@@ -38,9 +45,10 @@ def solved(
     whole = overwrite and right.flags.c_contiguous
     result = right if whole else np.array(right, float, order="C")
     sizes = (*result.shape[:1], columns.shape[1], result.shape[1], int(transposed))
-    library.solve(
-        columns.ctypes.data_as(ctypes.c_void_p),
-        result.ctypes.data_as(ctypes.c_void_p),
-        *map(ctypes.c_long, sizes),
-    )
+    addresses = [x.ctypes.data_as(ctypes.c_void_p) for x in (columns, result)]
+
+    def solve(first: int, last: int) -> None:
+        library.solve(*addresses, *map(ctypes.c_long, (*sizes, first, last)))
+
+    over_chunks(solve, result.shape[1], _COLUMNS if len(result) >= _LONG else result.shape[1])
     return result

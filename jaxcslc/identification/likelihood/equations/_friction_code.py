@@ -19,10 +19,12 @@ class FrictionCode(NamedTuple):
 
     - `functions`: their text.
     - `indices`: for each joint the coefficients, in the order of values.
+    - `slopes`: the joints whose friction has a slope.
     """
 
     functions: str
     indices: tuple[tuple[int, ...], ...]
+    slopes: tuple[int, ...]
 
 
 def friction_code(network: CSLC) -> FrictionCode:
@@ -35,7 +37,13 @@ def friction_code(network: CSLC) -> FrictionCode:
         laws = list(_values(network, joint, motion, slope))
         indices.append(tuple(index for index, _ in laws))
         texts.append(_function(joint, motion, slope, [value for _, value in laws]))
-    return FrictionCode("\n\n".join(texts), tuple(indices))
+    slopes = {
+        joint
+        for term in network.terms
+        if isinstance(term, JointTerm) and isinstance(term.law, StaticFriction)
+        for joint in term.joints
+    }
+    return FrictionCode("\n\n".join(texts), tuple(indices), tuple(sorted(slopes)))
 
 
 def _values(network: CSLC, joint: int, motion: Motion, slope: Value) -> Iterator[tuple[int, Value]]:

@@ -3,6 +3,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..band import JointColumns
+
 
 # Steps of positions [rad or m] and velocities in forward differences. The error is this part of a
 # second derivative; that of velocities counts by half an interval beside accelerations.
@@ -16,11 +18,20 @@ class Linearisation(NamedTuple):
 
     - `torque`: (equations, n).
     - `by_position`: (equations, n, 3 n), by the positions at three samples.
-    - `by_coefficient`: (equations, n, p + n): by `k`, then by the logarithms of slopes.
+    - `by_coefficient`: p + n columns: by `k`, then by the logarithms of slopes.
     - `by_turn`: (equations, n), by the moment at which the joint turns.
     """
 
-    torque: Float[Array | np.ndarray, "equations joints"]
-    by_position: Float[Array | np.ndarray, "equations joints positions"]
-    by_coefficient: Float[Array | np.ndarray, "equations joints unknowns"]
-    by_turn: Float[Array | np.ndarray, "equations joints"]
+    torque: Float[np.ndarray, "equations joints"]
+    by_position: Float[np.ndarray, "equations joints positions"]
+    by_coefficient: JointColumns
+    by_turn: Float[np.ndarray, "equations joints"]
+
+
+class DenseLinearisation(NamedTuple):
+    """The same as JAX has it: `by_coefficient` is (equations, n, p + n)."""
+
+    torque: Float[Array, "equations joints"]
+    by_position: Float[Array, "equations joints positions"]
+    by_coefficient: Float[Array, "equations joints unknowns"]
+    by_turn: Float[Array, "equations joints"]

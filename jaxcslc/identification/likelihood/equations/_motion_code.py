@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ...._chunks import over_chunks
 from ....network import CSLC
 from ....network.straight_line import c_library
+from ..band import JointColumns
 from ._friction_code import friction_code
 from ._friction_mean import NODES, SLOWEST
 from ._linearisation import ANGLE, RATE, Linearisation
@@ -17,6 +19,8 @@ from ._smooth_code import smooth_code
 
 # Equations at a time, whose numbers stay in a core's cache.
 _BLOCK = 128
+# And those that a thread computes.
+_CHUNK = 4096
 # A compiler takes a second for a thousand operations, and longer than in proportion.
 _MOST_OPERATIONS = 5000
 
@@ -35,6 +39,7 @@ class MotionCode:
 
     - `source`: of the library.
     - `joints`, `coefficients`: n and p.
+    - `entries`: joint and column of the derivatives that are not 0, see `JointColumns`.
 
     Methods have the arguments of `MotionEquations`, and `intervals`, (samples - 1,) [s].
     """
@@ -42,6 +47,7 @@ class MotionCode:
     source: str
     joints: int
     coefficients: int
+    entries: tuple[tuple[int, int], ...]
 
     def torque(
         self,
@@ -54,8 +60,8 @@ class MotionCode:
     ) -> Rows:
         """(equations, n)."""
         torque = np.empty((len(q) - 2, self.joints))
-        motion = q, intervals, k, np.exp(slopes), turn, direction, None
-        self._call("torques", motion, (torque, None, None, None))
+        motion = q, intervals, turn, direction, None
+        self._call("torques", (k, np.exp(slopes)), motion, (torque, None, None, None))
         return torque
 
     def linearised(
@@ -69,22 +75,23 @@ class MotionCode:
     ) -> Linearisation:
         """The same with derivatives."""
         count, n = len(q) - 2, self.joints
-        result = Linearisation(
-            np.empty((count, n)),
-            np.empty((count, n, 3 * n)),
-            np.zeros((count, n, self.coefficients + n)),
-            np.empty((count, n)),
-        )
-        motion = q, intervals, k, np.exp(slopes), turn, direction, None
-        self._call("torques", motion, result)
-        return result
+        torque, by_turn = np.empty((2, count, n))
+        by_position = np.empty((count, n, 3 * n))
+        by_entry = np.empty((count, len(self.entries)))
+        motion = q, intervals, turn, direction, None
+        outputs = torque, by_position, by_entry, by_turn
+        self._call("torques", (k, np.exp(slopes)), motion, outputs)
+        joints, columns = np.array(self.entries, int).reshape(-1, 2).T
+        shape = n, self.coefficients + n
+        of_entries = JointColumns(by_entry, joints, columns, shape)
+        return Linearisation(torque, by_position, of_entries, by_turn)
 
     def smooth(
         self, k: Float[np.ndarray, " coefficients"], q: Rows, velocity: Rows, acceleration: Rows
     ) -> Rows:
         """Torque of all terms but friction, at instants, (equations, n)."""
         torque = np.empty_like(q)
-        self._call("smooth", (q, velocity, acceleration, k), (torque,))
+        self._call("smooth", (k,), (q, velocity, acceleration), (torque,))
         return torque
 
     def friction(
@@ -99,19 +106,34 @@ class MotionCode:
     ) -> Rows:
         """Torque of friction alone, for velocities that are larger by `shift`."""
         torque = np.empty_like(turn)
-        motion = q, intervals, k, np.exp(slopes), turn, direction, shift
-        self._call("torques", motion, (torque, None, None, None))
+        motion = q, intervals, turn, direction, shift
+        self._call("torques", (k, np.exp(slopes)), motion, (torque, None, None, None))
         return torque
 
-    def _call(self, name: str, inputs: tuple[Any, ...], outputs: tuple[Any, ...]) -> None:
+    def _call(
+        self,
+        name: str,
+        constants: tuple[np.ndarray, ...],
+        motion: tuple[np.ndarray | None, ...],
+        outputs: tuple[np.ndarray | None, ...],
+    ) -> None:
+        """Calls a function of the library: the first rows of `motion` and of `outputs` are those of
+        the first equation, and so on."""
         library = c_library(self.source)
         if library is None:
             raise OSError("there is no C compiler: cc, or what the environment's CC names")
-        arrays = [None if x is None else np.ascontiguousarray(x, float) for x in inputs]
-        addresses = [
-            None if x is None else x.ctypes.data_as(ctypes.c_void_p) for x in (*arrays, *outputs)
-        ]
-        getattr(library, name)(*addresses, ctypes.c_long(len(outputs[0])))
+        function = getattr(library, name)
+        numbers = [np.ascontiguousarray(x, float) for x in constants]
+        rows = [None if x is None else np.ascontiguousarray(x, float) for x in motion]
+        rows += outputs
+        assert outputs[0] is not None
+
+        def compute(first: int, last: int) -> None:
+            arrays = (*numbers, *(None if x is None else x[first:] for x in rows))
+            addresses = [None if x is None else x.ctypes.data_as(ctypes.c_void_p) for x in arrays]
+            function(*addresses, ctypes.c_long(last - first))
+
+        over_chunks(compute, len(outputs[0]), _CHUNK, align=_BLOCK)
 
 
 def motion_code(network: CSLC) -> MotionCode | None:
@@ -136,30 +158,35 @@ def _of_network(network: CSLC, p: int) -> MotionCode | None:
         return None
     friction = friction_code(network)
     n = network.joint_count
-    columns = [(p + n) * joint + index for joint, index in smooth.entries]
+    laws = [(joint, index) for joint, row in enumerate(friction.indices) for index in row]
+    slopes = [(joint, p + joint) for joint in friction.slopes]
+    entries = sorted([*smooth.entries, *laws, *slopes])
+    targets = {entry: number for number, entry in enumerate(entries)}
+    assert len(targets) == len(entries)
     source = SOURCE.format(
         block=_BLOCK,
         joints=n,
-        width=p + n,
-        size=p,
+        entry_count=len(entries),
         angle=ANGLE,
         rate=RATE,
         slowest=SLOWEST,
         nodes=_listed(NODES.tolist()),
         called=max(smooth.call_count, 1),
-        column_count=len(columns),
-        targets=_listed(columns or [0]),
+        column_count=len(smooth.entries),
+        targets=_listed([targets[entry] for entry in smooth.entries] or [0]),
+        law_targets=_listed([targets[entry] for entry in laws] or [0]),
+        slope_targets=_listed([targets.get((joint, p + joint), -1) for joint in range(n)]),
         laws=_listed([f"law_{joint}" for joint in range(n)]),
         law_counts=_listed([len(indices) for indices in friction.indices]),
         most_laws=max(1, *(len(indices) for indices in friction.indices)),
         law_firsts=_listed(np.cumsum([0, *map(len, friction.indices)])[:-1].tolist()),
-        law_indices=_listed([index for row in friction.indices for index in row] or [0]),
+        law_indices=_listed([index for _, index in laws] or [0]),
         law_functions=friction.functions,
         calls=smooth.calls,
         torque=smooth.torque,
         columns=smooth.columns,
     )
-    return MotionCode(source, n, p)
+    return MotionCode(source, n, p, tuple(entries))
 
 
 def _listed(numbers: list[Any]) -> str:

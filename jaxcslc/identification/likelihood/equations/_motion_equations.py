@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from ....network import CSLC
 from ....network.terms import JointTerm
 from ._friction_mean import mean_inputs
-from ._linearisation import ANGLE, RATE, Linearisation
+from ._linearisation import ANGLE, RATE, DenseLinearisation
 
 
 Samples = Float[Array | np.ndarray, "samples joints"]
@@ -53,7 +53,7 @@ class MotionEquations(eqx.Module):
         q: Samples,
         turn: Rows,
         direction: Rows,
-    ) -> Linearisation:
+    ) -> DenseLinearisation:
         """The same with derivatives."""
         n = self.network.joint_count
         k, slopes, turn, direction = map(jnp.asarray, (k, slopes, turn, direction))
@@ -87,7 +87,7 @@ class MotionEquations(eqx.Module):
             for wv, wa in zip(weights_v, weights_a, strict=True)
         ]
         blocks[1] = blocks[1] + of_position
-        return Linearisation(
+        return DenseLinearisation(
             smooth + value,
             jnp.concatenate(blocks, axis=2),
             jnp.concatenate(

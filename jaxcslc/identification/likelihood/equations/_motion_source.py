@@ -5,8 +5,7 @@ SOURCE = """#include <math.h>
 
 #define BLOCK {block}
 #define N {joints}
-#define SIZE {size}
-#define WIDTH {width}
+#define ENTRIES {entry_count}
 #define COLUMNS {column_count}
 #define MOST_LAWS {most_laws}
 
@@ -14,8 +13,11 @@ typedef double real;
 typedef void law(double, double, double, double* restrict, double* restrict, double* restrict,
                  double* restrict);
 
-/* Where a column is among the derivatives of an equation. */
+/* Where columns, values of laws and derivatives by slopes are among an equation's derivatives that
+   are not 0; a joint without a slope has -1. */
 static const int targets[] = {{ {targets} }};
+static const int law_targets[] = {{ {law_targets} }};
+static const int slope_targets[] = {{ {slope_targets} }};
 static const double nodes[] = {{ {nodes} }};
 
 {law_functions}
@@ -160,9 +162,9 @@ static void differentiate(
 /* Torque of equations in the middle of three samples, (count, N), and of friction alone at
    velocities that are larger by a shift, where there is one. With derivatives where there is
    memory for these: by positions at three samples, (count, N, 3 N), by coefficients and the
-   logarithms of slopes, (count, N, WIDTH), zero before, and by moments of turns, (count, N). */
+   logarithms of slopes, (count, ENTRIES), and by moments of turns, (count, N). */
 void torques(
-    const double* samples, const double* h, const double* k, const double* slopes,
+    const double* k, const double* slopes, const double* samples, const double* h,
     const double* turn, const double* direction, const double* shift, double* torque,
     double* by_position, double* by_coefficient, double* by_turn, long count)
 {{
@@ -213,15 +215,16 @@ void torques(
                             by_qd * of_velocity[part] + by_qdd * of_acceleration[part];
                     to[N + m] += by_q;
                 }}
-                double* const columns_to = by_coefficient + WIDTH * (N * row + j);
+                double* const entries = by_coefficient + ENTRIES * row;
                 for (int l = 0; l < law_counts[j]; ++l)
-                    columns_to[law_indices[law_firsts[j] + l]] = friction.values[l];
-                columns_to[SIZE + j] = friction.by_slope * slopes[j];
+                    entries[law_targets[law_firsts[j] + l]] = friction.values[l];
+                if (slope_targets[j] >= 0)
+                    entries[slope_targets[j]] = friction.by_slope * slopes[j];
             }}
             if (by_position) {{
-                double* const columns_to = by_coefficient + WIDTH * N * row;
+                double* const entries = by_coefficient + ENTRIES * row;
                 for (int column = 0; column < COLUMNS; ++column)
-                    columns_to[targets[column]] = columns[BLOCK * column + i];
+                    entries[targets[column]] = columns[BLOCK * column + i];
             }}
         }}
     }}
@@ -229,8 +232,8 @@ void torques(
 
 /* Torque of all terms but friction at instants, (count, N). */
 void smooth(
-    const double* positions, const double* velocities, const double* accelerations,
-    const double* k, double* torque, long count)
+    const double* k, const double* positions, const double* velocities,
+    const double* accelerations, double* torque, long count)
 {{
     static _Thread_local double q[N * BLOCK], qd[N * BLOCK], qdd[N * BLOCK], result[N * BLOCK];
     static _Thread_local double called[{called} * BLOCK];

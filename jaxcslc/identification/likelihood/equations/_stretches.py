@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ....network import CSLC
+from ..band import JointColumns
 from ._linearisation import Linearisation
 from ._motion_code import MotionCode, motion_code
 from ._motion_equations import MotionEquations
@@ -69,7 +70,10 @@ class Stretches:
             [np.asarray(values)[:count] for values in equations.linearised(k, slopes, *motion)]
             for equations, motion, count in self._stretches(q, turn, direction)
         ]
-        return Linearisation(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+        torque, by_position, by_coefficient, by_turn = (
+            np.concatenate(values) for values in zip(*parts, strict=True)
+        )
+        return Linearisation(torque, by_position, JointColumns.of(by_coefficient), by_turn)
 
     def smooth(
         self, k: Float[np.ndarray, " coefficients"], q: Rows, velocity: Rows, acceleration: Rows

@@ -3,7 +3,7 @@ from jaxtyping import Float
 
 from .._linear import Linear
 from .._readings import score_share
-from ..band import Factored, gram
+from ..band import Factored, gram, stencil_parts
 
 
 def eliminated_rows(
@@ -20,8 +20,8 @@ def eliminated_rows(
     samples, n = order.position.shape
     of_position = eliminated[order.position]  # (samples, n, border)
     torque = linear.by_border.dense
-    for i, equations, of_equation in linear.stencil_parts:
-        stencil = linear.by_position[equations, :, i * n : (i + 1) * n]
+    for columns, equations, of_equation in stencil_parts(linear.by_position):
+        stencil = linear.by_position[equations, :, columns]
         torque[equations] -= np.matmul(stencil, of_position[of_equation])
     for reversals, equation, joint, derivative in linear.turn_parts:
         turned = derivative[:, None] * eliminated[order.turn[reversals]]

@@ -115,7 +115,7 @@ def search(
         quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
         settled |= step.change <= 0.1 * _SETTLED and step.promise <= _PROMISE_OF_POSITIONS
-        fall = step.fall * objective.value(linear.present)
+        fall = step.fall * linear.present_value
         at_kink = step.promise <= AT_KINK and fall <= min(_LEVEL, 0.5 * step.promise)
         settled |= at_kink
         converged = quiet and settled and state.final and (edge is None or number > first)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ....network import CSLC
+from ..band import JointColumns
 from ..equations import Linearisation, Stretches
 from ._gears import Stencil
 from ._link_friction import LinkFriction, LinkInput
@@ -125,10 +126,11 @@ class TransmissionEquations:
 
         p = len(k)
         by_law = np.zeros((count, n + f, p + len(laws)))
-        of_rotors = self._of_rotors(np.ones(p), laws) * of_friction.by_coefficient[:, :, :p]
-        by_law[:, :n, :p] = np.where(self.friction, of_rotors, of_links.by_coefficient[:, :, :p])
-        by_law[:, n:, :p] = np.where(self.friction, 0.0, of_links.by_coefficient[:, joints, :p])
-        by_law[:, :n, p : p + n] = of_friction.by_coefficient[:, :, p:]
+        frictions, links = of_friction.by_coefficient.dense, of_links.by_coefficient.dense
+        of_rotors = self._of_rotors(np.ones(p), laws) * frictions[:, :, :p]
+        by_law[:, :n, :p] = np.where(self.friction, of_rotors, links[:, :, :p])
+        by_law[:, n:, :p] = np.where(self.friction, 0.0, links[:, joints, :p])
+        by_law[:, :n, p : p + n] = frictions[:, :, p:]
         of_link = self._acceleration(q[:, n:])
         rate_of_windup = self._rate(rotor[:, joints] - q[:, n:])
         gears_give = beyond.value + parameters.lag * rate_of_windup
@@ -147,12 +149,12 @@ class TransmissionEquations:
                 by_law[:, row, c] += on_link
                 by_law[:, row, column] += k[c] * entry.value
                 by_law[:, row, p + joint] += k[c] * share * entry.by_slope
-            by_law[:, joint, column] -= k[c] * of_friction.by_coefficient[:, joint, c]
+            by_law[:, joint, column] -= k[c] * frictions[:, joint, c]
         torques = np.asarray(of_links.torque), np.asarray(of_friction.torque)
         return Linearisation(
             self._equations(k, laws, q, *torques, inputs),
             by_position.reshape(count, n + f, -1),
-            by_law,
+            JointColumns.of(by_law),
             np.concatenate([of_friction.by_turn, np.zeros((count, f))], axis=1),
         )
 

@@ -1,0 +1,156 @@
+import ctypes
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from ...._chunks import over_chunks
+from ....network.straight_line import c_library
+from ._columns import JointColumns
+from ._source import SOURCE
+
+
+# Equations that a thread computes.
+_CHUNK = 4096
+
+ByPosition = Float[np.ndarray, "equations joints positions"]
+Rows = Float[np.ndarray, "equations joints"]
+Samples = Float[np.ndarray, "samples joints"]
+
+
+def equation_changes(
+    by_position: ByPosition,
+    by_border: JointColumns,
+    position: Samples,
+    border: Float[np.ndarray, " border"],
+) -> Rows:
+    """How equations of motion change with their unknowns: derivatives times changes.
+
+    **Arguments**
+
+    - `by_position`: derivatives by the positions at so many samples, the last of them two after an
+      equation's first of three; `by_border`: by the border.
+    - `position`, `border`: changes of these.
+
+    >>> import numpy as np
+    >>> by_position = np.array([[[1.0, 10.0, 100.0]], [[2.0, 20.0, 200.0]]])
+    >>> by_border = JointColumns.of(np.array([[[1000.0]], [[2000.0]]]))
+    >>> position = np.array([[1.0], [2.0], [3.0], [4.0]])
+    >>> equation_changes(by_position, by_border, position, np.array([1.0])).tolist()
+    [[1321.0], [2864.0]]
+    """
+    library = c_library(SOURCE)
+    if library is None:
+        return _changes_in_parts(by_position, by_border, position, border)
+    result = np.empty(by_position.shape[:2])
+    of_entries = np.ascontiguousarray(border[by_border.columns])
+    changes = (np.ascontiguousarray(position, float), of_entries, result)
+    call = _Call(library.change_equations, by_position, by_border, changes)
+    over_chunks(call, len(result), _CHUNK)
+    return result
+
+
+def equation_gradients(
+    by_position: ByPosition, by_border: JointColumns, force: Rows
+) -> tuple[Samples, Float[np.ndarray, " border"]]:
+    """The transpose: sums of equations' derivatives times `force`, by positions and by the border.
+
+    >>> import numpy as np
+    >>> by_position = np.array([[[1.0, 10.0, 100.0]], [[2.0, 20.0, 200.0]]])
+    >>> by_border = JointColumns.of(np.array([[[1000.0]], [[2000.0]]]))
+    >>> of_positions, of_border = equation_gradients(by_position, by_border, np.ones((2, 1)))
+    >>> of_positions.ravel().tolist(), of_border.tolist()
+    ([1.0, 12.0, 120.0, 200.0], [3000.0])
+    """
+    library = c_library(SOURCE)
+    if library is None:
+        return _gradients_in_parts(by_position, by_border, force)
+    count, n, stencil = by_position.shape
+    of_positions = np.zeros((count + 2, n))
+    force = np.ascontiguousarray(force, float)
+    shared = stencil // n - 1
+
+    def add(first: int, last: int) -> np.ndarray:
+        of_entries = np.zeros(len(by_border.columns))
+        sums = (force, of_positions, of_entries)
+        _Call(library.add_gradients, by_position, by_border, sums)(first, last)
+        return of_entries
+
+    # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
+    parts = over_chunks(
+        lambda first, last: add(first, last - shared * (last < count)), count, _CHUNK
+    )
+    parts += [add(last - shared, last) for last in range(_CHUNK, count, _CHUNK)]
+    of_border = np.zeros(by_border.shape[1])
+    np.add.at(of_border, by_border.columns, np.sum(parts, axis=0))
+    return of_positions, of_border
+
+
+class _Call:
+    """A function of C for some equations, whose first three arguments are derivatives."""
+
+    def __init__(
+        self,
+        function: Callable[..., object],
+        by_position: ByPosition,
+        by_border: JointColumns,
+        others: tuple[np.ndarray, ...],
+    ) -> None:
+        n = by_position.shape[1]
+        firsts = np.searchsorted(by_border.joints, np.arange(n + 1))
+        # Kept here, for C has only their addresses.
+        self._arrays = (
+            np.ascontiguousarray(by_position, float),
+            np.ascontiguousarray(by_border.values, float),
+            np.ascontiguousarray(firsts, np.dtype(ctypes.c_long)),
+            *others,
+        )
+        slots = by_position.shape[2] // n
+        self._function, self._sizes = function, (n, slots, slots - 3)
+
+    def __call__(self, first: int, last: int) -> None:
+        self._function(
+            *(array.ctypes.data_as(ctypes.c_void_p) for array in self._arrays),
+            *map(ctypes.c_long, (first, last, *self._sizes)),
+        )
+
+
+def _changes_in_parts(
+    by_position: ByPosition,
+    by_border: JointColumns,
+    position: Samples,
+    border: Float[np.ndarray, " border"],
+) -> Rows:
+    """The same by NumPy."""
+    near = np.zeros((len(by_position), by_position.shape[2]))
+    for columns, equations, samples in stencil_parts(by_position):
+        near[equations, columns] = position[samples]
+    changes = np.matmul(by_position, near[:, :, None])[:, :, 0]
+    return by_border.times(border) + changes
+
+
+def _gradients_in_parts(
+    by_position: ByPosition, by_border: JointColumns, force: Rows
+) -> tuple[Samples, Float[np.ndarray, " border"]]:
+    result = np.zeros((len(by_position) + 2, by_position.shape[1]))
+    of_equations = np.matmul(force[:, None, :], by_position)[:, 0]
+    for columns, equations, samples in stencil_parts(by_position):
+        result[samples] += of_equations[equations, columns]
+    return result, by_border.summed(force)
+
+
+def stencil_parts(by_position: ByPosition) -> list[tuple[slice, slice, slice]]:
+    """Parts of equations' stencils, from the earliest sample: columns, equations and samples.
+
+    >>> import numpy as np
+    >>> stencil_parts(np.zeros((5, 1, 4)))[0]
+    (slice(0, 1, None), slice(1, 5, None), slice(0, 4, None))
+    """
+    count, n, stencil = by_position.shape
+    order = stencil // n - 3
+    parts: list[tuple[slice, slice, slice]] = []
+    for i in range(stencil // n):
+        first, shift = max(order - i, 0), i - order
+        columns = slice(i * n, (i + 1) * n)
+        parts.append((columns, slice(first, count), slice(first + shift, count + shift)))
+    return parts
