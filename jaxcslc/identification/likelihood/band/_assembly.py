@@ -52,7 +52,7 @@ def add_equations(
     sizes = (n, stencil // n, order, band.shape[1], columns, len(by_border.joints))
 
     def add(first: int, last: int) -> None:
-        memory = np.zeros((stencil + columns + 8) * (n + 2))
+        memory = np.zeros((stencil + columns + 8) * n)
         integers = np.zeros((n + 1) * (columns // 2 + 1) + stencil, long)
         library.add_equations(
             *addresses,

@@ -10,6 +10,8 @@ SOURCE = """/* So many numbers as the widest registers hold: of more, GCC makes 
 #define LANES 2
 #endif
 typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
+typedef double four __attribute__((vector_size(32), aligned(8)));
+typedef double two __attribute__((vector_size(16), aligned(8)));
 
 /* Rows minus factors times rows so many apart: a part of their columns that registers hold. */
 #define ELIMINATED(type, parts)                                                                  \\
@@ -59,16 +61,63 @@ void solve(
     }
 }
 
-/* Adds products to so many rows: of each register of the border's columns, those of the joints that
-   are not 0 there, two at a time. `factors` and `rows` joint by joint. */
-#define ADDED(type, at, one, other)                                                              \
-    {                                                                                            \
-        const type x = *(const type*)(rows + one * padded + at);                                 \
-        const type y = *(const type*)(rows + other * padded + at);                               \
-        for (long r = first; r < stencil; ++r)                                                   \
-            *(type*)(mixed + targets[r] + at) +=                                                  \
-                factors[one * stencil + r] * x + factors[other * stencil + r] * y;               \
+/* Adds a sum of products to so many numbers in a row: `count` factors, `step` apart, times rows
+   `apart`, a part of their columns that a register holds. */
+#define SUMMED(type)                                                                             \\
+    {                                                                                            \\
+        type sum = *(type*)to;                                                                   \\
+        for (long i = 0; i < count; ++i)                                                         \\
+            sum += factors[i * step] * *(const type*)(rows + i * apart);                         \\
+        *(type*)to = sum;                                                                        \\
+        to += sizeof(type) / sizeof(double);                                                     \\
+        rows += sizeof(type) / sizeof(double);                                                   \\
+        left -= sizeof(type) / sizeof(double);                                                   \\
     }
+
+static inline void add_sum(
+    double* to, const double* factors, long step, const double* rows, long apart, long count,
+    long left)
+{
+    while (left >= LANES)
+        SUMMED(lanes)
+#if LANES > 4
+    if (left >= 4)
+        SUMMED(four)
+#endif
+    if (LANES > 2 && left >= 2)
+        SUMMED(two)
+    while (left)
+        SUMMED(double)
+}
+
+/* Adds products to so many rows: of a register of the border's columns, those of so many joints
+   that are not 0 there. `factors` and `rows` joint by joint. */
+#define ADDED(type, joints, ...)                                                                 \\
+    {                                                                                            \\
+        const long each[joints] = { __VA_ARGS__ };                                               \\
+        type x[joints];                                                                          \\
+        const double* of[joints];                                                                \\
+        for (int i = 0; i < joints; ++i) {                                                       \\
+            x[i] = *(const type*)(rows + each[i] * padded + at);                                 \\
+            of[i] = factors + each[i] * stencil;                                                 \\
+        }                                                                                        \\
+        for (long r = first; r < stencil; ++r) {                                                 \\
+            type sum = *(type*)(mixed + targets[r] + at);                                        \\
+            for (int i = 0; i < joints; ++i)                                                     \\
+                sum += of[i][r] * x[i];                                                          \\
+            *(type*)(mixed + targets[r] + at) = sum;                                             \\
+        }                                                                                        \\
+    }
+
+/* Those of up to three joints at a time. */
+#define ALL_ADDED(type)                                                                          \\
+    for (long i = from; i < to; i += 3)                                                          \\
+        if (to - i == 1)                                                                         \\
+            ADDED(type, 1, active[i])                                                            \\
+        else if (to - i == 2)                                                                    \\
+            ADDED(type, 2, active[i], active[i + 1])                                             \\
+        else                                                                                     \\
+            ADDED(type, 3, active[i], active[i + 1], active[i + 2])
 
 /* Adds the squares of the equations of instants from `begin` to before `end`, n each. An instant's
    are of positions at `slots` samples; the first of them is `order` before the instant, or missing.
@@ -77,7 +126,7 @@ void solve(
    - weight: (count, n); by_position: (count, n, slots n).
    - values: (count, entries) derivatives by the border that are not 0, of `joints` and `indices`.
    - band: (size, width), diagonals first, a column after the other; mixed: (size, columns).
-   - memory: (slots n + columns + 8) (n + 2) numbers; integers: (n + 1) (columns / 2 + 1) + slots n,
+   - memory: (slots n + columns + 8) n numbers; integers: (n + 1) (columns / 2 + 1) + slots n,
      all 0. */
 void add_equations(
     const long* firsts, const double* weight, const double* by_position, const double* values,
@@ -86,9 +135,8 @@ void add_equations(
     long entries)
 {
     const long stencil = slots * n, parts = columns / LANES + 1, padded = parts * LANES;
-    double* const sums = memory;
-    double* const factors = sums + stencil;
-    double* const rows = factors + stencil * (n + 1);
+    double* const factors = memory;
+    double* const rows = factors + stencil * n;
     long* const ends = integers;
     long* const active = ends + parts;
     long* const targets = active + parts * n;
@@ -113,29 +161,27 @@ void add_equations(
                 factors[j * stencil + r] = weight[e * n + j] * a[j * stencil + r];
         for (long slot = missing; slot < slots; ++slot)
             for (long m = 0; m < n; ++m) {
-                const long r = slot * n + m, row = firsts[e - order + slot] + m;
-                targets[r] = row * columns;
-                for (long s = 0; s <= r; ++s)
-                    sums[s] = 0.0;
-                for (long j = 0; j < n; ++j)
-                    for (long s = first; s <= r; ++s)
-                        sums[s] += factors[j * stencil + r] * a[j * stencil + s];
-                for (long other = missing; other <= slot; ++other) {
-                    const long most = other < slot ? n - 1 : m;
-                    const long column = firsts[e - order + other];
-                    for (long l = 0; l <= most; ++l)
-                        band[(column + l) * width + row - column - l] += sums[other * n + l];
+                const long r = slot * n + m, column = firsts[e - order + slot] + m;
+                targets[r] = column * columns;
+                /* Rows of the band one after the other, but for unknowns that are no positions. */
+                for (long from = r, to; from < stencil; from = to) {
+                    const long row = firsts[e - order + from / n] + from % n;
+                    to = (from / n + 1) * n;
+                    while (to < stencil && firsts[e - order + to / n] == row + to - from)
+                        to += n;
+                    add_sum(band + column * width + row - column, factors + r, stencil, a + from,
+                            stencil, n, to - from);
                 }
             }
-        for (long c = 0; c < parts; ++c)
-            for (long i = c ? ends[c - 1] : 0; i < ends[c]; i += 2) {
-                const long one = active[i], other = i + 1 < ends[c] ? active[i + 1] : n;
-                if (c < parts - 1)
-                    ADDED(lanes, c * LANES, one, other)
-                else
-                    for (long column = c * LANES; column < columns; ++column)
-                        ADDED(double, column, one, other)
-            }
+        for (long c = 0; c < parts; ++c) {
+            const long from = c ? ends[c - 1] : 0, to = ends[c];
+            if (c < parts - 1) {
+                const long at = c * LANES;
+                ALL_ADDED(lanes)
+            } else
+                for (long at = c * LANES; at < columns; ++at)
+                    ALL_ADDED(double)
+        }
     }
 }
 
