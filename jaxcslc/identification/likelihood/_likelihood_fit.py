@@ -13,8 +13,7 @@ from ..systematic import SystematicError
 from .band import Spectrum
 from .errors import (
     CorrelatedErrors,
-    eliminated_rows,
-    independent_covariance,
+    RowSums,
     reported_errors,
     systematic_errors,
 )
@@ -200,12 +199,12 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     residual, used = minimum.linear.residuals.torque, minimum.counted
     counts = used[:, :n].sum(axis=0).astype(float)
     inverse = spectrum.covariance
-    rows, scores = eliminated_rows(minimum.linear, minimum.factored)
-    bound = independent_covariance(minimum.linear, rows, inverse)
+    sums = RowSums.of(minimum.linear, minimum.factored)
+    bound = sums.independent_covariance(inverse)
     reported = CorrelatedErrors(bound, max(float(counts.sum()) - p, 1.0), counts)
     systematic = None
     if errors == "correlated":
-        reported = reported_errors(minimum.linear, rows, scores, inverse, bound, used)
+        reported = reported_errors(minimum.linear, sums, inverse, bound, used)
         if not isinstance(minimum.objective.equations, TransmissionEquations):
             systematic = systematic_errors(
                 minimum.linear, minimum.factored, point, used, reported.effective

@@ -122,8 +122,9 @@ class Linear:
         column = np.zeros(len(scale), int)  # whatever for fixed ones, whose scale is 0
         column[free] = np.arange(len(free))
         result.mixed[index, column[offset]] += weights.position * scale[offset]
-        indices = column[offset], column[offset]
-        np.add.at(result.border, indices, weights.position * scale[offset] ** 2)
+        of_offsets = np.arange(self.first_offset, len(scale))
+        squares = self._of_offsets(weights.position) * scale[of_offsets] ** 2
+        np.add.at(result.border, (column[of_offsets], column[of_offsets]), squares)
         row, joint = np.nonzero(weights.standstill)
         pair = np.stack([index[row, joint], index[row + 1, joint]], axis=1)
         difference = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -221,11 +222,22 @@ class Linear:
         )
 
     @property
+    def first_offset(self) -> int:
+        """Where offsets of readings begin in the border."""
+        n, part = self.order.position.shape[1], self.objective.part
+        return len(self.objective.scale) - n * (int(part[-1]) + 1)
+
+    @property
     def offset(self) -> Int[np.ndarray, "samples joints"]:
         """(samples, n): where the offset of each reading is in the border."""
         n, part = self.order.position.shape[1], self.objective.part
-        first = len(self.objective.scale) - n * (int(part[-1]) + 1)
-        return first + n * part[:, None] + np.arange(n)
+        return self.first_offset + n * part[:, None] + np.arange(n)
+
+    def _of_offsets(self, readings: Float[np.ndarray, "samples joints"]) -> np.ndarray:
+        """Sums over the readings of each offset, one recording after the other."""
+        part = self.objective.part
+        firsts = np.flatnonzero(np.diff(part, prepend=-1))
+        return np.add.reduceat(readings, firsts, axis=0).ravel()
 
     @property
     def turn_parts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
@@ -265,7 +277,7 @@ class Linear:
         inner = np.zeros(order.size)
         inner[order.position] = of_positions
         inner[order.turn] += self._turn_gradient(residuals, force)
-        np.add.at(border, self.offset, reading * scale[self.offset])
+        border[self.first_offset :] += scale[self.first_offset :] * self._of_offsets(reading)
         border += scale * weights.border * residuals.border
         return inner, border
 

@@ -14,7 +14,7 @@ from jaxcslc.identification.likelihood._objective import Objective, Point, Resid
 from jaxcslc.identification.likelihood._signs import LATEST_TURN, Signs
 from jaxcslc.identification.likelihood.band import JointColumns
 from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
-from jaxcslc.identification.likelihood.errors import eliminated_rows
+from jaxcslc.identification.likelihood.errors import RowSums, _rows, eliminated_rows
 from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
 
 
@@ -108,7 +108,7 @@ def test_a_step_is_that_of_dense_equations(objective: tuple[Objective, Point]) -
 
 
 def test_rows_without_positions_make_up_the_information(
-    objective: tuple[Objective, Point],
+    objective: tuple[Objective, Point], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem, point = objective
     weights = problem.weights
@@ -120,8 +120,16 @@ def test_rows_without_positions_make_up_the_information(
     )
     linear = Linear.of(dataclasses.replace(problem, weights=data_alone), point)
     factored = linear.factored(0.0)
-    rows, scores = eliminated_rows(linear, factored)
+    rows, scores = eliminated_rows(linear, factored, slice(0, SAMPLES))
     information = np.einsum("srb,src->bc", rows, rows)
+    # Stretch by stretch they are the same.
+    monkeypatch.setattr(_rows, "_STRETCHES", 7)
+    sums = RowSums.of(linear, factored)
+    assert_allclose(sums.scores, scores, atol=1e-9 * np.abs(scores).max())
+    assert sums.grams.shape[0] == sums.middles.size == 7
+    assert_allclose(sums.grams.sum(axis=0), information, rtol=1e-9)
+    assert_allclose(sums.noise, information, rtol=1e-9)  # no count is an interval
+    assert_allclose(sums.middles.mean(), (SAMPLES - 1) / 2, atol=0.5)
     # Normal equations of second differences lose half of the digits.
     size = np.abs(information).max()
     assert_allclose(information, factored.information, atol=1e-6 * size)

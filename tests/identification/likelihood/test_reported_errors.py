@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from jaxcslc.identification.likelihood.errors import RowSums
 from jaxcslc.identification.likelihood.errors._correlated import cosine_sums
 from jaxcslc.identification.likelihood.errors._whiteness import Whiteness
 
@@ -19,7 +20,8 @@ def whiteness_of(noise: np.ndarray) -> Whiteness:
     inverse = np.linalg.inv(gram)
     fit = inverse @ np.einsum("trb,tr->b", rows, noise)
     scores = np.einsum("trb,tr->tb", rows, noise - rows @ fit)
-    sums = cosine_sums(rows, scores, USED)
+    grams = np.einsum("trb,trc->tbc", rows, rows)
+    sums = cosine_sums(RowSums(scores, grams, np.arange(float(SAMPLES)), gram), USED)
     return Whiteness.of(sums, inverse, gram, COMPONENTS)
 
 

@@ -75,6 +75,10 @@ class JointColumns:
         result[:, self.joints, self.columns] = self.values
         return result
 
+    def between(self, equations: slice) -> "JointColumns":
+        """Those of some equations."""
+        return dataclasses.replace(self, values=self.values[equations])
+
     def times(self, vector: Float[np.ndarray, " columns"]) -> Float[np.ndarray, "equations joints"]:
         """Products of rows and a vector."""
         result = np.empty((len(self.values), self.shape[0]))

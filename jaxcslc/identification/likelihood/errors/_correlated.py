@@ -5,13 +5,8 @@ from jaxtyping import Bool, Float
 
 from ...solver import CosineSums, components_for, correlated_covariance, effective_counts
 from .._linear import Linear
-from ..band import gram
-from ._rows import score_gram
+from ._rows import RowSums
 from ._whiteness import Whiteness
-
-
-# Stretches of time in which products of rows are summed before they are multiplied by cosines.
-_STRETCHES = 256
 
 
 class CorrelatedErrors(NamedTuple):
@@ -39,8 +34,7 @@ class CorrelatedErrors(NamedTuple):
 
 def reported_errors(
     linear: Linear,
-    rows: Float[np.ndarray, "samples rows border"],
-    scores: Float[np.ndarray, "samples border"],
+    sums: RowSums,
     inverse: Float[np.ndarray, "border border"],
     bound: Float[np.ndarray, "border border"],
     counted: Bool[np.ndarray, "equations joints"],
@@ -54,17 +48,17 @@ def reported_errors(
 
     **Arguments**
 
-    - `linear`: the equations at the minimum; `rows`, `scores`: of `eliminated_rows`.
-    - `inverse`: of the information; `bound`: of `independent_covariance`; both in units of the
-      border's scale.
+    - `linear`: the equations at the minimum; `sums`: of their rows.
+    - `inverse`: of the information; `bound`: of `RowSums.independent_covariance`; both in units of
+      the border's scale.
     - `counted`: (equations, n) whether an equation has its full weight.
     """
     residual = np.where(counted, linear.residuals.torque, 0.0)
     effective = np.asarray(effective_counts(residual, counted.astype(float)))
     used = np.asarray(components_for(effective))
-    sums = cosine_sums(rows, scores, used)
-    sandwich = _sandwich(linear, inverse, sums, used, effective)
-    whiteness = Whiteness.of(sums, inverse, score_gram(linear, rows), int(used.sum()))
+    components = cosine_sums(sums, used)
+    sandwich = _sandwich(linear, inverse, components, used, effective)
+    whiteness = Whiteness.of(components, inverse, sums.noise, int(used.sum()))
     if not whiteness.white():
         return sandwich if linear.objective.intervals is None else sandwich.at_least(bound)
     least = np.diag(bound)
@@ -97,25 +91,18 @@ def _sandwich(
     return CorrelatedErrors(0.5 * (total + total.T), float(used.sum()), effective)
 
 
-def cosine_sums(
-    rows: Float[np.ndarray, "samples rows border"],
-    scores: Float[np.ndarray, "samples border"],
-    used: Float[np.ndarray, " components"],
-) -> CosineSums:
+def cosine_sums(rows: RowSums, used: Float[np.ndarray, " components"]) -> CosineSums:
     """Components of scores, and how much of rows is in each."""
-    samples, _, border = rows.shape
+    samples = len(rows.scores)
     frequency = np.arange(1, len(used) + 1)[:, None]
 
-    def cosines(phase: np.ndarray) -> np.ndarray:
-        return used[:, None] * np.sqrt(2.0) * np.cos(np.pi * frequency * phase[None, :])
+    def cosines(samples_from_0: np.ndarray) -> np.ndarray:
+        phase = (samples_from_0 + 0.5) / samples
+        return used[:, None] * np.sqrt(2.0) * np.cos(np.pi * frequency * phase)
 
-    stretches = np.array_split(np.arange(samples), min(_STRETCHES, samples))
-    grams = np.empty((len(stretches), border, border))
-    for number, stretch in enumerate(stretches):
-        grams[number] = gram(rows[stretch[0] : stretch[-1] + 1].reshape(-1, border))
-    middle = cosines(np.array([stretch.mean() + 0.5 for stretch in stretches]) / samples)
+    middle = cosines(rows.middles)
     return CosineSums(
-        cosines((np.arange(samples) + 0.5) / samples) @ scores,
-        np.tensordot(middle, grams, axes=1),
-        np.tensordot(np.sum(middle**2, axis=0), grams, axes=1),
+        cosines(np.arange(samples)) @ rows.scores,
+        np.tensordot(middle, rows.grams, axes=1),
+        np.tensordot(np.sum(middle**2, axis=0), rows.grams, axes=1),
     )

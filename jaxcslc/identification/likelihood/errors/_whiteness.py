@@ -47,7 +47,7 @@ class Whiteness:
 
         - `sums`: of rows and scores, of so many `components`.
         - `inverse`: of the information, in units of the border's scale.
-        - `gram`: variance of the sum of scores were residuals white, see `score_gram`.
+        - `gram`: variance of the sum of scores were residuals white, `RowSums.noise`.
         """
         values, grams = np.asarray(sums.sums), np.asarray(sums.grams)
         square = float(np.sum((values @ inverse) * values))
