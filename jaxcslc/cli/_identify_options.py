@@ -100,7 +100,8 @@ HorizonOption = Annotated[
     typer.Option(
         "--horizon",
         help="Simulate the identified arm open loop from recorded states, beside that of the"
-        " file, and report how far positions are off after 0.1 to 5 s.",
+        " file and one with pre-sliding that was used, and report how far positions are off after"
+        " 0.1 to 5 s.",
     ),
 ]
 MemoryOption = Annotated[

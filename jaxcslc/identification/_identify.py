@@ -25,6 +25,7 @@ from .possible import Choice
 from .prediction import file_coefficients, prediction_error
 from .prior import Prior
 from .report import Report
+from .selection import PRE_SLIDING
 from .solver import Previous, computed_on_host
 
 
@@ -108,8 +109,9 @@ def identify(
       on a part of it (`report.judged_part` says which). Of several recordings that do not fit
       together, parts are used throughout, as `report.notes` say.
     - `horizon`: also simulate the identified arm open loop from states of the validation recording
-      (or of the longest training recording), beside the one of the robot's file, and report how far
-      its positions are off after 0.1 to 5 s (`report.horizon`).
+      (or of the longest training recording), beside the one of the robot's file and that with a
+      pre-sliding state, where one is used, and report how far its positions are off after 0.1 to
+      5 s (`report.horizon`).
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** a `Report`.
@@ -241,16 +243,26 @@ def identify(
                 step=step,
                 beside=fits,
             )
-    if horizon:
-        step("simulating")
-        coefficients = {"fit": report.k, **file_coefficients(report.network)}
-        error = prediction_error(
-            report.network, coefficients, validation or longest, report.settings
-        )
-        report = dataclasses.replace(report, horizon=error)
     if choice is not None:
         report = with_friction_choice(report, choice, estimator=estimator, prior=prior, step=step)
+    if horizon:
+        step("simulating")
+        report = _with_horizon(report, validation or longest)
     return report
+
+
+def _with_horizon(report: Report, recording: Recording) -> Report:
+    """The report with errors of simulated motion: of its coefficients, of those with a state of dry
+    friction, and of those of the robot's file."""
+    coefficients, lengths = {"fit": report.k}, {}
+    if report.pre_sliding is not None:
+        coefficients[PRE_SLIDING] = report.pre_sliding.fit.k
+        lengths[PRE_SLIDING] = report.pre_sliding.lengths
+    coefficients |= file_coefficients(report.network)
+    error = prediction_error(
+        report.network, coefficients, recording, report.settings, lengths=lengths
+    )
+    return dataclasses.replace(report, horizon=error)
 
 
 def _with_bodies(

@@ -71,8 +71,8 @@ def with_friction_choice(
         return dataclasses.replace(report, friction=friction)
     note = (
         f"{PRE_SLIDING} of {', '.join(fit.joint_names)}: a state along the motion, in"
-        " report.pre_sliding and identification.json; all else, C code, robot files and simulated"
-        " motion included, has dry friction as a step"
+        " report.pre_sliding, identification.json and simulated motion; all else, C code and robot"
+        " files included, has dry friction as a step"
     )
     return dataclasses.replace(
         report, friction=friction, pre_sliding=fit, notes=(*report.notes, note)

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.identification import prediction_error
+from jaxcslc.identification.friction import yielding_motion
 from jaxcslc.identification.prediction import file_coefficients, simulate
 
 
@@ -79,6 +80,99 @@ class TestSimulation:
         path = simulate(network, k, still, still, np.full((50, 1, 2), 0.2), 0.01)
         assert_allclose(path[:, 0, 0], 0.0, atol=1e-6)
         assert path[-1, 0, 1] > 0.05
+
+
+class TestPreSliding:
+    """Contacts that yield before they slide, among the states of the integration."""
+
+    @staticmethod
+    def arm() -> tuple[jc.CSLC, np.ndarray]:
+        robot = jc.Manipulator.from_modified_dh(
+            [(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0)
+        ).with_friction("viscous", "dry")
+        network = jc.derive(robot, lengths="numeric")
+        link = jc.manipulator.LinkParameters(1.0, np.array([0.2, 0.0, 0.0]), 0.02 * np.eye(3))
+        k = network.coefficients_from([link, link], viscous=[0.3, 0.3], dry=[0.8, 0.4])
+        return network, np.array(k)
+
+    @pytest.mark.parametrize("length", [0.03, 2e-3, 2e-4])
+    def test_an_integrator_with_steps_by_its_error_goes_the_same_way(self, length: float) -> None:
+        """Two joints with many reversals, for two seconds, from contacts with strain."""
+        network, k = self.arm()
+        q, contact, lengths = np.array([-1.2, 0.3]), np.array([0.5, -0.2]), length * np.ones(2)
+        t = 0.01 * np.arange(200)[:, None]
+        torque = np.array([2.5, 1.0]) * np.sin(np.array([6.0, 9.0]) * t)
+        torque = torque + np.asarray(network.gravity_term(k, q))
+        exact, _, _ = yielding_motion(network, k, lengths, (q, 0.0 * q, contact), torque, 0.01)
+        path = simulate(
+            *(network, k, q[None], 0.0 * q[None], torque[:, None], 0.01),
+            lengths=lengths,
+            contact=contact[None],
+        )
+        # Steps of 2 ms; the stiffest contact here vibrates at 90 Hz.
+        assert_allclose(path[:, 0], exact, atol=5e-4)
+        without = simulate(network, k, q[None], 0.0 * q[None], torque[:, None], 0.01)
+        assert np.max(np.abs(without[:, 0] - np.asarray(exact))) > 0.01
+
+    def test_a_contact_that_bears_the_torque_is_at_rest(self) -> None:
+        """In equilibrium nothing moves, however stiff the contact; another state lets it go."""
+        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+        network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+        start, push = np.zeros((3, 1)), np.full((500, 3, 1), 3.0)
+        contact = np.array([[0.75], [0.75 - 1e-6], [-0.75]])
+        path = simulate(
+            *(network, np.array([0.1, 4.0]), start, start, push, 0.01),
+            lengths=np.array([1e-5]),
+            contact=contact,
+        )
+        assert_allclose(path[:, 0], 0.0, atol=1e-15)
+        # The second vibrates, and creeps as such contacts do; steps of two radians of that add
+        # no energy. By the stiffness of one direction alone it creeps by 0.07 of the length.
+        assert np.all(np.abs(path[:, 1]) < 0.02 * 1e-5)
+        # The third yields by what takes its state where it bears the push, at least.
+        assert path[-1, 2, 0] > 1e-5 * np.log(1.75 / 0.25)
+
+    def test_a_short_length_is_friction_that_follows_the_sign(self) -> None:
+        """Sliding to rest, a parabola."""
+        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+        network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+        start, no_torque = np.zeros((1, 1)), np.zeros((200, 1, 1))
+        arguments = network, np.array([2.0, 4.0]), start, start + 1.3, no_torque, 0.01
+        path = simulate(*arguments, lengths=np.array([1e-6]), contact=np.ones((1, 1)))
+        assert_allclose(path, simulate(*arguments), atol=2e-3)
+
+    def test_a_joint_that_sticks_beside_one_that_yields(self) -> None:
+        """Each has its law: as two joints that yield, but that one stays where it is."""
+        network, k = self.arm()
+        k[network.names.index("kd1")] = 50.0
+        start, push = np.zeros((1, 2)), np.zeros((100, 1, 2))
+        push[..., 1] = np.asarray(network.gravity_term(k, start))[0, 1] + 0.3
+        arguments = network, k, start, start, push, 0.01
+        path = simulate(*arguments, lengths=np.array([0.0, 0.05]))[:, 0]
+        both = simulate(*arguments, lengths=np.array([1e-9, 0.05]))[:, 0]
+        assert_allclose(path[:, 0], 0.0, atol=1e-6)
+        assert_allclose(path[:, 1], both[:, 1], atol=1e-6)
+        assert np.max(path[:, 1]) > 0.01
+
+    def test_windows_start_as_the_recording_before_them_leaves_contacts(self) -> None:
+        """Half of the windows start within a few lengths after a reversal: true coefficients and
+        lengths predict the motion, true coefficients without them do not."""
+        network, k = self.arm()
+        q, lengths, interval = np.array([-1.2, 0.3]), np.array([0.05, 0.08]), 0.005
+        time = interval * np.arange(1201)
+        torque = np.array([1.6, 0.8]) * np.sin(np.array([7.0, 9.0]) * time[:-1, None])
+        torque = torque + np.asarray(network.gravity_term(k, q))
+        start = q, 0.0 * q, 0.0 * q
+        path, _, _ = yielding_motion(network, k, lengths, start, torque, interval)
+        held = np.concatenate([torque, torque[-1:]])
+        recording = jc.Recording(time, np.asarray(path), held)
+        settings = jc.Settings(jc.Preparation(jc.Butterworth(60.0)))
+        result = prediction_error(
+            *(network, {"with": k, "without": k}, recording, settings),
+            lengths={"with": lengths},
+            horizons=(0.1, 0.2, 0.5),
+        )
+        assert np.all(result.error["with"] < 0.1 * result.error["without"])
 
 
 @pytest.fixture(scope="module")

@@ -8,4 +8,9 @@ from ._saved_pre_sliding import (
     pre_sliding_from as pre_sliding_from,
 )
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
-from ._yielding_friction import pre_sliding as pre_sliding
+from ._yielding_friction import (
+    pre_sliding as pre_sliding,
+    split_friction as split_friction,
+    state_after as state_after,
+)
+from ._yielding_motion import yielding_motion as yielding_motion

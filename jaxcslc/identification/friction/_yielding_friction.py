@@ -53,12 +53,47 @@ def pre_sliding(
     change = jnp.diff(q, axis=0)
 
     def along(w: Array, change: Array) -> tuple[Array, Array]:
-        sign = jnp.sign(change)
-        w = sign + (w - sign) * jnp.exp(-jnp.abs(change) / length)
+        w = state_after(w, change, length)
         return w, w
 
     first = jnp.asarray(start, q.dtype)
     return jnp.concatenate([first[None], jax.lax.scan(along, first, change)[1]])
+
+
+def state_after(
+    w: Float[Array | np.ndarray, "*batch joints"],
+    change: Float[Array | np.ndarray, "*batch joints"],
+    length: Float[Array | np.ndarray, " joints"],
+) -> Float[Array, "*batch joints"]:
+    """The state of each contact after its joint has gone one way by `change` [rad or m]."""
+    shape = jnp.shape(change)
+    sign = jnp.sign(change)
+    return sign + (w - sign) * jnp.exp(-jnp.abs(change) / jnp.broadcast_to(length, shape))
+
+
+def split_friction(
+    network: CSLC, k: Array, lengths: Float[Array | np.ndarray, " joints"]
+) -> tuple[Array, Float[Array, " joints"], Float[Array, " joints"]]:
+    """Coefficients without the dry friction of joints with a length, and that friction.
+
+    **Arguments**
+
+    - `network`: n joints, some with dry friction; `k`: (p,) its coefficients.
+    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where friction follows the sign of velocity.
+
+    **Returns**
+
+    - (p,) coefficients, 0 for dry friction that has a state.
+    - (n,) what the state of each joint is multiplied by [N m or N]; 0 where friction has none.
+    - (n,) lengths to divide by, 1 where there is none.
+    """
+    dry = dry_term(network)
+    part, joints = network.layout.of(dry), np.array(dry.joints)
+    lengths = jnp.asarray(lengths)
+    yields = lengths > 0.0
+    sizes = jnp.zeros(network.joint_count, k.dtype).at[joints].set(k[part])
+    others = k.at[part].set(jnp.where(yields[joints], 0.0, k[part]))
+    return others, jnp.where(yields, sizes, 0.0), jnp.where(yields, lengths, 1.0)
 
 
 class YieldingFriction(AbstractManipulatorTerm):

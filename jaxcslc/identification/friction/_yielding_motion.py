@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...network import CSLC
-from ._yielding_friction import dry_term
+from ._yielding_friction import split_friction
 
 
 State = tuple[Array, Array, Array]
@@ -39,12 +39,7 @@ def yielding_motion(
     """
     import diffrax  # with its own dependencies, half a second
 
-    dry = dry_term(network)
-    part = network.layout.of(dry)
-    k = jnp.asarray(k)
-    friction = jnp.zeros(network.joint_count).at[np.array(dry.joints)].set(k[part])
-    others = k.at[part].set(0.0)
-    length = jnp.where(jnp.asarray(lengths) > 0.0, lengths, 1.0)
+    others, friction, length = split_friction(network, jnp.asarray(k), lengths)
 
     def rates(t: Any, state: State, force: Array) -> State:
         del t

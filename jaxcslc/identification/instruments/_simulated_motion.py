@@ -108,7 +108,7 @@ class ControlledMotion(AbstractSimulatedMotion):
             self.reference,
             interval,
         )
-        q, qd = (np.asarray(values)[:, 0] for values in path)
+        q, qd, _ = (np.asarray(values)[:, 0] for values in path)
         return q, qd, _at_samples(np.diff(qd, axis=0) / interval)
 
 
@@ -178,7 +178,7 @@ def _controlled(
     reference: Any,
     interval: float,
 ) -> State:
-    """Positions and velocities at all samples, (samples, starts, n) each."""
+    """States at all samples, (samples, starts, n) each."""
     advance = held_step(network, k, interval)
 
     def through(carry: tuple[State, Any], row: Any) -> tuple[tuple[State, Any], State]:
@@ -187,7 +187,7 @@ def _controlled(
         torque, memory = controller.step(memory, desired, state[0], interval)
         return (advance(state, torque), memory), state
 
-    start = jnp.asarray(q), jnp.asarray(qd)
+    start = jnp.asarray(q), jnp.asarray(qd), jnp.zeros_like(qd)
     memory = jax.tree.map(jnp.asarray, controller.begin(start[0]))
     _, path = jax.lax.scan(through, (start, memory), jax.tree.map(jnp.asarray, reference))
     return path
@@ -215,17 +215,16 @@ def _corrected(
 
     def through(state: State, row: tuple[Array, Array]) -> tuple[State, tuple[Array, ...]]:
         force, reading = row
-        before, (q, qd) = state[1], advance(state, force)
+        before, (q, qd, contact) = state[1], advance(state, force)
         error = reading - q
         after = q + of_position * error, qd + of_velocity * error
-        return after, (*after, qd - before)
+        return (*after, contact), (*after, qd - before)
 
-    start = jnp.asarray(q), jnp.asarray(qd)
+    start = jnp.asarray(q), jnp.asarray(qd), jnp.zeros_like(qd)
     rows = jnp.asarray(torque), jnp.asarray(position)[1:, None]
     _, path = jax.lax.scan(through, start, rows)
-    first = (*start, jnp.zeros_like(start[0]))
     q, qd, change = (
-        jnp.concatenate([initial[None], then]) for initial, then in zip(first, path, strict=True)
+        jnp.concatenate([initial[None], then]) for initial, then in zip(start, path, strict=True)
     )
     return q, qd, change
 

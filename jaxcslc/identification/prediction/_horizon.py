@@ -12,6 +12,7 @@ from ...manipulator import RobotError
 from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
+from ..friction import pre_sliding, state_after
 from ._poses import link_poses
 from ._simulation import simulate
 
@@ -82,6 +83,7 @@ def prediction_error(
     settings: Settings | None = None,
     *,
     horizons: Sequence[float] = HORIZONS,
+    lengths: Mapping[str, Float[np.ndarray, " joints"]] = MappingProxyType({}),
 ) -> HorizonError:
     """Simulates an arm open loop from states of a recording, and compares positions.
 
@@ -97,6 +99,9 @@ def prediction_error(
       held from sample to sample, or interpolated if the settings' alignment is `"sample"`.
     - `settings`: by which it is smoothed; the defaults of `Settings` if None.
     - `horizons`: times after the start [s]; those that the recording is too short for are left out.
+    - `lengths`: (n,) of pre-sliding [rad or m], by the name of coefficients whose dry friction has
+      them (`PreSlidingFit.lengths`). Its states start as the motion of the recording before the
+      start leaves them, from contacts without strain at its beginning.
 
     **Returns** a `HorizonError`.
 
@@ -143,7 +148,10 @@ def prediction_error(
     error: dict[str, np.ndarray] = {}
     distance: dict[str, np.ndarray] = {}
     for name, k in coefficients.items():
-        path = np.asarray(simulate(network, k, *states, torque, interval))[rows]
+        contact = lengths.get(name)
+        started = None if contact is None else _contacts(time, patterns.q, contact, first)
+        path = simulate(network, k, *states, torque, interval, lengths=contact, contact=started)
+        path = np.asarray(path)[rows]
         error[name] = _median(np.abs(path - truth[rows]), within)
         with contextlib.suppress(RobotError):  # lengths without values
             off = _origins(network, path) - _origins(network, truth[rows])
@@ -206,6 +214,20 @@ def applied_torque(
         return _at(time, torque, late)
     row = np.clip(np.searchsorted(time, late, side="right") - 1, 0, len(time) - 1)
     return torque[row]
+
+
+def _contacts(
+    time: Float[np.ndarray, " samples"],
+    q: Float[Array | np.ndarray, "samples joints"],
+    lengths: Float[np.ndarray, " joints"],
+    instants: Float[np.ndarray, " starts"],
+) -> Float[np.ndarray, "starts joints"]:
+    """States of contacts at instants of a motion, positions between samples by a straight line."""
+    length = np.where(lengths > 0.0, lengths, 1.0)
+    state = np.asarray(pre_sliding(q, length, np.zeros(len(length))))
+    before = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1)
+    change = _at(time, q, instants[None])[0] - np.asarray(q)[before]
+    return np.asarray(state_after(state[before], change, length))
 
 
 def _at(

@@ -60,6 +60,7 @@ def report(network: jc.CSLC) -> jc.Report:
         friction="auto",
         possible="never",
         systematic=False,
+        horizon=True,
     )
 
 
@@ -80,6 +81,16 @@ def test_torque_with_states_is_nearer(report: jc.Report) -> None:
     step = report.network.torque(report.k, motion.q, motion.qd, motion.qdd)
     rms = [np.std(np.asarray(motion.torque - torque)[:, 0]) for torque in (states, step)]
     assert rms[0] < 0.7 * rms[1]
+
+
+def test_simulated_motion_with_states_is_nearer(report: jc.Report) -> None:
+    """Beside that of the report's coefficients, whose dry friction follows the sign."""
+    assert report.horizon is not None
+    error = {name: values[:3, 0] for name, values in report.horizon.error.items()}
+    assert tuple(error) == ("fit", "pre-sliding")
+    assert np.all(error["pre-sliding"] < 0.7 * error["fit"])
+    (line,) = [x for x in str(report).splitlines() if x.startswith("note: pre-sliding of joint 1")]
+    assert "simulated motion" in line and "simulated motion included" not in line
 
 
 def test_it_is_printed_beside_the_other_terms(report: jc.Report) -> None:

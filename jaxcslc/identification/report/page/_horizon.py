@@ -13,7 +13,11 @@ def horizon_section(data: Mapping[str, Any]) -> Section:
     columns = [
         Column("horizon [s]"),
         Column("starts", "simulations that are that long"),
-        Column("coefficients", "of this report, or of the robot's file", numeric=False),
+        Column(
+            "coefficients",
+            "of this report, of its fit with pre-sliding states, or of the robot's file",
+            numeric=False,
+        ),
         *(
             Column(f"{joint} [{unit}]", digits=3)
             for joint, unit in zip(data["joints"], horizon["units"], strict=True)
