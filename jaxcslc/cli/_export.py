@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from ..export import CCode, c_code, export_robot, write_c
+from ..export import c_code, export_robot, write_c
 from ..identification.report import SavedReport, load_report
 from ._common import (
     BUNDLED,
@@ -60,7 +60,8 @@ def export_command(
 
     Masses, centres of gravity and inertia tensors are the possible ones nearest to the identified
     coefficients; nothing else in the file changes. It is read again to prove that it predicts the
-    same torques. C code has the identified coefficients as they are.
+    same torques. C code has the identified coefficients as they are, and states of dry friction
+    that yields before it slides, where identify used them.
     """
     with one_line_errors(), progress("reading") as step:
         file = _file_of(robot)
@@ -70,7 +71,7 @@ def export_command(
         saved = load_report(identification, robot_named(str(file), base, tip, fix, mimic))
         if c:
             step("writing C")
-            text = _written_c(c_code(saved.network, saved.fit.k), output)
+            text = _written_c(saved, output)
         else:
             text = str(
                 export_robot(
@@ -83,22 +84,31 @@ def export_command(
                     progress=step,
                 )
             )
-    typer.echo(with_notes(text + _left_out(saved), saved.network.robot))
+            text += _pre_sliding(saved, "is left out: dry friction is a step")
+    typer.echo(with_notes(text, saved.network.robot))
 
 
-def _written_c(code: CCode, output: Path | None) -> str:
+def _written_c(saved: SavedReport, output: Path | None) -> str:
     """Writes C code. **Returns** what is printed of it."""
+    if saved.pre_sliding is None:
+        code = c_code(saved.network, saved.fit.k)
+    else:
+        states = saved.pre_sliding
+        code = c_code(states.network, states.fit.k, lengths=states.lengths)
     source, header = write_c(code, output)
     counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
-    return f"operations: {counts}\nwrote {source} and {header}"
+    note = _pre_sliding(
+        saved,
+        f"has a state, which {code.name}_pre_sliding updates; coefficients are of the fit with it",
+    )
+    return f"operations: {counts}\nwrote {source} and {header}{note}"
 
 
-def _left_out(saved: SavedReport) -> str:
-    """A line of what neither robot files nor C code have."""
+def _pre_sliding(saved: SavedReport, what: str) -> str:
+    """A line of what becomes of joints that yield before they slide, if any do."""
     if saved.pre_sliding is None:
         return ""
-    names = ", ".join(saved.pre_sliding.joint_names)
-    return f"\nnote: pre-sliding of {names} is left out: dry friction is a step"
+    return f"\nnote: pre-sliding of {', '.join(saved.pre_sliding.joint_names)} {what}"
 
 
 def _check_is_another(path: Path, file: Path) -> None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..identification.friction import dry_term
 from ..network import CSLC
 from ._c_file import header_file, source_file
 from ._c_functions import c_functions
@@ -43,16 +44,20 @@ class CCode:
 
 
 def c_code(
-    network: CSLC, k: Float[Array | np.ndarray, " coefficients"], *, name: str | None = None
+    network: CSLC,
+    k: Float[Array | np.ndarray, " coefficients"],
+    *,
+    name: str | None = None,
+    lengths: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> CCode:
     """Self-contained C99 for torque, mass matrix, gravity and regressor.
 
     Straight-line functions of joint positions, velocities and accelerations: no allocation, no
-    state, nothing but `math.h`. The coefficients are numbers in the text; sines, cosines and all
-    common products are computed once. Rigid-body torque comes from Newton-Euler recursion
-    over the coefficients, unrolled for this robot, or from the closed form, whichever needs fewer
-    operations; friction, offsets, springs and couplings are all of the network's. A payload
-    (`network.with_payload()`) is one body with the link that carries it.
+    state of their own, nothing but `math.h`. The coefficients are numbers in the text; sines,
+    cosines and all common products are computed once. Rigid-body torque comes from Newton-Euler
+    recursion over the coefficients, unrolled for this robot, or from the closed form, whichever
+    needs fewer operations; friction, offsets, springs and couplings are all of the network's. A
+    payload (`network.with_payload()`) is one body with the link that carries it.
 
     Functions, for n joints and p coefficients:
 
@@ -62,10 +67,19 @@ def c_code(
         void NAME_regressor(const double q[n], const double qd[n], const double qdd[n],
                             double regressor[n * p])                            row by row
 
+    With `lengths`, torque and regressor take states `const double w[n]` of contacts before their
+    output, and the caller, who keeps them, updates them by
+
+        void NAME_pre_sliding(const double dq[n], const double w[n], double next[n])
+
+    with what joints have moved by, as `identification.pre_sliding` does.
+
     **Arguments**
 
     - `network`, `k`: (p,) its coefficients, such as `fit.k`.
     - `name`: a C identifier; made of the robot's name if omitted.
+    - `lengths`: (n,) of pre-sliding [rad or m], 0 where dry friction follows the sign of velocity,
+      such as `report.pre_sliding.lengths` beside `k=report.pre_sliding.fit.k`; zeros if None.
 
     **Returns**
 
@@ -73,8 +87,8 @@ def c_code(
 
     **Raises**
 
-    - `ValueError`: for a name that is no C identifier, and for coefficients that are not finite
-      or not p.
+    - `ValueError`: for a name that is no C identifier, for coefficients that are not finite
+      or not p, and for lengths that are not n from 0 up, or of joints without dry friction.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -99,13 +113,27 @@ def c_code(
     name = identifier(network.robot.name) if name is None else name
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in _RESERVED:
         raise ValueError(f"name: expected a C identifier, got {name!r}")
-    functions = c_functions(network, values)
+    sizes = np.zeros(network.joint_count) if lengths is None else np.asarray(lengths, float)
+    _check_lengths(network, sizes)
+    functions = c_functions(network, values, sizes)
     return CCode(
         name,
-        header_file(name, network, functions),
+        header_file(name, network, functions, sizes),
         source_file(name, network, values, functions),
         {function.operation.name: function.cost for function in functions},
     )
+
+
+def _check_lengths(network: CSLC, lengths: Float[np.ndarray, "..."]) -> None:
+    """**Raises** `ValueError` for what are no lengths of this network's dry friction."""
+    joints = network.joint_count
+    if lengths.shape != (joints,) or not np.all(np.isfinite(lengths) & (lengths >= 0.0)):
+        raise ValueError(f"lengths: expected {joints} finite numbers from 0 up")
+    if np.any(lengths):
+        without = {*np.flatnonzero(lengths).tolist()} - {*dry_term(network).joints}
+        if without:
+            label = network.output_names[min(without)]
+            raise ValueError(f"lengths: {label} has no friction of kind 'dry', which they are of")
 
 
 def identifier(text: str) -> str:

@@ -13,10 +13,16 @@ _WIDTH = 100  # of a line of declarations [characters]
 _COMMENT_WIDTH = 95
 
 
-def header_file(name: str, network: CSLC, functions: Sequence[CFunction]) -> str:
+def header_file(
+    name: str,
+    network: CSLC,
+    functions: Sequence[CFunction],
+    lengths: Float[np.ndarray, " joints"],
+) -> str:
     """The declarations: contents of `NAME.h`."""
     guard = f"{name.upper()}_H"
-    lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*", *_about(network), "*/", ""]
+    lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*"]
+    lines += [*_about(network), *_about_states(name, network, lengths), "*/", ""]
     lines += ["#ifdef __cplusplus", 'extern "C" {', "#endif", ""]
     for function in functions:
         declaration = f"{_signature(name, network.joint_count, function)};"
@@ -54,7 +60,7 @@ def source_file(
 
 def _signature(name: str, joints: int, function: CFunction) -> str:
     operation, size = function.operation, len(function.values)
-    inputs = ", ".join(f"const double {argument}[{joints}]" for argument in operation.inputs)
+    inputs = ", ".join(f"const double {argument}[{joints}]" for argument in function.inputs)
     text = f"void {name}_{operation.name}({inputs}, double {operation.output}[{size}])"
     if len(text) <= _WIDTH:
         return text
@@ -69,7 +75,7 @@ def _unused(function: CFunction) -> list[str]:
     """Statements that keep compilers from warning of inputs that nothing depends on."""
     needed = function.graph.needed(function.values)
     used = {function.graph.operations[index].text.partition("[")[0] for index in needed}
-    return [f"    (void){name};" for name in function.operation.inputs if name not in used]
+    return [f"    (void){name};" for name in function.inputs if name not in used]
 
 
 def _about(network: CSLC) -> list[str]:
@@ -84,6 +90,30 @@ def _about(network: CSLC) -> list[str]:
         *_wrapped(f"Joints, in order: {kinds}."),
         "Positions q, velocities qd [1/s] and accelerations qdd [1/s^2] of every joint.",
         f"{network.size} coefficients, lengths {network.algebra.lengths}.",
+    ]
+
+
+def _about_states(name: str, network: CSLC, lengths: Float[np.ndarray, " joints"]) -> list[str]:
+    """How to use states of contacts, where there are any."""
+    if not np.any(lengths):
+        return []
+    units = {"R": "rad", "P": "m"}
+    listed = ", ".join(
+        f"{_plain(joint)} {length:.6g} {units[kind]}"
+        for joint, kind, length in zip(
+            network.output_names, network.joint_kinds, lengths, strict=True
+        )
+        if length > 0.0
+    )
+    return [
+        "",
+        *_wrapped(f"Dry friction yields before it slides, over a length of the path: {listed}."),
+        *_wrapped(
+            "The caller keeps its state w, from -1 to 1, an entry for every joint: zeros at first,"
+            f" then what {name}_pre_sliding makes of it whenever joints have moved by dq; of joints"
+            " that turn at constant velocity, qd times the interval. This is exact where each joint"
+            " goes one way."
+        ),
     ]
 
 

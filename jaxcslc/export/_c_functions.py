@@ -4,9 +4,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..identification.friction import state_after
 from ..network import CSLC
 from ..network.straight_line import Expressions, Motion, Value
-from ..network.terms import JointProjection
+from ..network.terms import ExpressionFunctions, JointProjection
 from ._c_inputs import input_entries, input_inertias
 from ._rigid_body import (
     AbstractRigidBody,
@@ -27,17 +28,26 @@ class Dynamics:
     - `network`, `k`: (p,) its coefficients.
     - `motion`: the joints' positions, velocities and accelerations.
     - `rigid_body`: the rigid-body part, payload included.
+    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity.
     """
 
     network: CSLC
     k: Float[np.ndarray, " coefficients"]
     motion: Motion
     rigid_body: AbstractRigidBody
+    lengths: Float[np.ndarray, " joints"]
+
+    @property
+    def contacts(self) -> dict[int, Value]:
+        """By joint, the state of a contact that yields before it slides."""
+        joints = np.flatnonzero(self.lengths).tolist()
+        return {joint: self.motion.graph.input(f"w[{joint}]") for joint in joints}
 
 
 def torque(dynamics: Dynamics) -> list[Value]:
     total = dynamics.rigid_body.torque()
-    for joint, index, value in input_entries(dynamics.network, dynamics.motion):
+    entries = input_entries(dynamics.network, dynamics.motion, dynamics.contacts)
+    for joint, index, value in entries:
         total[joint] = total[joint] + value * float(dynamics.k[index])
     return total
 
@@ -64,9 +74,18 @@ def regressor(dynamics: Dynamics) -> list[Value] | None:
     inertial = layout.inertial.stop
     for row, values in zip(rows, rigid, strict=True):
         row[layout.inertial], row[layout.payload] = values[:inertial], values[inertial:]
-    for joint, index, value in input_entries(network, motion):
+    for joint, index, value in input_entries(network, motion, dynamics.contacts):
         rows[joint][index] = rows[joint][index] + value
     return [value for row in rows for value in row]
+
+
+def pre_sliding(dynamics: Dynamics) -> list[Value]:
+    motion, functions = dynamics.motion, ExpressionFunctions(dynamics.motion)
+    states = [motion.graph.constant(0.0)] * dynamics.network.joint_count
+    for joint, w in dynamics.contacts.items():
+        change = motion.graph.input(f"dq[{joint}]")
+        states[joint] = state_after(w, change, float(dynamics.lengths[joint]), functions)
+    return states
 
 
 @dataclass(frozen=True)
@@ -80,6 +99,7 @@ class Operation:
     - `inputs`: which of `q`, `qd`, `qdd` it takes.
     - `output`: name of the array that it fills.
     - `values`: what it fills it with; None where `Dynamics.rigid_body` cannot say.
+    - `has_friction`: whether it takes states of contacts, too, where there are any.
     """
 
     name: str
@@ -87,10 +107,13 @@ class Operation:
     inputs: tuple[str, ...]
     output: str
     values: Callable[[Dynamics], list[Value] | None]
+    has_friction: bool = False
 
 
 OPERATIONS = (
-    Operation("torque", "Torque of every joint.", ("q", "qd", "qdd"), "tau", torque),
+    Operation(
+        "torque", "Torque of every joint.", ("q", "qd", "qdd"), "tau", torque, has_friction=True
+    ),
     Operation("mass_matrix", "Mass matrix, row by row.", ("q",), "mass", mass_matrix),
     Operation("gravity", "Torque of every joint against gravity.", ("q",), "tau", gravity),
     Operation(
@@ -99,16 +122,29 @@ OPERATIONS = (
         ("q", "qd", "qdd"),
         "regressor",
         regressor,
+        has_friction=True,
     ),
 )
 """What the C code of every network offers: a new function is one entry and what computes it."""
 
+STATE_OPERATIONS = (
+    Operation(
+        "pre_sliding",
+        "States of contacts after joints moved by dq. Both states may be one array.",
+        ("dq", "w"),
+        "next",
+        pre_sliding,
+    ),
+)
+"""What it offers where dry friction yields before it slides."""
+
 
 @dataclass(frozen=True)
 class CFunction:
-    """An operation with its expressions."""
+    """An operation with its inputs and expressions."""
 
     operation: Operation
+    inputs: tuple[str, ...]
     graph: Expressions
     values: list[Value]
 
@@ -118,17 +154,23 @@ class CFunction:
         return self.graph.cost(self.values)
 
 
-def c_functions(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[CFunction]:
+def c_functions(
+    network: CSLC,
+    k: Float[np.ndarray, " coefficients"],
+    lengths: Float[np.ndarray, " joints"],
+) -> list[CFunction]:
     """Every operation, computed in the way that needs the fewest operations."""
     rigid_bodies = _rigid_bodies(network, k)
+    yields = bool(np.any(lengths))
     functions: list[CFunction] = []
-    for operation in OPERATIONS:
+    for operation in (*OPERATIONS, *(STATE_OPERATIONS if yields else ())):
+        inputs = (*operation.inputs, *(("w",) if yields and operation.has_friction else ()))
         candidates: list[CFunction] = []
         for rigid_body in rigid_bodies:
             motion = Motion(network.joint_count)
-            values = operation.values(Dynamics(network, k, motion, rigid_body(motion)))
+            values = operation.values(Dynamics(network, k, motion, rigid_body(motion), lengths))
             if values is not None:
-                candidates.append(CFunction(operation, motion.graph, values))
+                candidates.append(CFunction(operation, inputs, motion.graph, values))
         functions.append(min(candidates, key=lambda candidate: candidate.cost))
     return functions
 

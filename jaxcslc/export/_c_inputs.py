@@ -1,3 +1,5 @@
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Float
 
@@ -6,8 +8,12 @@ from ..network.straight_line import Motion, Value
 from ..network.terms import term_entries
 
 
-def input_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]:
+def input_entries(
+    network: CSLC, motion: Motion, contacts: Mapping[int, Value]
+) -> list[tuple[int, int, Value]]:
     """The regressor's entries beside the rigid body's: friction, offsets, springs, coupled joints.
+
+    - `contacts`: by joint, the state that its dry friction has in place of a sign.
 
     **Returns**
 
@@ -16,7 +22,11 @@ def input_entries(network: CSLC, motion: Motion) -> list[tuple[int, int, Value]]
     entries: list[tuple[int, int, Value]] = []
     for term in network.input_terms:
         indices = network.layout.indices(term.kind).tolist()
-        entries += [(joint, indices[i], value) for joint, i, value in term_entries(term, motion)]
+        states = contacts if term.kind == "dry" else {}
+        entries += [
+            (joint, indices[i], states.get(joint, value))
+            for joint, i, value in term_entries(term, motion)
+        ]
     return entries
 
 

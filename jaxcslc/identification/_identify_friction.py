@@ -71,7 +71,7 @@ def with_friction_choice(
         return dataclasses.replace(report, friction=friction)
     note = (
         f"{PRE_SLIDING} of {', '.join(fit.joint_names)}: a state along the motion, in"
-        " report.pre_sliding, identification.json and simulated motion; all else, C code and robot"
+        " report.pre_sliding, identification.json, simulated motion and C code; all else, robot"
         " files included, has dry friction as a step"
     )
     return dataclasses.replace(

@@ -1,3 +1,5 @@
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,8 @@ from jaxtyping import Array, Float
 from ...derivation import Coefficient
 from ...network import CSLC
 from ...network.terms import (
+    JAX_FUNCTIONS,
+    AbstractFunctions,
     AbstractManipulatorTerm,
     Coefficients,
     Columns,
@@ -53,22 +57,22 @@ def pre_sliding(
     change = jnp.diff(q, axis=0)
 
     def along(w: Array, change: Array) -> tuple[Array, Array]:
-        w = state_after(w, change, length)
+        w = state_after(w, change, scale)
         return w, w
 
-    first = jnp.asarray(start, q.dtype)
+    first, scale = jnp.asarray(start, q.dtype), jnp.asarray(length, q.dtype)
     return jnp.concatenate([first[None], jax.lax.scan(along, first, change)[1]])
 
 
 def state_after(
-    w: Float[Array | np.ndarray, "*batch joints"],
-    change: Float[Array | np.ndarray, "*batch joints"],
-    length: Float[Array | np.ndarray, " joints"],
-) -> Float[Array, "*batch joints"]:
-    """The state of each contact after its joint has gone one way by `change` [rad or m]."""
-    shape = jnp.shape(change)
-    sign = jnp.sign(change)
-    return sign + (w - sign) * jnp.exp(-jnp.abs(change) / jnp.broadcast_to(length, shape))
+    w: Any, change: Any, length: Any, functions: AbstractFunctions = JAX_FUNCTIONS
+) -> Any:
+    """The state of a contact after its joint has gone one way by `change` [rad or m].
+
+    Arguments are of one shape, or whatever else `functions` works on.
+    """
+    sign = functions.sign(change)
+    return sign + (w - sign) * functions.exp(-functions.absolute(change) / length)
 
 
 def split_friction(

@@ -227,7 +227,7 @@ def _contacts(
     state = np.asarray(pre_sliding(q, length, np.zeros(len(length))))
     before = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1)
     change = _at(time, q, instants[None])[0] - np.asarray(q)[before]
-    return np.asarray(state_after(state[before], change, length))
+    return np.asarray(state_after(state[before], change, length[None]))
 
 
 def _at(

@@ -99,7 +99,7 @@ def held_step(
     )
 
     def contact_after(w: Array, change: Array) -> Array:
-        return w if length is None else state_after(w, change, length)
+        return w if length is None else state_after(w, change, length[None])
 
     def contact_torque(w: Array) -> Array | float:
         return 0.0 if friction is None else friction[None] * w

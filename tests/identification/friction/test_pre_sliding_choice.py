@@ -164,11 +164,20 @@ def test_it_is_not_of_a_part_of_the_coefficients(network: jc.CSLC) -> None:
         )
 
 
-def test_exported_code_says_that_it_is_left_out(report: jc.Report, tmp_path: Path) -> None:
+def test_exported_code_has_the_state_and_robot_files_do_not(
+    report: jc.Report, tmp_path: Path
+) -> None:
+    assert report.pre_sliding is not None
     report.save(tmp_path, pictures=False)
     robot = tmp_path / "arm.toml"
     robot.write_text("gravity = [0, -9.81, 0]\n[[joint]]\n[[joint]]\na = 0.5\n", "utf-8")
-    arguments = ["export", str(robot), str(tmp_path), "--c", "-o", str(tmp_path / "arm.c")]
-    result = CliRunner().invoke(app, arguments)
+    arguments = ["export", str(robot), str(tmp_path)]
+    result = CliRunner().invoke(app, [*arguments, "--c", "-o", str(tmp_path / "arm.c")])
+    assert result.exit_code == 0, result.output
+    assert "note: pre-sliding of joint 1 has a state, which arm_pre_sliding" in result.output
+    source = (tmp_path / "arm.c").read_text("ascii")
+    k = dict(zip(report.network.names, report.pre_sliding.fit.k.tolist(), strict=True))
+    assert f"kd1 = {k['kd1']:.17g} N m" in source and "w[0]" in source
+    result = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "new.toml")])
     assert result.exit_code == 0, result.output
     assert "note: pre-sliding of joint 1 is left out: dry friction is a step" in result.output

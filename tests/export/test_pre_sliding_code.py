@@ -1,0 +1,176 @@
+"""C code of contacts that yield before they slide: the library's torque along a motion."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Float
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.identification import PreSlidingFit, pre_sliding
+
+
+Compiled = Callable[[jc.CCode], Callable[..., Float[np.ndarray, "..."]]]
+Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+# Sums of a few hundred products in another order.
+_ROUNDING = 1e-12
+_PAGE = Path(__file__).parents[2] / "docs" / "export.md"
+
+
+@pytest.fixture(scope="module")
+def network() -> jc.CSLC:
+    """A revolute, a prismatic and another revolute joint, each with several kinds of friction."""
+    robot = jc.Manipulator.from_modified_dh(
+        [(0.3, 0.1, 0.2, 0.4), ("-pi/2", 0.2, 0.1, 0), ("pi/2", 0.1, 0.2, 0)],
+        kinds="RPR",
+        gravity=(1.0, 2.0, -9.0),
+        name="arm",
+    ).with_friction("viscous", "dry", "static", "spring")
+    return jc.derive(robot, lengths="numeric")
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    """With reversals, rests and noise: positions are not those that velocities lead to."""
+    rng = np.random.default_rng(4)
+    t = 0.01 * np.arange(300)[:, None]
+    rate = np.array([3.0, 5.0, 7.0])
+    q, qd, qdd = np.sin(rate * t), rate * np.cos(rate * t), -(rate**2) * np.sin(rate * t)
+    q = 1e-3 * np.round(1e3 * q + rng.normal(size=q.shape))
+    q[100:120], qd[100:120] = q[100], 0.0
+    return q, qd, qdd
+
+
+def along(call: Any, motion: Motion, lengths: np.ndarray, size: int, name: str) -> np.ndarray:
+    """A function of the C code at every sample, states updated from sample to sample."""
+    n = len(lengths)
+    w, rows, before = np.zeros(n), [], motion[0][0]
+    for q, qd, qdd in zip(*motion, strict=True):
+        w = call("pre_sliding", q - before, w, size=n)
+        rows.append(call(name, q, qd, qdd, w, size=size))
+        before = q
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("lengths", [[0.02, 0.005, 0.3], [0.02, 0.0, 0.1]])
+def test_torque_along_a_recorded_motion(
+    lengths: list[float],
+    network: jc.CSLC,
+    motion: Motion,
+    compiled: Compiled,
+    rng: np.random.Generator,
+) -> None:
+    """That of the fit, whose columns have the same states, to rounding."""
+    k, size = rng.normal(size=network.size), np.array(lengths)
+    time, pairs = 0.01 * np.arange(len(motion[0])), np.ones(motion[0].shape, bool)
+    patterns = jc.Patterns(time, *motion, motion[0], pairs, pairs)
+    fit = jc.LeastSquares(errors="independent").fit(network, patterns)
+    result = PreSlidingFit(
+        network, eqx.tree_at(lambda fit: fit.k, fit, jnp.asarray(k)), size, {}, size
+    )
+    expected = np.asarray(result.torque(*motion)[0])
+    call = compiled(jc.c_code(network, k, lengths=size))
+    torque = along(call, motion, size, 3, "torque")
+    assert_allclose(torque, expected, rtol=_ROUNDING, atol=_ROUNDING * np.max(np.abs(expected)))
+    # Torque is the regressor times the coefficients here, too.
+    regressor = along(call, motion, size, 3 * network.size, "regressor")
+    products = regressor.reshape(-1, 3, network.size) @ k
+    assert_allclose(products, torque, rtol=_ROUNDING, atol=_ROUNDING * np.max(np.abs(expected)))
+
+
+def test_states_after_a_reversal_and_a_rest(network: jc.CSLC, compiled: Compiled) -> None:
+    """The closed form: 1 - exp(-x / length) from rest, its mirror image, and no change at rest."""
+    lengths = np.array([0.1, 0.2, 0.0])
+    call = compiled(jc.c_code(network, np.ones(network.size), lengths=lengths))
+
+    def after(dq: list[float], w: np.ndarray) -> np.ndarray:
+        return call("pre_sliding", np.array(dq), w, size=3)
+
+    there = after([0.1, -0.1, 5.0], np.zeros(3))
+    assert_allclose(there, [1.0 - np.exp(-1.0), np.exp(-0.5) - 1.0, 0.0], rtol=1e-15)
+    assert after([0.0, 0.0, 0.0], there).tolist() == there.tolist()
+    back = after([-0.1, 0.1, 0.0], there)
+    assert_allclose(back[0], -1.0 + (there[0] + 1.0) * np.exp(-1.0), rtol=1e-15)
+    assert_allclose(back[1], 1.0 + (there[1] - 1.0) * np.exp(-0.5), rtol=1e-15)
+    assert_allclose(after([1e3, -1e3, 0.0], back), [1.0, -1.0, 0.0], rtol=1e-15)
+
+
+def test_one_interval_is_as_good_as_many(network: jc.CSLC, compiled: Compiled) -> None:
+    """Exact for a constant velocity, whatever the interval."""
+    lengths = np.array([0.1, 0.2, 0.3])
+    call = compiled(jc.c_code(network, np.ones(network.size), lengths=lengths))
+    w = start = np.array([0.4, -0.9, 0.1])
+    velocity, interval = np.array([0.3, -2.0, 1.0]), 0.05
+    for _ in range(100):
+        w = call("pre_sliding", 0.01 * interval * velocity, w, size=3)
+    whole = call("pre_sliding", interval * velocity, start, size=3)
+    assert_allclose(w, whole, rtol=1e-13)
+
+
+def test_code_without_lengths_is_what_it_was(network: jc.CSLC) -> None:
+    k = np.ones(network.size)
+    code = jc.c_code(network, k)
+    assert code == jc.c_code(network, k, lengths=np.zeros(3))
+    assert "pre_sliding" not in code.header and "w[" not in code.source
+    with_states = jc.c_code(network, k, lengths=np.array([0.02, 0.0, 0.0]))
+    assert "over a length of the path: joint 1 0.02 rad." in with_states.header
+    functions = ("mass_matrix", "gravity")
+    for text in (code.source, with_states.source):
+        assert all(f"void arm_{name}(const double q[3], double" in text for name in functions)
+
+
+@pytest.mark.parametrize("lengths", [[0.1], [0.1, -0.1, 0.0], [0.1, np.nan, 0.0]])
+def test_lengths_of_no_contact(lengths: list[float], network: jc.CSLC) -> None:
+    with pytest.raises(ValueError, match="lengths: expected 3 finite numbers from 0 up"):
+        jc.c_code(network, np.ones(network.size), lengths=np.array(lengths))
+
+
+def test_joints_without_dry_friction(network: jc.CSLC) -> None:
+    robot = network.robot.with_friction("viscous", joint=2)
+    some = jc.derive(robot, lengths="numeric")
+    with pytest.raises(ValueError, match="lengths: joint 2 has no friction of kind 'dry'"):
+        jc.c_code(some, np.ones(some.size), lengths=np.array([0.1, 0.1, 0.0]))
+
+
+def test_the_example_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled as it stands, and called along a motion: states are updated in place."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler (cc) on this machine")
+    page = _PAGE.read_text("utf-8").split("### Friction with a state")[1]
+    python, program = (
+        re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)[0]
+        for language in ("python", "c")
+    )
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(python, str(_PAGE), "exec"), names)
+    Path("feedforward.c").write_text(program, encoding="ascii")
+    strict = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC")
+    line = ["cc", *strict, "-o", "feedforward.so", "feedforward.c", "arm.c", "-lm"]
+    done = subprocess.run(line, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    feedforward = ctypes.CDLL(str(tmp_path / "feedforward.so")).feedforward
+    result, interval = names["result"], 0.01
+    t = interval * np.arange(200)[:, None]
+    q, qd, qdd = 0.1 * np.sin(2 * t), 0.2 * np.cos(2 * t), -0.4 * np.sin(2 * t)
+    w, tau, torque = np.zeros(1), np.zeros(1), []
+    for row in zip(q, qd, qdd, strict=True):
+        feedforward(
+            *(x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in row),
+            ctypes.c_double(interval),
+            *(x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (w, tau)),
+        )
+        torque.append(float(tau[0]))
+    path = np.concatenate([[[0.0]], np.cumsum(interval * qd, axis=0)])
+    states = np.asarray(pre_sliding(path, result.lengths, np.zeros(1)))[1:]
+    k = dict(zip(result.fit.names, np.asarray(result.fit.k).tolist(), strict=True))
+    assert_allclose(torque, (k["kB1"] * qdd + k["kd1"] * states)[:, 0], atol=1e-14)
