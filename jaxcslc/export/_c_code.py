@@ -4,7 +4,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification.friction import dry_term
+from ..identification.friction import checked_lengths
 from ..network import CSLC
 from ._c_file import header_file, source_file
 from ._c_functions import c_functions
@@ -113,8 +113,7 @@ def c_code(
     name = identifier(network.robot.name) if name is None else name
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in _RESERVED:
         raise ValueError(f"name: expected a C identifier, got {name!r}")
-    sizes = np.zeros(network.joint_count) if lengths is None else np.asarray(lengths, float)
-    _check_lengths(network, sizes)
+    sizes = checked_lengths(network, np.zeros(network.joint_count) if lengths is None else lengths)
     functions = c_functions(network, values, sizes)
     return CCode(
         name,
@@ -122,18 +121,6 @@ def c_code(
         source_file(name, network, values, functions),
         {function.operation.name: function.cost for function in functions},
     )
-
-
-def _check_lengths(network: CSLC, lengths: Float[np.ndarray, "..."]) -> None:
-    """**Raises** `ValueError` for what are no lengths of this network's dry friction."""
-    joints = network.joint_count
-    if lengths.shape != (joints,) or not np.all(np.isfinite(lengths) & (lengths >= 0.0)):
-        raise ValueError(f"lengths: expected {joints} finite numbers from 0 up")
-    if np.any(lengths):
-        without = {*np.flatnonzero(lengths).tolist()} - {*dry_term(network).joints}
-        if without:
-            label = network.output_names[min(without)]
-            raise ValueError(f"lengths: {label} has no friction of kind 'dry', which they are of")
 
 
 def identifier(text: str) -> str:

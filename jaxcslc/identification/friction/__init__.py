@@ -9,6 +9,7 @@ from ._saved_pre_sliding import (
 )
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
 from ._yielding_friction import (
+    checked_lengths as checked_lengths,
     dry_term as dry_term,
     pre_sliding as pre_sliding,
     split_friction as split_friction,

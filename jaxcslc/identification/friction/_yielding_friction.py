@@ -75,6 +75,23 @@ def state_after(
     return sign + (w - sign) * functions.exp(-functions.absolute(change) / length)
 
 
+def checked_lengths(network: CSLC, lengths: Any) -> Float[np.ndarray, " joints"]:
+    """Lengths of pre-sliding as an array, (n,).
+
+    **Raises** `ValueError` for other than n numbers from 0 up, or of joints without dry friction.
+    """
+    joints, values = network.joint_count, np.asarray(lengths, float)
+    if values.shape != (joints,) or not np.all(np.isfinite(values) & (values >= 0.0)):
+        raise ValueError(f"lengths: expected {joints} finite numbers from 0 up")
+    without = {*np.flatnonzero(values).tolist()}
+    if without:
+        without -= {*dry_term(network).joints}
+    if without:
+        label = network.output_names[min(without)]
+        raise ValueError(f"lengths: {label} has no friction of kind 'dry', which they are of")
+    return values
+
+
 def split_friction(
     network: CSLC, k: Array, lengths: Float[Array | np.ndarray, " joints"]
 ) -> tuple[Array, Float[Array, " joints"], Float[Array, " joints"]]:

@@ -10,7 +10,9 @@ from ...network import CSLC
 from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
 from ..systematic import SystematicError
+from ._objective import Equations
 from .band import Spectrum
+from .equations import YieldingEquations
 from .errors import (
     CorrelatedErrors,
     RowSums,
@@ -72,6 +74,8 @@ class LikelihoodFit(eqx.Module):
     - `systematic`: what a wrong time of torques, and terms that the network lacks, may do to `fit`
       beyond its standard errors, by cause (`uncertainty_interval(fit, systematic)`); None with
       `errors="independent"` and with `transmission`.
+    - `lengths`: (n,) of pre-sliding [rad or m], as `MaximumLikelihood.lengths` set them: dry
+      friction of these joints is for motion that slides. Standard errors are for known lengths.
     - `selection`: what was tried of `MaximumLikelihood`'s `every` and `noise_order`, where one of
       them was `"auto"`; None otherwise.
 
@@ -102,6 +106,7 @@ class LikelihoodFit(eqx.Module):
     noise_coefficients: Float[np.ndarray, "order joints"]
     edge: Float[np.ndarray, "recordings joints"]
     reversal_moments: Float[np.ndarray, "samples joints"]
+    lengths: Float[np.ndarray, " joints"]
     unknowns: tuple[TorqueUnknown, ...] = eqx.field(static=True)
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
@@ -264,6 +269,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         noise_coefficients=minimum.objective.whitening.coefficients[:, :n],
         edge=(np.zeros_like(point.offset) if intervals is None else intervals.edges(part))[:, :n],
         reversal_moments=minimum.objective.signs.moments(point.turn, len(point.q))[:, :n],
+        lengths=_lengths(minimum.objective.equations, n),
         unknowns=calibration.unknowns,
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,
@@ -271,6 +277,11 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         systematic=systematic,
         transmission=_transmission(minimum, error[p + n : of_gears]),
     )
+
+
+def _lengths(equations: Equations, joints: int) -> Float[np.ndarray, " joints"]:
+    """Of pre-sliding; 0 where dry friction follows the sign of velocity."""
+    return equations.lengths if isinstance(equations, YieldingEquations) else np.zeros(joints)
 
 
 def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> Transmission | None:

@@ -1,6 +1,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,26 +10,24 @@ from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
 from ..prior import Prior
-from ..solver import ERRORS, Errors, Identification
+from ..solver import Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._near_fit import calibration_values, point_near
 from ._objective import Point
+from ._options import LikelihoodUnknown, check_options
 from ._problem import Problem
 from ._spacing import EXCESS, excess_noise, spacing_trials
 from ._start import starting_point
 from .knowledge import check_prior, possible_bodies
 from .search import Minimum, search
 from .selection import ModelSelection, NoiseExcitation, NoiseOrders, SpacingTrial, best_spacing
-from .torque import MOST_ORDER, TorqueSampling, TorqueUnknown
+from .torque import TorqueSampling
 from .transmission._apart import apart_minimum, check_transmission
 from .transmission._choice import TransmissionChoice
 from .transmission._search_start import SearchStart
 from .transmission._widened import near_transmission
 
 
-LikelihoodUnknown = TorqueUnknown | Literal["transmission"]
-"""What may be estimated beside coefficients: of recorded torques, or gears that give way."""
-_UNKNOWNS = (*get_args(TorqueUnknown), "transmission")
 # A misfit is known well enough when the sum of squares falls by no more than this part in a step.
 _MISFIT_TOLERANCE = 1e-3
 
@@ -92,10 +90,12 @@ class MaximumLikelihood:
       `possible`, of links, too.
     - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
       recording says nothing (`physical_parameters`), with positions that belong to them.
+    - `lengths`: (n,) of dry friction that yields before it slides [rad or m], such as those of
+      `fit_pre_sliding`; 0 where it follows the sign of velocity; of no joint if there are none.
 
     **Raises** `ValueError`: a `torque_sampling`, `errors` or `unknowns` that are none of these,
     gains without a value that is known, bounds in a prior, links without `possible`, or a
-    transmission with gains, `possible` or `noise_order`.
+    transmission with gains, `possible`, `noise_order` or `lengths`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -119,26 +119,18 @@ class MaximumLikelihood:
     transmission: tuple[int, ...] = ()
     prior: Prior | None = None
     possible: bool = False
+    lengths: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.torque_sampling not in get_args(TorqueSampling):
-            raise ValueError(
-                f"torque_sampling {self.torque_sampling!r} is unknown; expected 'held' or 'sampled'"
-            )
-        if self.errors not in ERRORS:
-            raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
-        if self.every != "auto" and self.every < 1:
-            raise ValueError(f"every: expected 1 or more or 'auto', got {self.every}")
-        if self.noise_order != "auto" and not 0 <= self.noise_order <= MOST_ORDER:
-            raise ValueError(
-                f"noise_order: expected 0 to {MOST_ORDER} or 'auto', got {self.noise_order}"
-            )
-        for name in self.unknowns:
-            if name not in _UNKNOWNS:
-                expected = " or ".join(_UNKNOWNS)
-                raise ValueError(f"unknowns: expected {expected}, got {name!r}")
+        check_options(
+            self.torque_sampling, self.errors, self.every, self.noise_order, self.unknowns
+        )
         check_transmission(
-            self.transmission, self.unknowns, possible=self.possible, noise_order=self.noise_order
+            self.transmission,
+            self.unknowns,
+            possible=self.possible,
+            noise_order=self.noise_order,
+            lengths=self.lengths,
         )
         check_prior(self.prior, gains="torque_gains" in self.unknowns, possible=self.possible)
 
@@ -165,8 +157,8 @@ class MaximumLikelihood:
 
         **Raises**
 
-        - `ValueError`: recording and network differ in joints, the recording is too short, or the
-          network has a payload.
+        - `ValueError`: recording and network differ in joints, the recording is too short, the
+          network has a payload, or lengths are not n or of joints without dry friction.
         - `RuntimeError`: the regression that it starts from fails, or no bodies are possible.
         - `ImportError`: with `possible`, without the conic solver (the extra `inertia`).
         """
@@ -397,4 +389,5 @@ class MaximumLikelihood:
             tuple(name for name in self.unknowns if name != "transmission"),
             self.prior,
             every,
+            self.lengths,
         )

@@ -6,10 +6,13 @@ from jaxtyping import Float, Int
 from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
 from ._sticking import Sticking
-from .equations import Stretches
+from .equations import Stretches, YieldingEquations
 from .torque import TorqueCalibration, Whitening
 from .transmission import TransmissionEquations
 
+
+Equations = Stretches | YieldingEquations | TransmissionEquations
+"""Torque as a function of positions."""
 
 # Prior standard deviation of a reversal about where velocity crosses zero, in intervals.
 TURN = 0.5
@@ -101,7 +104,7 @@ class Objective:
     - `truncation`: (equations, n) torque that is added to what equations predict [N m or N].
     """
 
-    equations: Stretches | TransmissionEquations
+    equations: Equations
     position: Float[np.ndarray, "samples joints"]
     torque: TorqueCalibration
     part: Int[np.ndarray, " samples"]

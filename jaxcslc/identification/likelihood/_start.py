@@ -6,6 +6,7 @@ from jaxtyping import Bool, Float
 from ...motion import Patterns, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
+from ..friction import checked_lengths
 from ..prior import Prior
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
@@ -47,6 +48,7 @@ def starting_point(
     unknowns: tuple[TorqueUnknown, ...] = (),
     prior: Prior | None = None,
     every: int = 1,
+    lengths: tuple[float, ...] = (),
 ) -> tuple[Problem, Point, Recordings, Recordings]:
     """The problem of recordings, and where its search starts: regression on smoothed motion.
 
@@ -143,6 +145,7 @@ def starting_point(
         encoder_step=steps,
         least_position_noise=np.where(encoder, steps / np.sqrt(12.0), least),
         scatter=np.where(encoder, 0.0, noise),
+        lengths=checked_lengths(network, lengths or np.zeros(n)),
     )
     point = Point(k, slopes, calibration.start, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, point, np.array(residual), position_noise

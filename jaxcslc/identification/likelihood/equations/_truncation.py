@@ -3,6 +3,7 @@ from jaxtyping import Float, Int
 
 from ..torque import triangle_mean
 from ._stretches import Stretches
+from ._yielding_equations import YieldingEquations
 
 
 Samples = Float[np.ndarray, "samples joints"]
@@ -14,7 +15,7 @@ _ROUNDS = 3
 
 
 def truncation(
-    equations: Stretches,
+    equations: Stretches | YieldingEquations,
     k: Float[np.ndarray, " coefficients"],
     slopes: Float[np.ndarray, " joints"],
     q: Samples,
@@ -54,7 +55,7 @@ def truncation(
 
 
 def _of_recording(
-    equations: Stretches,
+    equations: Stretches | YieldingEquations,
     k: Float[np.ndarray, " coefficients"],
     q: Samples,
     time: Float[np.ndarray, " samples"],

@@ -4,11 +4,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .._levenberg import LevenbergStep
-from .._objective import TURN, Objective, Point, Residuals
+from .._objective import TURN, Equations, Objective, Point, Residuals
 from .._problem import Problem
 from .._signs import Signs
 from .._sticking import Sticking, sticking_equations
-from ..equations import Stretches, truncation
+from ..equations import YieldingEquations, truncation
+from ..transmission import TransmissionEquations
 from ._state import Mask, State
 
 
@@ -26,7 +27,9 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
     readings, signs, point = problem.readings, state.signs, state.point
     assert signs is not None
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
-    extra = state.whitening.variance(_friction_variance(problem, signs, _breakaway(problem, state)))
+    equations = problem.equations_about(point)
+    of_friction = _friction_variance(problem, equations, signs, point, _breakaway(problem, state))
+    extra = state.whitening.variance(of_friction)
     weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + extra)
     beyond = problem.calibration.outside(point.calibration)
     without = state.whitening.touched(problem.at_rest | (readings.joined | beyond)[:, None])
@@ -41,7 +44,7 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
         border=known,
     )
     objective = Objective(
-        problem.equations,
+        equations,
         readings.position,
         problem.calibration,
         readings.part,
@@ -51,17 +54,17 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
         problem.scale,
         state.whitening,
         state.intervals,
-        truncation=_truncation(problem, signs, point),
+        truncation=_truncation(problem, equations, signs, point),
     )
     return objective, (extra == 0.0) & ~without
 
 
 def _truncation(
-    problem: Problem, signs: Signs, point: Point
+    problem: Problem, equations: Equations, signs: Signs, point: Point
 ) -> Float[np.ndarray, "equations joints"] | float:
     """What equations of sampled torque leave out at present positions."""
-    readings, equations = problem.readings, problem.equations
-    if readings.torque.sampling == "held" or not isinstance(equations, Stretches):
+    readings = problem.readings
+    if readings.torque.sampling == "held" or isinstance(equations, TransmissionEquations):
         return 0.0
     turns, direction = signs.turns(point.turn), signs.direction
     return truncation(
@@ -79,7 +82,8 @@ def _truncation(
 def with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
     """With the equations of joints that stick, which bound friction at break-away.
 
-    Not beside torque noise with a spectrum: an equation that is a bound has no residual. Nor where
+    Not beside torque noise with a spectrum: an equation that is a bound has no residual. Nor of
+    joints whose friction has a state, which bears what it does where they rest. Nor where
     all coefficients are fixed, of which alone bounds say something: wrong ones would draw positions
     to where friction bears what they make of the torque.
     """
@@ -89,7 +93,7 @@ def with_sticking(problem: Problem, state: State, objective: Objective) -> Objec
         return objective
     part, signs = problem.readings.part, objective.signs
     friction = objective.residuals(point).torque + signs.direction * breakaway
-    mask = sticking_equations(problem.at_rest, friction, breakaway)
+    mask = sticking_equations(problem.at_rest, friction, breakaway) & (problem.lengths == 0.0)
     mask &= ~problem.readings.joined[:, None]
     mask &= ~problem.calibration.outside(point.calibration)[:, None]
     if not mask.any():
@@ -107,13 +111,22 @@ def _breakaway(problem: Problem, state: State) -> Float[np.ndarray, " joints"]:
 
 
 def _friction_variance(
-    problem: Problem, signs: Signs, breakaway: Float[np.ndarray, " joints"]
+    problem: Problem,
+    equations: Equations,
+    signs: Signs,
+    point: Point,
+    breakaway: Float[np.ndarray, " joints"],
 ) -> Float[np.ndarray, "equations joints"]:
-    """Variance of friction that signs do not tell."""
+    """Variance of friction that signs do not tell, and of states at the start of a recording."""
+    of_states = 0.0
+    if isinstance(equations, YieldingEquations):
+        sizes = np.abs(equations.sizes(point.k)) / problem.calibration.gain(point.calibration)
+        of_states = (_UNCERTAIN * sizes * equations.unknown) ** 2
+        breakaway = np.maximum(breakaway - sizes, 0.0)
     extra = np.where(signs.uncertain, (_UNCERTAIN * breakaway) ** 2, 0.0)
     for offset in (-1, 0, 1):
         extra[signs.samples - 1 + offset, signs.joints] = (_REVERSAL * breakaway[signs.joints]) ** 2
-    return extra
+    return extra + of_states
 
 
 def outlier_weights(
@@ -125,9 +138,11 @@ def outlier_weights(
     """
     linear = step.minimum.linear
     signs, noise = linear.objective.signs, state.torque_noise[problem.readings.part[1:-1]]
-    extra = np.where(
-        signs.uncertain, _friction_variance(problem, signs, problem.breakaway(step.point)), 0.0
+    breakaway = problem.breakaway(step.point)
+    of_friction = _friction_variance(
+        problem, linear.objective.equations, signs, step.point, breakaway
     )
+    extra = np.where(signs.uncertain, of_friction, 0.0)
     extra = state.whitening.variance(extra)
     deviation = np.sqrt(noise**2 + extra)
     robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)

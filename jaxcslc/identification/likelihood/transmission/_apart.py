@@ -43,7 +43,12 @@ def apart_minimum(
 
 
 def check_transmission(
-    joints: Sequence[int], unknowns: Sequence[str], *, possible: bool, noise_order: int | str
+    joints: Sequence[int],
+    unknowns: Sequence[str],
+    *,
+    possible: bool,
+    noise_order: int | str,
+    lengths: Sequence[float],
 ) -> None:
     """**Raises** `ValueError` for what is not combined with links that move apart."""
     if not joints and "transmission" not in unknowns:
@@ -52,6 +57,7 @@ def check_transmission(
         "torque_gains": "torque_gains" in unknowns,
         "possible": possible,
         "noise_order": noise_order not in (0, "auto"),
+        "lengths": any(lengths),
     }
     for name, excluded in asked.items():
         if excluded:

@@ -118,6 +118,7 @@ def with_transmission(
         encoder_step=_wider(problem.encoder_step, f, 0.0),
         least_position_noise=_wider(problem.least_position_noise, f, _UNREAD),
         scatter=_wider(problem.scatter, f, 0.0),
+        lengths=np.append(problem.lengths, np.zeros(f)),
         transmission=TransmissionModel(n, index, least.values),
     )
     wide_point = dataclasses.replace(
