@@ -67,6 +67,7 @@ from .likelihood import (
     ModelSelection as ModelSelection,
     NoiseExcitation as NoiseExcitation,
     NoiseOrders as NoiseOrders,
+    OrderChoice as OrderChoice,
     SpacingTrial as SpacingTrial,
     TorqueSampling as TorqueSampling,
     TorqueUnknown as TorqueUnknown,

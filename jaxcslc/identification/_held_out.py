@@ -334,6 +334,11 @@ class RelativeError:
             )
         )
 
+    @property
+    def reversed(self) -> "RelativeError":
+        """Errors of the reference over these."""
+        return dataclasses.replace(self, change=-self.change)
+
     def beyond_chance(self, chance: float = 0.05) -> bool:
         """Whether errors are smaller by 1 % at least, and by more than chance explains.
 

@@ -10,6 +10,7 @@ from .selection import (
     ModelSelection as ModelSelection,
     NoiseExcitation as NoiseExcitation,
     NoiseOrders as NoiseOrders,
+    OrderChoice as OrderChoice,
     SpacingTrial as SpacingTrial,
 )
 from .torque import TorqueSampling as TorqueSampling, TorqueUnknown as TorqueUnknown

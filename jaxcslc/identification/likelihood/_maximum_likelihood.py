@@ -1,5 +1,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,11 +17,18 @@ from ._near_fit import calibration_values, point_near
 from ._objective import Point
 from ._options import LikelihoodUnknown, check_options
 from ._problem import Problem
-from ._spacing import EXCESS, excess_noise, spacing_trials
 from ._start import starting_point
+from ._trials import EXCESS, excess_noise, spacing_trials, with_spectrum
 from .knowledge import check_prior, possible_bodies
 from .search import Minimum, search
-from .selection import ModelSelection, NoiseExcitation, NoiseOrders, SpacingTrial, best_spacing
+from .selection import (
+    ModelSelection,
+    NoiseExcitation,
+    NoiseOrders,
+    OrderChoice,
+    SpacingTrial,
+    best_spacing,
+)
 from .torque import TorqueSampling
 from .transmission._apart import apart_minimum, check_transmission
 from .transmission._choice import TransmissionChoice
@@ -77,7 +85,8 @@ class MaximumLikelihood:
       predicted better by more than chance, or where noise excites (`NoiseExcitation`).
     - `noise_order`: 0 for torque noise that is white; 1 or 2 for an autoregression of that order,
       joint by joint, whose coefficients are estimated. `"auto"`: the order that torque residuals of
-      a fit with white noise support (Bayes's information criterion).
+      a fit with white noise support (Bayes's information criterion), unless noise would drift or
+      motion that was left out is predicted worse with it.
     - `unknowns`: of recorded torques, to be estimated too. `"torque_lag"`: how much later than
       positions they were measured, the same for all joints; negative for demands that act later
       than they are recorded. `"torque_gains"`: torque of each joint over what was recorded.
@@ -203,20 +212,18 @@ class MaximumLikelihood:
             noise = NoiseExcitation.of(network, minimum, first.point.q, every)
         if orders is not None and every > 1 and self.every == "auto":
             orders = NoiseOrders.of(problem, minimum)
+        coloured: OrderChoice | None = None
         if orders is not None and orders.order:
-            minimum = search(
-                problem,
-                minimum.point,
-                minimum.torque_noise,
-                minimum.position_noise,
-                report,
-                noise_coefficients=np.zeros((orders.order, network.joint_count)),
+            white = self._white(every)
+            fitted = partial(white._fit, network, every=every)
+            minimum, coloured = with_spectrum(
+                problem, minimum, orders.order, fitted, white, recordings, report
             )
         fit = self._fit(network, minimum, every)
         if self.every == "auto" or self.noise_order == "auto":
             order = len(fit.noise_coefficients)
             of_joints = None if excess is None else tuple(excess.tolist())
-            selection = ModelSelection(every, order, of_joints, trials, orders, noisy)
+            selection = ModelSelection(every, order, of_joints, trials, orders, noisy, coloured)
             fit = dataclasses.replace(fit, selection=selection)
         fit = dataclasses.replace(fit, transmission_choice=choice, noise_excitation=noise)
         return self._with_bodies(network, problem, minimum, fit, first[1:], report)
@@ -249,13 +256,13 @@ class MaximumLikelihood:
         report: Callable[[str], None],
     ) -> tuple[SpacingTrial, ...]:
         """Spacings beside that of a minimum with positions at every sample."""
-        white = dataclasses.replace(self, noise_order=0, errors="independent", possible=False)
-        return spacing_trials(
-            lambda every: dataclasses.replace(white, every=every),
-            network,
-            recordings,
-            white._fit(network, minimum, 1),
-            report,
+        plain = self._white(1)._fit(network, minimum, 1)
+        return spacing_trials(self._white, network, recordings, plain, report)
+
+    def _white(self, every: int) -> "MaximumLikelihood":
+        """The same for trials: white torque noise, nothing that is not judged."""
+        return dataclasses.replace(
+            self, every=every, noise_order=0, errors="independent", possible=False
         )
 
     def _near(

@@ -42,6 +42,56 @@ def best_spacing(trials: Sequence[SpacingTrial]) -> int:
     return min(better, key=lambda trial: trial.relative.change).every if better else 1
 
 
+@dataclasses.dataclass(frozen=True)
+class OrderChoice:
+    """Whether torque noise has the spectrum that its orders support, judged beside white noise.
+
+    **Attributes**
+
+    - `order`: of the autoregression.
+    - `drifting`: joints, from 1, whose noise would have a memory without an end: the model lacks
+      something slow, and making that white takes out gravity, too.
+    - `trial`: misfit of motion left out over that with white noise; None if it was not judged.
+
+    >>> OrderChoice(1, (), RelativeError(0.4, 0.05, 8)).line
+    'noise order 1, not used: misfit of motion left out +49 % ± 5 % beside white noise'
+    >>> OrderChoice(1, (2, 3), None).line
+    'noise order 1, not used: noise of joints 2, 3 would drift'
+    """
+
+    order: int
+    drifting: tuple[int, ...]
+    trial: RelativeError | None
+
+    @property
+    def used(self) -> bool:
+        """Unless noise drifts, or motion left out is predicted worse by more than chance."""
+        if self.drifting:
+            return False
+        return self.trial is None or not self.trial.reversed.beyond_chance()
+
+    @property
+    def line(self) -> str:
+        """It in words."""
+        words = f"noise order {self.order}{_used(self.used) or ', not used'}"
+        if self.drifting:
+            joints = ", ".join(map(str, self.drifting))
+            return f"{words}: noise of joint{'s' * (len(self.drifting) > 1)} {joints} would drift"
+        if self.trial is None:
+            return f"{words}: too little motion to be judged"
+        return f"{words}: misfit of motion left out {self.trial} beside white noise"
+
+    def document(self) -> dict[str, Any]:
+        """It as plain data."""
+        trial = self.trial
+        return {
+            "order": self.order,
+            "drifting": list(self.drifting),
+            "change": None if trial is None else trial.change,
+            "change_error": None if trial is None else trial.change_error,
+        }
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class ModelSelection:
     """What maximum likelihood selected of its own model, and what else it tried.
@@ -54,6 +104,7 @@ class ModelSelection:
     - `trials`: of spacings above 1; none where readings explain the noise of positions.
     - `orders`: of torque noise, compared; None if `noise_order` was set.
     - `noisy`: spacings that were left for a larger one, since noise of accelerations excited.
+    - `order_choice`: whether such a spectrum is used; None if `orders` support none.
 
     >>> import numpy as np
     >>> from jaxcslc.identification import ModelSelection, NoiseOrders
@@ -71,6 +122,7 @@ class ModelSelection:
     trials: tuple[SpacingTrial, ...]
     orders: NoiseOrders | None
     noisy: tuple[NoiseExcitation, ...] = ()
+    order_choice: OrderChoice | None = None
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -97,6 +149,8 @@ class ModelSelection:
                     f"noise order {order}{_used(self.noise_order == order)}: criterion (Bayes) over"
                     f" that of white noise {values}"
                 )
+        if self.order_choice is not None:
+            lines.append(self.order_choice.line)
         return tuple(lines)
 
     def document(self) -> dict[str, Any]:
@@ -117,6 +171,7 @@ class ModelSelection:
             "noise_criterion": None
             if self.orders is None
             else np.asarray(self.orders.criterion).tolist(),
+            "order_choice": None if self.order_choice is None else self.order_choice.document(),
             "lines": list(self.lines),
         }
 

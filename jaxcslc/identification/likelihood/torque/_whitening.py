@@ -44,6 +44,22 @@ class Whitening:
         """How many earlier residuals count."""
         return len(self.coefficients)
 
+    @property
+    def drifting(self) -> tuple[int, ...]:
+        """Joints, from 1, whose noise has a memory as long as any that is allowed.
+
+        >>> Whitening(np.array([[-0.6, -0.98, -1.6], [0.0, 0.0, 0.9]])).drifting
+        (2,)
+        """
+        least = (1.0 - 1e-6) * _MOST
+        a = np.vstack([self.coefficients, np.zeros_like(self.coefficients[:1])])[:MOST_ORDER]
+        if len(a) < MOST_ORDER:
+            return ()
+        reflections = np.stack([a[0] / (1.0 + a[1]), a[1]])
+        return tuple(
+            int(joint) + 1 for joint in np.flatnonzero(np.any(abs(reflections) > least, 0))
+        )
+
     def applied(
         self, values: Float[np.ndarray, "equations joints *columns"]
     ) -> Float[np.ndarray, "equations joints *columns"]:
