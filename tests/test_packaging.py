@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[1]
 COMMON = {
     *(
         "_bounded_search",
+        "_chunks",
         "_environment",
         "_field_types",
         "_processes",

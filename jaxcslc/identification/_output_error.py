@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..motion import Recording
+from ..motion import Recording, runs
 from ..network import CSLC
-from .likelihood import runs
 
 
 _STEPS = 4  # of integration between two samples

@@ -16,6 +16,7 @@ from ._masks import (
 )
 from ._patterns import Patterns, check_some_left
 from ._recording import Recording
+from ._rests import at_rest
 from ._sampling import Sampling
 from ._smoothing import AbstractSmoothing, Derivatives, without_rounding
 from ._splines import AveragedSplines
@@ -150,7 +151,9 @@ class Preparation:
 
         **Returns**
 
-        The patterns, `trimmed` samples fewer at both ends.
+        The patterns, `trimmed` samples fewer at both ends. Where a joint rests, and its pair is
+        left out, its velocity and acceleration are 0: the sign of what smoothing leaves of them is
+        no direction of friction.
 
         **Raises**
 
@@ -169,17 +172,18 @@ class Preparation:
         inside = slice(trim, samples - trim)
         q, qd, qdd = (values[inside] for values in derivatives)
         torque = self.aligned(recording.time, recording.torque)[inside]
+        slides = friction_mask(qd, self.speed_thresholds(qd).tolist())
+        resting = at_rest(qd) & ~slides
         patterns = Patterns(
             time=recording.time[inside],
             q=q,
-            qd=qd,
-            qdd=qdd,
+            qd=np.where(resting, 0.0, qd),
+            qdd=np.where(resting, 0.0, qdd),
             torque=torque,
             backlash_mask=~possible_backlash(qd, qdd, torque)
             if self.backlash
             else np.ones(q.shape, dtype=bool),
-            friction_mask=friction_mask(qd, self.speed_thresholds(qd).tolist())
-            & away_from_reversals(qd, self.reversal_margin),
+            friction_mask=slides & away_from_reversals(qd, self.reversal_margin),
         )
         check_some_left(patterns)
         return patterns
@@ -210,12 +214,9 @@ class Preparation:
             return friction_thresholds(
                 qd, DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction
             )
-        one = isinstance(self.thresholds, float | int)
-        return (
-            np.full(qd.shape[1], self.thresholds, float)
-            if one
-            else np.array(self.thresholds, float)
-        )
+        if isinstance(self.thresholds, float | int):
+            return np.full(qd.shape[1], self.thresholds, float)
+        return np.array(self.thresholds, float)
 
     def trimmed(self, recording: Recording) -> int:
         """How many samples `patterns` drops at both ends of a recording.

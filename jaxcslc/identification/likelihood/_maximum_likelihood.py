@@ -18,7 +18,6 @@ from ._objective import Point
 from ._options import LikelihoodUnknown, check_options
 from ._problem import Problem
 from ._start import starting_point
-from ._trials import EXCESS, excess_noise, spacing_trials, with_spectrum
 from .knowledge import check_prior, possible_bodies
 from .search import Minimum, search
 from .selection import (
@@ -29,6 +28,7 @@ from .selection import (
     SpacingTrial,
     best_spacing,
 )
+from .selection._trials import EXCESS, excess_noise, spacing_trials, with_spectrum
 from .torque import TorqueSampling
 from .transmission._apart import apart_minimum, check_transmission
 from .transmission._choice import TransmissionChoice

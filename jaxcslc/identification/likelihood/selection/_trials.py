@@ -3,14 +3,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ...motion import Recording
-from ...network import CSLC
-from .._held_out import RelativeError
-from ._left_out import Estimator, LeftOut
-from ._likelihood_fit import LikelihoodFit
-from ._problem import Problem
-from .search import Minimum, search
-from .selection import OrderChoice, SpacingTrial
+from ....motion import Recording
+from ....network import CSLC
+from ..._held_out import RelativeError
+from .._left_out import Estimator, LeftOut
+from .._likelihood_fit import LikelihoodFit
+from .._problem import Problem
+from ..search import Minimum, search
+from ._selection import OrderChoice, SpacingTrial
 
 
 # Spacings that are tried beside 1: each takes its part of the time.
