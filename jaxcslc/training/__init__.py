@@ -1,13 +1,12 @@
-from ._delta_rules import Backpropagation as Backpropagation, PerceptronRule as PerceptronRule
-from ._epoch import Record as Record, State as State
-from ._examples import (
+from ._costs import (
     Cost as Cost,
-    Examples as Examples,
-    examples as examples,
     half_rms as half_rms,
     half_square as half_square,
     mean_modulus as mean_modulus,
 )
+from ._delta_rules import Backpropagation as Backpropagation, PerceptronRule as PerceptronRule
+from ._epoch import Record as Record, State as State
+from ._examples import Examples as Examples, examples as examples
 from ._history import (
     ENDINGS as ENDINGS,
     OUTCOMES as OUTCOMES,

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any
 
@@ -10,39 +9,9 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals, Subnetwork
+from ._costs import Cost
 from ._rules import AbstractRule
-from .fused import summed_change
-
-
-Errors = Float[Array, "outputs patterns"]
-#: Errors (o, patterns), and ones where they count and zeros elsewhere, to one number.
-Cost = Callable[[Errors, Errors], Float[Array, ""]]
-
-
-def mean_modulus(errors: Errors, counts: Errors) -> Float[Array, ""]:
-    """The mean error modulus, which the rates of 6.3.1 are adapted by."""
-    return jnp.sum(jnp.abs(errors) * counts) / jnp.maximum(jnp.sum(counts), 1.0)
-
-
-def half_rms(errors: Errors, counts: Errors) -> Float[Array, ""]:
-    """Half the root mean square of a pattern's errors, averaged over patterns: the ε of 7.5.
-
-    >>> import jax.numpy as jnp
-    >>> from jaxcslc.training import half_rms
-    >>> errors = jnp.asarray([[3.0, 0.0], [4.0, 1.0]])
-    >>> counts = jnp.asarray([[1.0, 0.0], [1.0, 1.0]])
-    >>> round(float(half_rms(errors, counts)), 4)  # (sqrt(12.5) / 2 + 1 / 2) / 2
-    1.1339
-    """
-    counted_outputs = jnp.sum(counts, axis=0)
-    squares = jnp.sum(errors**2 * counts, axis=0) / jnp.maximum(counted_outputs, 1.0)
-    return 0.5 * jnp.sum(jnp.sqrt(squares)) / jnp.maximum(jnp.sum(counted_outputs > 0), 1.0)
-
-
-def half_square(errors: Errors, counts: Errors) -> Float[Array, ""]:
-    """Half the sum of a pattern's squared errors, averaged over patterns (Eqn. 3.4-2)."""
-    patterns = jnp.maximum(jnp.sum(jnp.sum(counts, axis=0) > 0), 1.0)
-    return 0.5 * jnp.sum(errors**2 * counts) / patterns
+from .fused import CostKernel, batched_by, cost_kernel, summed_change
 
 
 def reach(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
@@ -150,9 +119,18 @@ class Examples(eqx.Module):
     def costs(
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"], *costs: Cost
     ) -> tuple[Float[Array, ""], ...]:
-        """Each cost of the network with these weights."""
-        errors = self.errors(network, weights)
-        return tuple(cost(errors, self.counts) for cost in costs)
+        """Each cost of the network with these weights; of many weights at once by a kernel, where
+        there is one."""
+        kernels = {cost: self._cost_kernel(network, cost, 0) for cost in costs}
+        if any(kernel is None for kernel in kernels.values()):
+            errors = self.errors(network, weights)
+            return tuple(cost(errors, self.counts) for cost in costs)
+        values: dict[Cost, Array] = {}
+        for cost, kernel in kernels.items():
+            assert kernel is not None
+            single, many = partial(_cost_after, network, cost), partial(_costs_of_many, kernel)
+            values[cost] = batched_by(single, many, 1)(weights, self)
+        return tuple(values[cost] for cost in costs)
 
     def trial_costs(
         self,
@@ -171,16 +149,37 @@ class Examples(eqx.Module):
             return jax.lax.map(
                 lambda trial: self.costs(network, weights + trial @ change, cost)[0], trials
             )
-        present = self.totals(network, weights)
-        parts = jax.vmap(lambda part: self.totals(network, part))(change)
 
-        def after(trial: Array) -> Array:
-            total = present
-            for group in range(trials.shape[1]):  # written out: a product of matrices stays apart
-                total = total + trial[group] * parts[group]
-            return cost((self.targets - network.activation.value(total)) * self.counts, self.counts)
+        def single(weights: Array, change: Array, trials: Array, patterns: Examples) -> Array:
+            present = patterns.totals(network, weights)
+            parts = jax.vmap(lambda part: patterns.totals(network, part))(change)
 
-        return jax.vmap(after)(trials)
+            def after(trial: Array) -> Array:
+                total = present
+                for group in range(
+                    trials.shape[1]
+                ):  # written out: a product of matrices stays apart
+                    total = total + trial[group] * parts[group]
+                errors = patterns.targets - network.activation.value(total)
+                return cost(errors * patterns.counts, patterns.counts)
+
+            return jax.vmap(after)(trials)
+
+        kernel = self._cost_kernel(network, cost, len(trials))
+        if kernel is None:
+            return single(weights, change, trials, self)
+        many = partial(_trial_costs_of_many, kernel)
+        return batched_by(single, many, 3)(weights, change, trials, self)
+
+    def has_cost_kernel(self, network: AdaptiveNetwork, cost: Cost) -> bool:
+        """Whether a kernel computes the cost, also at as many sets of rates as are compared."""
+        trials = 4 * len(network.adaptive_layers)
+        return all(self._cost_kernel(network, cost, number) for number in (0, 1, trials))
+
+    def _cost_kernel(self, network: AdaptiveNetwork, cost: Cost, trials: int) -> CostKernel | None:
+        if self.condensed is None:
+            return None
+        return cost_kernel(network, cost, reach(network), trials)
 
     def change(
         self,
@@ -213,6 +212,25 @@ class Examples(eqx.Module):
         return (self.targets - network.activation.value(self.totals(network, weights))) * (
             self.counts
         )
+
+
+def _cost_after(network: AdaptiveNetwork, cost: Cost, weights: Array, patterns: Examples) -> Array:
+    return cost(patterns.errors(network, weights), patterns.counts)
+
+
+def _costs_of_many(kernel: CostKernel, weights: Array, patterns: Examples) -> Array:
+    return _trial_costs_of_many(kernel, weights, None, None, patterns)[:, 0]
+
+
+def _trial_costs_of_many(
+    kernel: CostKernel,
+    weights: Array,
+    change: Array | None,
+    trials: Array | None,
+    patterns: Examples,
+) -> Array:
+    assert patterns.condensed is not None
+    return kernel(weights, change, trials, patterns.condensed, patterns.targets, patterns.counts)
 
 
 def examples(

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..adaptive import LINEAR_COMBINER, AdaptiveNetwork
+from ._costs import Cost, half_square
 from ._delta_rules import Backpropagation
-from ._examples import Cost, Examples, half_square
+from ._examples import Examples
 from ._rules import AbstractRule, links_per_weight
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..adaptive import AdaptiveNetwork
-from ._examples import Cost, half_rms
+from ._costs import Cost, half_rms
 from ._rates import AbstractRates, AdaptedRates
 from ._rules import AbstractRule
 from ._switching import SwitchWhen

@@ -60,7 +60,8 @@ class AbstractRule(eqx.Module):
         counts: Numbers,
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
-        """What each adaptive layer contributes to the change of the weights, (groups, p).
+        """What each adaptive layer contributes to the change of the weights, (groups, p); zero for
+        weights that none of its links has.
 
         - `signals`, `targets`, `counts`: as in `Examples`.
         - `learning`: which layers take part; shared weights move by the average over the links

@@ -20,6 +20,10 @@ from ._rules import AbstractRule
 from .fused import kernel_of
 
 
+# Where kernels compute changes and costs, and nothing of a pattern is in memory for a training.
+_ALL_BY_KERNELS = 65_536
+
+
 def train(
     network: AdaptiveNetwork,
     training_set: Examples | NormalEquations,
@@ -212,13 +216,17 @@ def _largest_block(
         return 256
     if platform_of(training_set.targets) == "cpu":
         return 8
+    learning, layers = plan.learning(network), len(network.adaptive_layers)
+    by_kernel = training_set.condensed is not None and training_set.trainings is None
+    rules, costs = plan.schedule.rules, {plan.cost, plan.measure or plan.cost}
+    if by_kernel and plan.schedule.switch is None and plan.order == "batch":
+        changes = all(kernel_of(network, rule, learning) is not None for rule in rules)
+        if changes and all(training_set.has_cost_kernel(network, cost) for cost in costs):
+            return _ALL_BY_KERNELS
     # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch keeps
     # some ten at a time; with a kernel, for outputs, their parts by layer, and errors at trial
     # rates, all at a time.
-    learning, layers = plan.learning(network), len(network.adaptive_layers)
-    rules = plan.schedule.rules
     numbers = 10 * sum(layer.links.nodes for _, layer in network.adaptive_layers)
-    by_kernel = training_set.condensed is not None and training_set.trainings is None
     if by_kernel and all(kernel_of(network, rule, learning) is not None for rule in rules):
         numbers = network.outputs_count * (2 + layers) + 4 * layers
     return max(1, int(4e9 / (8 * max(numbers, 1) * training_set.targets.shape[-1])))

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
-from jaxcslc.network.straight_line import Expressions, Kernel, assembly, c_library, traced
+from jaxcslc.network.straight_line import Expressions, assembly, c_library, traced
 from jaxcslc.training import (
     PERAL,
     AbstractRule,
@@ -24,16 +24,32 @@ from jaxcslc.training import (
     FixedRates,
     IdealPERAL,
     Plan,
+    _costs,
+    _examples,
     examples,
+    half_rms,
+    half_square,
+    mean_modulus,
     train,
 )
-from jaxcslc.training.fused import RuleStatements, _change, rule_statements, summed_change
+from jaxcslc.training.fused import (
+    RuleStatements,
+    _change,
+    _kernel_source,
+    _stages,
+    _statements,
+    batched_by,
+    rule_statements,
+    summed_change,
+)
+from jaxcslc.training.fused._collected import Collected
 
 
 PATTERNS = 30
 #: Sums of patterns in another order, and products with reciprocals in place of quotients.
 ROUNDING: Any = {"rtol": 1e-12, "atol": 1e-12}
 RULES = (PERAL(), Backpropagation())
+COSTS = (half_rms, half_square, mean_modulus)
 needs_compiler = pytest.mark.skipif(
     shutil.which("cc") is None, reason="no C compiler (cc) on this machine"
 )
@@ -64,17 +80,24 @@ def statements_of(
 
 
 def changed_by_c(statements: RuleStatements, weights: np.ndarray, patterns: Examples) -> np.ndarray:
-    lines = statements.text("row[{0}]", "weights[{0}]", "sums[{0}]")
-    rows = statements.patterns(patterns.signals, patterns.targets, patterns.counts)
-    table = np.stack([np.broadcast_to(x, PATTERNS) for x in rows], axis=1).copy()
+    stages = [
+        "\n".join(["{", *statements.text("row[{0}]", "weights[{0}]", "sums[{0}]", stage), "}"])
+        for stage in statements.stages
+    ]
+    factors = statements.factor_text("weights[{0}]", "sums[{0}] = {1} * sums[{0}];")
+    rows = statements.row_text("inputs[{0} * patterns + i]", "row[{0}] = {1};")
+    leaves = jax.tree.leaves((patterns.signals, patterns.targets, patterns.counts))
+    inputs = np.concatenate(leaves).copy()
     source = (
         "#include <math.h>\ntypedef double real;\n"
-        "void change(const double* row, const double* weights, double* sums, long patterns)\n"
-        f"{{ for (long i = 0; i < patterns; ++i, row += {len(rows)}) {{\n"
-    ) + "\n".join([*lines, "} }"])
+        "void change(const double* inputs, const double* weights, double* sums, long patterns)\n"
+        f"{{ double handed[{len(statements.stages[-1].handed_in) + 1}];\n"
+        f"double row[{len(statements.rows)}];\n"
+        "for (long i = 0; i < patterns; ++i) {\n"
+    ) + "\n".join(["{", *rows, "}", *stages, "}", *factors, "}"])
     library: Any = c_library(source)
     sums = np.zeros(len(statements.sums))
-    arrays = (x.ctypes.data_as(ctypes.c_void_p) for x in (table, weights, sums))
+    arrays = (x.ctypes.data_as(ctypes.c_void_p) for x in (inputs, weights, sums))
     library.change(*arrays, ctypes.c_long(PATTERNS))
     change = np.zeros(statements.shape)
     change.flat[list(statements.entries)] = sums
@@ -104,6 +127,111 @@ def test_statements_are_the_rules_own(
     statements = statements_of(arm, rule, learning)
     assert_allclose(changed_by_c(statements, weights, patterns), expected, **ROUNDING)
     assert 0 < statements.operations < 20 * sum(x.links.count for _, x in arm.adaptive_layers)
+
+
+@needs_compiler
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
+def test_stages_add_up_to_the_whole(
+    arm: AdaptiveNetwork,
+    patterns: Examples,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    rule: AbstractRule,
+) -> None:
+    """As few weights and sums in a stage as there can be: one for each output, one for several."""
+    monkeypatch.setattr(_stages, "_MOST_KEPT", 0)
+    monkeypatch.setattr(_stages, "_LEAST_SAVING", 2)
+    learning = (True,) * len(arm.groups)
+    weights = rng.normal(size=arm.size)
+    _statements._rule_statements.cache_clear()
+    statements = statements_of(arm, rule, learning)
+    _statements._rule_statements.cache_clear()
+    assert len(statements.stages) == 3
+    assert statements.stages[-1].handed_in
+    arrays = patterns.signals, patterns.targets, patterns.counts
+    expected = rule.change(arm, jnp.asarray(weights), *arrays, learning)
+    assert_allclose(changed_by_c(statements, weights, patterns), expected, **ROUNDING)
+
+
+def test_what_patterns_decide_is_collected() -> None:
+    """Of links that share a weight one product is left, and a single weight's share has none."""
+    graph = Expressions()
+    x, y, w, v = (graph.input(name) for name in ("x", "y", "weight 0", "weight 1"))
+    collected = Collected(graph)
+    (product,) = collected.sum_of(x * w + y * w - 2.0 * w)
+    assert collected.product_value(product).operation.text == "weight 0"
+
+    def share(amount: Any, among: Any) -> Any:
+        zero = graph.equal(among, graph.lift(0.0))
+        some = graph.choice(zero, among, graph.lift(1.0))
+        quotient = amount * graph.apply("reciprocal", some)
+        return graph.choice(zero, quotient, graph.lift(0.0))
+
+    modulus = graph.apply("fabs", x * w)
+    names = [
+        [collected.graph.operations[i].name for i in product]
+        for product in collected.sum_of(share(modulus, modulus))
+    ]
+    assert names == [["nonzero"]]
+    form, factor = collected.factors(graph.apply("fabs", w) * share(modulus, modulus))
+    assert list(form) == [()] and collected.product_value(factor).operation.name == "fabs"
+    (two,) = collected.sum_of(share(y, w * x + v))
+    assert [collected.graph.operations[i].name for i in two] == ["inverse"]
+
+
+def test_layouts_fit_a_multiprocessor(arm: AdaptiveNetwork) -> None:
+    statements = statements_of(arm, PERAL(), (True,) * len(arm.groups))
+    for trainings in (1, 5, 33, 70, 200, 4096):
+        launch = _kernel_source.launch_of(statements, trainings)
+        assert launch is not None
+        assert launch.threads >= min(trainings, 256)
+        assert launch.resident * (launch.shared_bytes + 1024) <= 227 * 1024
+        text = _kernel_source.source(statements, launch)
+        assert text.count("{") == text.count("}") and "row[" not in text
+    assert len(_kernel_source.rows_source(statements).splitlines()) > len(statements.rows)
+
+
+def test_no_layout_where_rows_are_too_long(
+    arm: AdaptiveNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_kernel_source, "_SHARED", 1500)
+    assert (
+        _kernel_source.launch_of(statements_of(arm, PERAL(), (True,) * len(arm.groups)), 64) is None
+    )
+
+
+@pytest.mark.parametrize("cost", COSTS)
+def test_costs_are_sums_over_patterns(cost: Any, patterns: Examples) -> None:
+    terms = _costs.error_sum(cost)
+    assert terms is not None
+    errors, counts = patterns.targets * patterns.counts, patterns.counts
+    size = errors**2 if terms.square else jnp.abs(errors)
+    sums = jnp.sum(size * terms.shares(counts), axis=0)
+    total = jnp.sum(jnp.sqrt(sums) if terms.root else sums) * terms.scale(counts)
+    assert_allclose(total, cost(errors, counts), **ROUNDING)
+    assert _costs.error_sum(lambda errors, counts: jnp.sum(errors)) is None
+
+
+def test_own_arguments_are_given_the_axis(rng: np.random.Generator) -> None:
+    """Those that are mapped over and those that are not, in one map and in two."""
+    sizes: list[int] = []
+
+    def one(x: Array, y: Array, shared: Array) -> Array:
+        return jnp.sum(x * y) + shared
+
+    def many(x: Array, y: Array, shared: Array) -> Array:
+        sizes.append(len(x))
+        return jax.vmap(one, (0, 0, None))(x, y, shared)
+
+    function = batched_by(one, many, 2)
+    x, y, shared = (jnp.asarray(rng.normal(size=n)) for n in ((4, 3, 2), (3, 2), (4,)))
+    inner, outer = (0, 0, None), (0, None, None)
+    for axes in (outer, (0, None, 0)):
+        value = shared if axes[2] == 0 else shared[0]
+        expected = jax.vmap(jax.vmap(one, inner), axes)(x, y, value)
+        assert_allclose(jax.vmap(jax.vmap(function, inner), axes)(x, y, value), expected)
+    assert_allclose(jax.vmap(function, (None, 0, None))(x[0, 0], y, 1.0), y @ x[0, 0] + 1.0)
+    assert set(sizes) == {3, 12}
 
 
 def test_what_has_no_statements(arm: AdaptiveNetwork) -> None:
@@ -199,7 +327,39 @@ def test_trainings_by_the_kernel_are_those_without(
 
 
 @pytest.mark.gpu
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("trials", [1, 3, 17])
+def test_costs_by_the_kernel(
+    arm: AdaptiveNetwork,
+    patterns: Examples,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    cost: Any,
+    trials: int,
+) -> None:
+    weights = jnp.asarray(rng.normal(size=(70, arm.size)))
+    moved = np.zeros((len(arm.groups), arm.size))
+    for row, (_, layer) in zip(moved, arm.adaptive_layers, strict=True):
+        row[layer.links.weight] = 1.0
+    change = jnp.asarray(moved * rng.normal(size=(70, *moved.shape)))
+    rates = jnp.asarray(rng.random((70, trials, len(moved))))
+
+    def costs() -> tuple[Array, Array]:
+        present = jax.vmap(lambda w: patterns.costs(arm, w, cost)[0])(weights)
+        after = jax.vmap(lambda w, c, r: patterns.trial_costs(arm, w, c, r, cost))
+        return present, after(weights, change, rates)
+
+    assert patterns.has_cost_kernel(arm, cost)
+    by_kernel = costs()
+    monkeypatch.setattr(_examples, "cost_kernel", lambda *_: None)
+    for value, expected in zip(by_kernel, costs(), strict=True):
+        assert_allclose(value, expected, **ROUNDING)
+
+
+@pytest.mark.gpu
 def test_assembly_of_the_kernel(arm: AdaptiveNetwork) -> None:
-    source = _change.source(statements_of(arm, PERAL(), (True,) * len(arm.groups)))
-    assert ".entry changes" in assembly(source)
-    assert Kernel("changes", source, _change.THREADS).shared_bytes == 0
+    statements = statements_of(arm, PERAL(), (True,) * len(arm.groups))
+    launch = _kernel_source.launch_of(statements, 4096)
+    assert launch is not None
+    assert ".entry changes" in assembly(_kernel_source.source(statements, launch))
+    assert ".entry rows" in assembly(_kernel_source.rows_source(statements))

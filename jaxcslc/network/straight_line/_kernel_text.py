@@ -7,6 +7,8 @@ _SYMBOLS = {"add": "+", "subtract": "-", "multiply": "*"}
 # Of C's mathematics, and CUDA's, under other names than the graph's, for any x.
 _FUNCTIONS = {
     "reciprocal": "((real)1 / {0})",
+    "inverse": "({0} != 0 ? (real)1 / {0} : (real)0)",
+    "nonzero": "(real)({0} != 0)",
     "sign": "(real)(({0} > 0) - ({0} < 0))",
     "positive": "({0} > 0 ? {0} : (real)0)",
     "negative": "({0} < 0 ? {0} : (real)0)",

@@ -1,12 +1,12 @@
-from collections import Counter
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from ...adaptive import AdaptiveNetwork, Signals
 from ...network.straight_line import (
@@ -14,14 +14,15 @@ from ...network.straight_line import (
     KernelText,
     Operation,
     Value,
-    array_outputs,
     traced,
 )
 from .._rules import AbstractRule
+from ._collected import Collected
+from ._stages import Stage, stages_of
 
 
 # What is computed once for all trainings, of a pattern alone; moduli and signs come at no cost.
-_ONCE = ("add", "subtract", "multiply", "sign")
+_ONCE = ("add", "subtract", "multiply", "sign", "inverse")
 _FREE = ("fabs", "negate")
 # More statements than these compile for minutes.
 _MOST = 20_000
@@ -35,42 +36,89 @@ class RuleStatements:
 
     - `graph`: of the expressions.
     - `sums`: those that are summed over patterns.
+    - `factors`: what weights alone decide, times each of these sums.
     - `entries`: where they are in the change, (groups, weights) flattened; others are zero.
     - `rows`: what is read of a pattern, computed once for all trainings.
-    - `weights`: which weights are read.
     - `shape`: of the change.
+    - `stages`: in which a thread adds up the sums.
+    - `inputs`: names of the numbers of a pattern, in the order of its arrays.
     """
 
     graph: Expressions
     sums: tuple[Value, ...]
+    factors: tuple[Value, ...]
     entries: tuple[int, ...]
     rows: tuple[Value, ...]
-    weights: tuple[int, ...]
     shape: tuple[int, int]
+    stages: tuple[Stage, ...]
+    inputs: tuple[str, ...]
 
     def text(
-        self, row: str, weight: str, total: str, functions: Mapping[str, str] | None = None
+        self,
+        row: str,
+        weight: str,
+        total: str,
+        stage: Stage,
+        functions: Mapping[str, str] | None = None,
+        handed: str = "handed[{0}]",
     ) -> list[str]:
         """Statements that add a pattern's part to the sums of a training.
 
         - `row`, `weight`, `total`: what number {0} of each is called.
+        - `stage`: which sums.
         - `functions`: as of `KernelText`.
+        - `handed`: what a value is called that stages hand over.
         """
-        index_of = {value.index: i for i, value in enumerate(self.rows)}
+        known = {value.index: handed.format(i) for i, value in stage.handed_in}
+        kernel_text = self._kernel_text(row, weight, functions, known)
+        kept = [(value, f"{handed.format(i)} = {{0}};") for i, value in stage.handed_on]
+        stores = [
+            (value, f"{total.format(number)} {'-' if minus else '+'}= {{0}};")
+            for number, minus, value in stage.terms
+        ]
+        return kernel_text.statements_in_turn([*kept, *stores])
+
+    def factor_text(
+        self, weight: str, store: str, functions: Mapping[str, str] | None = None
+    ) -> list[str]:
+        """Statements for a training, once all patterns are summed.
+
+        - `store`: of number {0} of the sums, with the factor {1}.
+        """
+        stores = [(value, store.format(i, "{0}")) for i, value in enumerate(self.factors)]
+        return self._kernel_text("", weight, functions, {}).statements_in_turn(stores)
+
+    def row_text(self, number: str, store: str) -> list[str]:
+        """Statements that compute the rows of a pattern.
+
+        - `number`: what number {0} of the pattern is called.
+        - `store`: of number {0} of the rows, with its value {1}.
+        """
+        index_of = {name: i for i, name in enumerate(self.inputs)}
+
+        def reading(operation: Operation) -> str | None:
+            index = index_of.get(operation.text)
+            return None if index is None else number.format(index)
+
+        stores = [(value, store.format(i, "{0}")) for i, value in enumerate(self.rows)]
+        return KernelText(self.graph, reading).statements(stores)
+
+    def _kernel_text(
+        self,
+        row: str,
+        weight: str,
+        functions: Mapping[str, str] | None,
+        known: Mapping[int, str],
+    ) -> KernelText:
+        names = {value.index: row.format(i) for i, value in enumerate(self.rows)} | dict(known)
         indices = {operation: i for i, operation in enumerate(self.graph.operations)}
 
         def reading(operation: Operation) -> str | None:
             if operation.text.startswith("weight"):
                 return weight.format(int(operation.text.split()[1]))
-            at = index_of.get(indices[operation])
-            return None if at is None else row.format(at)
+            return names.get(indices[operation])
 
-        kernel_text = KernelText(self.graph, reading, functions)
-        stores = [
-            (value, f"{total.format(i)} {'-' if minus else '+'}= {{0}};")
-            for i, minus, value in _in_order(self.graph, kernel_text, self.sums)
-        ]
-        return kernel_text.statements_in_turn(stores)
+        return KernelText(self.graph, reading, functions)
 
     @property
     def operations(self) -> int:
@@ -80,18 +128,6 @@ class RuleStatements:
         computed = text.needed(self.sums, rows)
         free = ("input", "constant", *_FREE)
         return sum(self.graph.operations[i].name not in free for i in computed) + len(self.sums)
-
-    def patterns(
-        self,
-        signals: Signals,
-        targets: Float[Array, "outputs patterns"],
-        counts: Float[Array, "outputs patterns"],
-    ) -> list[Array]:
-        """The rows of all patterns, (patterns,) each."""
-        inputs: dict[str, Any] = {}
-        for number, array in enumerate(jax.tree.leaves((signals, targets, counts))):
-            inputs |= {f"{_name(number)} {i}": row for i, row in enumerate(array)}
-        return array_outputs(self.graph, self.rows, inputs)
 
 
 def rule_statements(
@@ -124,9 +160,14 @@ def _rule_statements(
     parts, outputs_count = network.subnetworks, network.outputs_count
     sizes = [part.layers[0].inputs for part in parts]
     sizes += [layer.contexts for part in parts for layer in part.contexts]
-    arrays = [
-        np.array([graph.input(f"{_name(i)} {j}") for j in range(size)], object).reshape(size, 1)
+    names = [
+        [f"{_name(i)} {j}" for j in range(size)]
         for i, size in enumerate([*sizes, outputs_count, outputs_count])
+    ]
+    inputs = tuple(name for of_array in names for name in of_array)
+    arrays = [
+        np.array([graph.input(name) for name in of_array], object).reshape(-1, 1)
+        for of_array in names
     ]
     weights = np.array([graph.input(f"weight {i}") for i in range(network.size)], object)
 
@@ -144,16 +185,33 @@ def _rule_statements(
         return None
     values = list(outputs[0].ravel())
     entries = tuple(i for i, value in enumerate(values) if not value.is_zero)
-    sums = tuple(values[i] for i in entries)
-    used = graph.needed(sums)
-    if len(used) > _MOST:
+    collected = Collected(graph)
+    forms = [collected.factors(values[i]) for i in entries]
+    sums = tuple(collected.value(form) for form, _ in forms)
+    factors = tuple(collected.product_value(product) for _, product in forms)
+    if len(collected.graph.needed(sums)) > _MOST:
         return None
-    rows, read = _rows(graph, sums)
-    return RuleStatements(graph, sums, entries, rows, read, outputs[0].shape)
+    rows = _rows(collected.graph, (*sums, *factors))
+    shape = outputs[0].shape
+    operations = collected.graph.operations
+    prefix = f"{_name(len(sizes))} "
+    targets = {i for i, operation in enumerate(operations) if operation.text.startswith(prefix)}
+    stages = stages_of(collected.graph, sums, {value.index for value in rows}, targets)
+    statements = RuleStatements(
+        collected.graph, sums, factors, entries, rows, shape, stages, inputs
+    )
+    return replace(statements, rows=_in_use(statements))
 
 
-def _rows(graph: Expressions, sums: Sequence[Value]) -> tuple[tuple[Value, ...], tuple[int, ...]]:
-    """What patterns alone decide, where it meets weights; and the weights."""
+def _in_use(statements: RuleStatements) -> tuple[Value, ...]:
+    """The rows as statements read them one after the other: a kernel reads two at a time."""
+    texts = (statements.text("row[{0}]", "weight", "sum", stage) for stage in statements.stages)
+    numbers = (int(i) for lines in texts for i in re.findall(r"\brow\[(\d+)\]", " ".join(lines)))
+    return tuple(statements.rows[i] for i in dict.fromkeys(numbers))
+
+
+def _rows(graph: Expressions, sums: Sequence[Value]) -> tuple[Value, ...]:
+    """What patterns alone decide, where it meets weights."""
     operations = graph.operations
     alone: dict[int, bool] = {}  # whether an operation is of the pattern alone, constants included
     for index in graph.needed(sums):
@@ -172,44 +230,7 @@ def _rows(graph: Expressions, sums: Sequence[Value]) -> tuple[tuple[Value, ...],
     indices = {operation: i for i, operation in enumerate(operations)}
     needed = KernelText(graph, reading).needed(sums)
     read = [i for i in needed if reading(operations[i]) is not None]
-    rows = tuple(Value(graph, i) for i in read if alone[i])
-    return rows, tuple(int(operations[i].text.split()[1]) for i in read if not alone[i])
-
-
-def _in_order(
-    graph: Expressions, text: KernelText, sums: Sequence[Value]
-) -> list[tuple[int, bool, Value]]:
-    """Terms of sums, in which sum each and whether it is subtracted: next is always the one that
-    needs least to be computed.
-
-    So few values are alive at a time: of the nodes that lead to one output, and then those that
-    lead to the next. In the order of layers all nodes of a network would be, far more than a GPU's
-    thread has registers.
-    """
-    uses = Counter(i for index in graph.needed(sums) for i in graph.operations[index].arguments)
-    uses.update(value.index for value in sums)
-    terms: list[tuple[int, bool, Value]] = []
-    for number, value in enumerate(sums):
-        todo = [(False, value.index)]
-        while todo:
-            minus, index = todo.pop()
-            name, arguments = graph.operations[index].name, graph.operations[index].arguments
-            if uses[index] == 1 and name in ("add", "subtract"):
-                todo += [(minus, arguments[0]), (minus != (name == "subtract"), arguments[1])]
-            elif uses[index] == 1 and name == "negate":
-                todo.append((not minus, arguments[0]))
-            else:
-                terms.append((number, minus, Value(graph, index)))
-    # Sets of operations as the bits of numbers.
-    below = [sum(1 << i for i in text.needed([value])) for _, _, value in terms]
-    computed, ordered = 0, list[tuple[int, bool, Value]]()
-    remaining = list(range(len(terms)))
-    while remaining:
-        best = min(remaining, key=lambda i: (below[i] & ~computed).bit_count())
-        remaining.remove(best)
-        computed |= below[best]
-        ordered.append(terms[best])
-    return ordered
+    return tuple(Value(graph, i) for i in read if alone[i])
 
 
 def _name(number: int) -> str:
