@@ -152,8 +152,8 @@ class Preparation:
         **Returns**
 
         The patterns, `trimmed` samples fewer at both ends. Where a joint rests, and its pair is
-        left out, its velocity and acceleration are 0: the sign of what smoothing leaves of them is
-        no direction of friction.
+        left out, its velocity is 0: the sign of what smoothing leaves of it is no direction of
+        friction.
 
         **Raises**
 
@@ -178,7 +178,7 @@ class Preparation:
             time=recording.time[inside],
             q=q,
             qd=np.where(resting, 0.0, qd),
-            qdd=np.where(resting, 0.0, qdd),
+            qdd=qdd,
             torque=torque,
             backlash_mask=~possible_backlash(qd, qdd, torque)
             if self.backlash

@@ -58,11 +58,13 @@ def test_velocity_at_rest_is_zero_and_masks_stay(recording: jc.Recording) -> Non
     preparation = jc.Preparation(jc.AveragedSplines(9))
     patterns = preparation.patterns(recording)
     trim = preparation.trimmed(recording)
-    qd = preparation.derivatives(recording)[1][trim:-trim]
+    _, qd, qdd = (x[trim:-trim] for x in preparation.derivatives(recording))
     still = at_rest(qd)
     assert still.sum() > 0.9 * RESTING and np.any(qd[still] != 0.0)
-    assert np.all(patterns.qd[still] == 0.0) and np.all(patterns.qdd[still] == 0.0)
+    assert np.all(patterns.qd[still] == 0.0)
     assert_array_equal(patterns.qd[~still], qd[~still])
+    # Slow joints may speed up: others feel it.
+    assert_array_equal(patterns.qdd, qdd)
     assert not patterns.mask[still].any()
     assert_array_equal(patterns.friction_mask, np.abs(qd) > preparation.speed_thresholds(qd))
     # Samples that a user wants to be fitted keep their velocities.
