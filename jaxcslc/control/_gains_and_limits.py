@@ -68,8 +68,12 @@ def aligned(
 ) -> Float[Array | np.ndarray, "..."]:
     """Values per joint with the type and the number of axes of another array, (*batch, n).
 
-    JAX then has no ranks or types to promote, which it can be configured to refuse.
+    JAX then has no ranks or types to promote, which it can be configured to refuse. NumPy needs
+    nothing of that: its values are returned as they are.
     """
+    of_numpy = isinstance(like, np.ndarray) and isinstance(values, np.ndarray)
+    if of_numpy and like.dtype == values.dtype:
+        return values
     shape = (1,) * (like.ndim - 1) + values.shape
     return namespace(like, values).asarray(values.reshape(shape), dtype=like.dtype)
 

@@ -144,8 +144,9 @@ class JointHardware:
         xp = acceleration.__array_namespace__()
         friction = self.friction.viscous * qd - assist - constraint
         link, motor = friction[:, :n], friction[:, rotor]
-        on_rotor = xp.where(np.array(self.flexible), motor, (1 - self.link_share) * link)
-        on_link = xp.where(np.array(self.flexible), link, self.link_share * link)
+        flexible = np.array(self.flexible)
+        on_rotor = xp.where(flexible, motor, (1 - self.link_share) * link)
+        on_link = xp.where(flexible, link, self.link_share * link)
         rotor_acceleration = acceleration[:, rotor]
         return {
             "position": q[:, :n],

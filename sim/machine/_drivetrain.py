@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,15 +39,24 @@ class Drives:
         """Torque for a demand [N m or N]; NumPy or JAX arrays."""
         xp = demand.__array_namespace__()
         size = xp.abs(demand)
+        of_numpy = isinstance(self.linear, np.ndarray)
+        bends, linear, headroom = self._numpy_curve if of_numpy else self._curve()
+        curve = linear - headroom * xp.expm1(-xp.maximum(size - linear, 0.0) / headroom)
+        torque_size = xp.where(bends & (size > linear), curve, size)
+        return xp.sign(demand) * xp.minimum(torque_size, self.most)
+
+    @cached_property
+    def _numpy_curve(self) -> tuple[Any, Any, Any]:
+        """Kept from sample to sample, as tracers of JAX must not be."""
+        return self._curve()
+
+    def _curve(self) -> tuple[Any, Any, Any]:
+        """Where motors saturate, from which torque on, and by how much torque still grows."""
+        xp = self.linear.__array_namespace__()
         # Where the motor does not saturate, the curve is unused: any finite headroom serves.
         bends = (self.linear < self.most) & xp.isfinite(self.most)
-        linear = xp.where(bends, self.linear, xp.zeros_like(size))
-        headroom = xp.where(bends, self.most - linear, xp.ones_like(size))
-        curve = linear - headroom * xp.expm1(
-            -xp.maximum(size - linear, xp.zeros_like(size)) / headroom
-        )
-        torque_size = xp.where(bends & (size > linear), curve, size)
-        return xp.sign(demand) * xp.minimum(torque_size, self.most + xp.zeros_like(torque_size))
+        linear = xp.where(bends, self.linear, 0.0)
+        return bends, linear, xp.where(bends, self.most - linear, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,8 @@ def namespace(array: Array) -> Any:
 def spread(values: np.ndarray, like: Array) -> Array:
     """Constants for every row of another array (*batch, n): in its library, of its type, and with
     an axis of one for each of its batch axes. JAX then need not promote ranks, which
-    a setting can forbid."""
+    a setting can forbid. NumPy needs nothing of that: its constants are returned as they are."""
+    if isinstance(like, np.ndarray) and like.dtype == values.dtype:
+        return values
     shape = (1,) * (like.ndim - 1) + values.shape
     return namespace(like).asarray(values.reshape(shape), dtype=like.dtype)

@@ -1,4 +1,6 @@
 from dataclasses import dataclass
+from functools import cached_property
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -82,14 +84,17 @@ class Hand:
         """Position of the point in frame 0 [m], and its Jacobian [m/rad, or 1], at joint positions
         [rad or m]."""
         xp = namespace(position)
-        chain = self.frames(position)  # (*batch, 4, 4, joints)
-        point = (chain[..., :3, :3, -1] @ spread(self.point[:, None], position))[..., 0]
-        point = point + chain[..., :3, 3, -1]
-        axis, origin = chain[..., :3, 2, :], chain[..., :3, 3, :]
-        x, y, z = (point[..., i, None] - origin[..., i, :] for i in range(3))
-        u, v, w = (axis[..., i, :] for i in range(3))
+        chain = self._chain(position)
+        last = chain[..., -1, :, :]
+        point = (last[..., :3, :3] @ spread(self.point[:, None], position))[..., 0]
+        point = point + last[..., :3, 3]
+        x, y, z = (point[..., i, None] - chain[..., i, 3] for i in range(3))
+        u, v, w = (chain[..., i, 2] for i in range(3))
         circling = xp.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-2)
+        if self._turns_only:
+            return point, circling
         turns = spread(self.turns, position)[..., None, :]
+        axis = xp.stack([u, v, w], axis=-2)
         return point, turns * circling + (1.0 - turns) * axis
 
     def turn(
@@ -118,19 +123,30 @@ class Hand:
         >>> Hand.of(jaxcslc.puma560()).frames(np.zeros(6)).shape
         (4, 4, 6)
         """
+        return namespace(position).moveaxis(self._chain(position), -3, -1)
+
+    @cached_property
+    def _turns_only(self) -> bool:
+        """Whether there is no prismatic joint."""
+        return bool(np.all(self.turns == 1.0))
+
+    @no_type_check
+    def _chain(self, position: Array) -> Array:
+        """As `frames`, but (*batch, joints, 4, 4)."""
         xp = namespace(position)
-        turns = spread(self.turns, position)
-        angle = (spread(self.theta, position) + turns * position)[..., None, None]
+        turning = position if self._turns_only else spread(self.turns, position) * position
+        angle = (spread(self.theta, position) + turning)[..., None, None]
         steps = (
             spread(self.fixed, position)
             + spread(self.cosine, position) * xp.cos(angle)
             + spread(self.sine, position) * xp.sin(angle)
-            + spread(self.slide, position) * position[..., None, None]
         )
+        if not self._turns_only:
+            steps = steps + spread(self.slide, position) * position[..., None, None]
         frames = [steps[..., 0, :, :]]
         for i in range(1, len(self.turns)):
             frames.append(frames[-1] @ steps[..., i, :, :])
-        return xp.stack(frames, axis=-1)
+        return xp.stack(frames, axis=-3)
 
 
 def reach(

@@ -41,8 +41,8 @@ class Repulsion(AbstractPositionTorque):
         xp = namespace(q)
         low = spread(self.position_range[:, 0], q)
         high = spread(self.position_range[:, 1], q)
-        above = xp.exp(xp.clip((low - q) / self.width, None, _DEEPEST))
-        below = xp.exp(xp.clip((q - high) / self.width, None, _DEEPEST))
+        above = xp.exp(xp.minimum((low - q) / self.width, _DEEPEST))
+        below = xp.exp(xp.minimum((q - high) / self.width, _DEEPEST))
         return spread(self.strength, q) * (above - below)
 
 
@@ -110,7 +110,7 @@ class HandRepulsion(AbstractPositionTorque):
         xp = namespace(q)
         point, jacobian = self.hand.locate(q)
         clearance = self._clearance(point)
-        size = self.strength * xp.exp(xp.clip(-clearance / self.width, None, _DEEPEST))
+        size = self.strength * xp.exp(xp.minimum(-clearance / self.width, _DEEPEST))
         floor, trunk = size[..., 0], size[..., 1]
         x, y, z = point[..., 0], point[..., 1], point[..., 2]
         radius = xp.hypot(x, y)
