@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from jaxcslc.manipulator import LinkParameters
 
 from ..machine import Machine, carrying
-from ._compiled_steps import compiled_steps
+from ._compiled_steps import batch_threads, compiled_steps
 from ._hardware import JointHardware
 from ._models import check_time_step, model_of
 from ._plan import Plan
@@ -84,7 +84,8 @@ class Plant:
         at = np.atleast_2d(position)
         self._group, self._start = group, at
         self._compiled: dict[int, tuple[LinkParameters | None, list[MjModel]]] = {}
-        self._batch = Batch(self._models(None)[0], len(group), nthread=threads)
+        count = len(group)
+        self._batch = Batch(self._models(None)[0], count, nthread=batch_threads(threads, count))
         self._steps = compiled_steps(self._batch, self._hardware, threads)
         self.carry(None)
         self._q, self._qd = self._batch.bind("qpos"), self._batch.bind("qvel")

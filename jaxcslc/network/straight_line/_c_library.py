@@ -32,7 +32,7 @@ def c_library(source: str, options: tuple[str, ...] = ()) -> ctypes.CDLL | None:
     does not compile is as good as no compiler: what calls it has another way, which is slower.
     Where JAX keeps compiled programs on disk, this does; otherwise nothing stays there.
 
-    - `options`: of the compiler, beside the usual ones.
+    - `options`: of the compiler, after the usual ones: `-O1` for code that optimising hardly helps.
 
     >>> library = c_library("double twice(double x) { return 2.0 * x; }")
     >>> if library is not None:
@@ -83,13 +83,13 @@ def _kept(source: str, options: tuple[str, ...]) -> tuple[list[str], Path | None
     compiler = shutil.which(command[0]) if command else None
     if compiler is None:
         return [], None
-    command += options
+    command += [*_OPTIONS, *options]
     config: Any = jax.config
     cache = config.jax_compilation_cache_dir
     if not cache:
         return command, None
     # A program for one processor may not run on another that shares the folder.
-    what = (source, *command, os.stat(compiler).st_mtime_ns, *_OPTIONS, _processor())
+    what = (source, *command, os.stat(compiler).st_mtime_ns, _processor())
     name = hashlib.sha256(repr(what).encode()).hexdigest()
     return command, Path(cache) / f"jaxcslc-{name}.so"
 
@@ -106,7 +106,7 @@ def _compile(source: str, command: list[str], library: Path) -> bool:
     text = library.with_suffix(".c")
     text.write_text(source)
     for of_processor in _OF_PROCESSOR:
-        arguments = [*command, *_OPTIONS, *of_processor, text, "-o", library, "-lm"]
+        arguments = [*command, *of_processor, text, "-o", library, "-lm"]
         done = subprocess.run(arguments, capture_output=True, check=False, timeout=_LONGEST_SECONDS)
         if done.returncode == 0:
             return True
