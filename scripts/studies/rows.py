@@ -30,7 +30,7 @@ def made_of(options: Mapping[str, Any], code: Sequence[Path] = ()) -> str:
     return digest.hexdigest()
 
 
-_SOURCES = (".py", ".toml", ".json")
+_SOURCES = (".py", ".c", ".toml", ".json")
 
 
 class Rows:
