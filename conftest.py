@@ -4,15 +4,17 @@ Fixtures are in `tests/conftest.py`.
 """
 
 import ctypes
+import dataclasses
 import functools
 import gc
+import importlib
 import inspect
 import os
-from collections import Counter
+import threading
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import Any
 
 
@@ -50,6 +52,33 @@ import jaxtyping
 import pytest
 
 
+# Every program is lowered in a context of MLIR of its own, and one with its dialects takes 5 ms to
+# make. A thread uses one for many programs; not for all, since it keeps what they consist of. A
+# program that is compiled while another is lowered needs its own: a copy of its module would become
+# a part of the other's.
+_PROGRAMS_OF_A_CONTEXT = 200
+
+
+def _reuse_contexts(module: Any) -> None:
+    make = module.make_ir_context
+    kept = threading.local()
+
+    def context() -> Any:
+        if module.ir.Context.current is not None:
+            return make()
+        uses, one = getattr(kept, "context", (0, None))
+        if uses % _PROGRAMS_OF_A_CONTEXT == 0:
+            one = make()
+        kept.context = uses + 1, one
+        return one
+
+    module.make_ir_context = context
+
+
+if version("jax").startswith("0.10."):
+    _reuse_contexts(importlib.import_module("jax._src.interpreters.mlir"))
+
+
 # Identification is float64 work, and an axis that JAX adds silently is a mistake. MJX broadcasts
 # so inside: call it under `jax.numpy_rank_promotion("allow")`. Programs that tests start switch
 # float64 on themselves.
@@ -67,34 +96,116 @@ gc.set_threshold(50_000, 20, 20)
 # Annotations are checked at run time by jaxtyping's import hook. A check takes 60 µs, a simulated
 # sample had forty of them, and a local function was prepared for its checks (1 ms) whenever the
 # function around it ran: two thirds of the time of a recording. In each test, every function's
-# first calls are checked, and of the later ones some.
-_ALL_CHECKED = 20
+# first calls are checked; then those with arguments of other types and shapes; of many, some.
+_ALL_CHECKED = 3
+_OTHERS_CHECKED = 20
 _CHECKED_LATER = 100  # one in so many
 
-_calls: Counter[CodeType] = Counter()
 _check_annotations: Any = jaxtyping.jaxtyped
+
+
+class _Calls:
+    """Of a function in one test: of every function with its code if it is local to another."""
+
+    __slots__ = ("checks", "count", "kinds")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.kinds: set[Any] = set()
+        # How a local function is checked: for each set of annotations, a function that calls the
+        # one on top of `_running`.
+        self.checks: list[tuple[dict[str, Any], Callable[..., Any]]] = []
+
+
+_called: list[_Calls] = []
+_local: dict[CodeType, _Calls] = {}
+_running = threading.local()
 
 
 def _checked_at_first(function: Any = None, *, typechecker: Any) -> Any:
     """In place of `jaxtyping.jaxtyped`, which the import hook puts on functions and classes."""
     if function is None:
         return functools.partial(_checked_at_first, typechecker=typechecker)
+    if inspect.isclass(function):
+        made = function.__init__
+        if (
+            dataclasses.is_dataclass(function)
+            and getattr(made, "__globals__", None) is not globals()
+        ):
+            function.__init__ = _checked_at_first(made, typechecker=typechecker)
+        return function
     if not inspect.isfunction(function):
         return _check_annotations(function, typechecker=typechecker)
-    code = function.__code__
+    local = "<locals>" in function.__qualname__
+    calls = _local.setdefault(function.__code__, _Calls()) if local else _Calls()
     checked: Callable[..., Any] | None = None
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal checked
-        _calls[code] = count = _calls[code] + 1
-        if count > _ALL_CHECKED and count % _CHECKED_LATER:
+        calls.count = count = calls.count + 1
+        if count > _OTHERS_CHECKED and count % _CHECKED_LATER:
             return function(*args, **kwargs)
-        checked = checked or _check_annotations(function, typechecker=typechecker)
-        assert checked is not None
-        return checked(*args, **kwargs)
+        if count == 1:
+            _called.append(calls)
+        kinds = None
+        if count <= _OTHERS_CHECKED:
+            kinds = (*map(_kind, args), *kwargs, *map(_kind, kwargs.values()))
+            if count > _ALL_CHECKED and kinds in calls.kinds:
+                return function(*args, **kwargs)
+        if checked is None:
+            prepare = _checked_local if local else _check_annotations
+            checked = prepare(function, typechecker=typechecker)
+            assert checked is not None
+        result = checked(*args, **kwargs)
+        calls.kinds.add(kinds)  # not where the check failed
+        return result
 
     return call
+
+
+def _kind(argument: Any) -> Any:
+    """Its type, and what there is to know of an array before its values."""
+    shape = getattr(argument, "shape", None)
+    if type(shape) is not tuple:
+        return type(argument)
+    return type(argument), shape, getattr(argument, "dtype", None)
+
+
+def _checked_local(function: Any, *, typechecker: Any) -> Callable[..., Any]:
+    """The function with its checks, which are those of an earlier one with its code."""
+    checks = _local[function.__code__].checks
+    known = [check for annotations, check in checks if annotations == function.__annotations__]
+    check: Any = known[0] if known else None
+    if check is None:
+        check = _check_annotations(_stand_in(function), typechecker=typechecker)
+        checks.append((function.__annotations__, check))
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        functions = _running.__dict__.setdefault("functions", [])
+        before = len(functions)
+        functions.append(function)
+        try:
+            return check(*args, **kwargs)
+        finally:
+            del functions[before:]
+
+    return call
+
+
+def _stand_in(function: Any) -> Any:
+    """A function with another's signature that calls the one on top of `_running`."""
+    running = _running
+
+    def run(*args: Any, **kwargs: Any) -> Any:
+        return running.functions.pop()(*args, **kwargs)
+
+    # Strings among the annotations are looked up in the globals of the function.
+    one: Any = FunctionType(run.__code__, function.__globals__, closure=run.__closure__)
+    for name in ("__name__", "__qualname__", "__module__", "__annotations__"):
+        setattr(one, name, getattr(function, name))
+    one.__signature__ = inspect.signature(function)
+    return one
 
 
 jaxtyping.jaxtyped = _checked_at_first
@@ -102,7 +213,10 @@ jaxtyping.jaxtyped = _checked_at_first
 
 def pytest_runtest_setup() -> None:
     """Each test's first calls are checked."""
-    _calls.clear()
+    for calls in _called:
+        calls.count = 0
+        calls.kinds.clear()
+    _called.clear()
 
 
 # A compiled program takes 1.3 MB and some memory maps, of which Linux allows a process 65,530: with
