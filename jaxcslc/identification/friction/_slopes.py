@@ -13,6 +13,7 @@ from ..solver import (
     LeastSquares,
     Solution,
     minimum,
+    minimum_coefficients,
     residual_weights,
     robust_weights,
     weighted_minimum,
@@ -218,7 +219,9 @@ def _fitted_slopes(
             equations.unknowns,
             factors := equations.factors(slopes, np.zeros(len(slopes))),
             solver.joint_weights,
-            lambda weights: minimum(equations.unknowns, factors, weights, solver.rcond),
+            lambda weights: minimum_coefficients(
+                equations.unknowns, factors, weights, solver.rcond
+            ),
         )[0].k[: equations.unknowns.size - len(slopes)]
     rounds = _ROBUST_ROUNDS if robust else _ROUNDS if by_residual else 1
     weights = np.ones(equations.joint_count)
@@ -301,7 +304,7 @@ def _searched(
         for _ in range(len(slopes)):
             heights = np.where(moving, solution.k[list(equations.columns)], 0.0)
             damped = equations.damped(slopes, heights, weights, damping)
-            change = minimum(*damped, rcond).k[p:]
+            change = minimum_coefficients(*damped, rcond).k[p:]
             proposed = equations.within_bounds(slopes * np.exp(np.clip(change, -1.5, 1.5)))
             # A slope that would leave its bound stays, and the others get a step without it.
             stuck = moving & (change != 0.0) & (proposed == slopes)

@@ -38,6 +38,7 @@ from ._minimum import (
     Solution as Solution,
     fold_coefficients as fold_coefficients,
     minimum as minimum,
+    minimum_coefficients as minimum_coefficients,
     residual_weights as residual_weights,
     weighted_minimum as weighted_minimum,
 )

@@ -11,7 +11,7 @@ from ._factors import JointFactors, Unknowns
 from ._fixed import Fixed
 from ._identification import Identification
 from ._losses import Loss
-from ._minimum import JointWeights, Solution, minimum, weighted_minimum
+from ._minimum import JointWeights, Solution, minimum, minimum_coefficients, weighted_minimum
 from ._robust import robust_residuals
 from ._standard_errors import Errors, independent_errors, ordinary_residuals, with_errors
 from .many import corrected, needs_correction
@@ -80,7 +80,11 @@ def ordinary_minimum(
     On the host unless JAX is tracing: there is less to compute than to compile.
     """
     factors, fixed = untraced((factors, fixed))
-    solve = minimum if on_host((factors, fixed)) else _compiled_minimum
+    here = on_host((factors, fixed))
+    solve = minimum if here else _compiled_minimum
+    before = None
+    if here and fixed is None:
+        before = lambda weights: minimum_coefficients(unknowns, factors, weights, rcond)
     # NaN is the answer where there is none, as JAX has it.
     with np.errstate(divide="ignore", invalid="ignore"):
         return weighted_minimum(
@@ -88,6 +92,7 @@ def ordinary_minimum(
             factors,
             joint_weights,
             lambda weights: solve(unknowns, factors, weights, rcond, fixed),
+            before=before,
         )
 
 
