@@ -30,7 +30,8 @@ def test_fit_of_four_devices(tmp_path: Path, processes: int) -> None:
         [sys.executable, str(PROGRAM), str(out), *([port, str(rank)] if processes > 1 else [])]
         for rank in range(processes)
     ]
-    flags = f"--xla_force_host_platform_device_count={4 // processes}"
+    devices = f"--xla_force_host_platform_device_count={4 // processes}"
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {devices}".strip()
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     environment["PYTHONPATH"] = str(PROGRAM.parents[3])
     running = [

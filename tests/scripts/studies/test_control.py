@@ -19,7 +19,7 @@ from scripts.studies.control.pictures import (
 from scripts.studies.truth import published_coefficients, true_coefficients
 
 
-FEW = ["--seeds", "2", "--durations", "0.6", "--controllers", "PID", "computed torque"]
+FEW = ["--seeds", "2", "--durations", "0.4", "--controllers", "PID", "computed torque"]
 
 
 @pytest.fixture
