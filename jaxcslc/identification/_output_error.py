@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..motion import Recording, runs
+from ..motion import Recording
 from ..network import CSLC
+from .likelihood import runs
 
 
 _STEPS = 4  # of integration between two samples

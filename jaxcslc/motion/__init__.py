@@ -44,7 +44,6 @@ from ._residual_thresholds import (
     StaticFriction as StaticFriction,
     thresholds_from_residuals as thresholds_from_residuals,
 )
-from ._rests import SLOW as SLOW, at_rest as at_rest, rests as rests, runs as runs
 from ._sampling import (
     Sampling as Sampling,
     encoder_resolution as encoder_resolution,

@@ -16,7 +16,6 @@ from ._masks import (
 )
 from ._patterns import Patterns, check_some_left
 from ._recording import Recording
-from ._rests import at_rest
 from ._sampling import Sampling
 from ._smoothing import AbstractSmoothing, Derivatives, without_rounding
 from ._splines import AveragedSplines
@@ -151,9 +150,7 @@ class Preparation:
 
         **Returns**
 
-        The patterns, `trimmed` samples fewer at both ends. Where a joint rests, and its pair is
-        left out, its velocity is 0: the sign of what smoothing leaves of it is no direction of
-        friction.
+        The patterns, `trimmed` samples fewer at both ends.
 
         **Raises**
 
@@ -172,18 +169,17 @@ class Preparation:
         inside = slice(trim, samples - trim)
         q, qd, qdd = (values[inside] for values in derivatives)
         torque = self.aligned(recording.time, recording.torque)[inside]
-        slides = friction_mask(qd, self.speed_thresholds(qd).tolist())
-        resting = at_rest(qd) & ~slides
         patterns = Patterns(
             time=recording.time[inside],
             q=q,
-            qd=np.where(resting, 0.0, qd),
+            qd=qd,
             qdd=qdd,
             torque=torque,
             backlash_mask=~possible_backlash(qd, qdd, torque)
             if self.backlash
             else np.ones(q.shape, dtype=bool),
-            friction_mask=slides & away_from_reversals(qd, self.reversal_margin),
+            friction_mask=friction_mask(qd, self.speed_thresholds(qd).tolist())
+            & away_from_reversals(qd, self.reversal_margin),
         )
         check_some_left(patterns)
         return patterns
@@ -214,9 +210,12 @@ class Preparation:
             return friction_thresholds(
                 qd, DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction
             )
-        if isinstance(self.thresholds, float | int):
-            return np.full(qd.shape[1], self.thresholds, float)
-        return np.array(self.thresholds, float)
+        one = isinstance(self.thresholds, float | int)
+        return (
+            np.full(qd.shape[1], self.thresholds, float)
+            if one
+            else np.array(self.thresholds, float)
+        )
 
     def trimmed(self, recording: Recording) -> int:
         """How many samples `patterns` drops at both ends of a recording.

@@ -5,6 +5,7 @@ from ._comparison import (
 )
 from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
+from ._signs import runs as runs
 from .selection import (
     ModelSelection as ModelSelection,
     NoiseExcitation as NoiseExcitation,

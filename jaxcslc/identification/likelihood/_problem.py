@@ -4,9 +4,9 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...motion import runs
 from ._objective import Equations, Point
 from ._readings import Readings
+from ._signs import runs
 from .equations import Stretches, YieldingEquations
 from .torque import TorqueCalibration
 from .transmission import TransmissionEquations, TransmissionModel

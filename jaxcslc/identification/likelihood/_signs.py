@@ -201,3 +201,41 @@ def dilated(mask: Bool[np.ndarray, "rows joints"], by: int) -> Bool[np.ndarray, 
         result[offset:] |= mask[:-offset]
         result[:-offset] |= mask[offset:]
     return result
+
+
+def runs(mask: Bool[np.ndarray, " rows"]) -> list[tuple[int, int]]:
+    """First row and row after the last of each stretch of true rows.
+
+    >>> runs(np.array([True, False, True, True]))
+    [(0, 1), (2, 4)]
+    """
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0])).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def rests(
+    position: Float[np.ndarray, "samples joints"],
+    speed: Float[np.ndarray, "samples joints"],
+    resolution: Float[np.ndarray, " joints"],
+    slowest: Float[np.ndarray, " joints"],
+) -> Bool[np.ndarray, "intervals joints"]:
+    """Where joints are at rest: readings stay the same for long, and smoothed speed is small.
+
+    **Arguments**
+
+    - `position`: as recorded [rad or m]; `speed`: of the smoothed motion [rad/s or m/s].
+    - `resolution`: of the encoders; readings that differ by less than half of it are the same.
+    - `slowest`: speed below which a joint counts as slow [rad/s or m/s].
+    """
+    stuck = np.zeros((len(position) - 1, position.shape[1]), bool)
+    for joint in range(position.shape[1]):
+        same = np.abs(np.diff(position[:, joint])) < 0.5 * resolution[joint]
+        slow = np.maximum(speed[:-1, joint], speed[1:, joint]) < slowest[joint]
+        for start, end in runs(same & slow):
+            if end - start >= _LONG:
+                stuck[start + _ENDS : end - _ENDS, joint] = True
+    return stuck
+
+
+# Readings of a rest are the same for so many intervals; what it may move at its ends is left out.
+_LONG, _ENDS = 16, 2

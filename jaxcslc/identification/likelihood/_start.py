@@ -3,7 +3,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...motion import SLOW, Patterns, Recording, Sampling, rests
+from ...motion import Patterns, Recording, Sampling
 from ...network import CSLC
 from .._settings import Settings
 from ..friction import checked_lengths
@@ -13,6 +13,7 @@ from ..solver import Identification, regressor_of, torque_of
 from ._objective import Point
 from ._problem import Problem
 from ._readings import Readings
+from ._signs import rests
 from .equations import Stretches
 from .knowledge._prior_values import prior_values
 from .torque import TorqueCalibration, TorqueSampling, TorqueUnknown
@@ -26,6 +27,8 @@ _STATIC_SHARE, _DECAY, _LEAST_DECAY, _MOST_DECAY = 0.1, 1 / 30, 1 / 1.5, 1 / 300
 _SLOPE_DEVIATION = 1.0
 # Standard deviation of static friction below dry friction, as a part of the one above it.
 _BELOW_DRY = 0.1
+# Below this part of its greatest speed, a joint whose readings stay the same is at rest.
+_SLOW = 2e-3
 # Steps of readings below this part of their noise are those of rounding, not of an encoder.
 _LEAST_STEP = 0.1
 # Positions without noise count as noisy by this part of the range of motion.
@@ -131,7 +134,7 @@ def starting_point(
         equations=Stretches(network, np.diff(readings.time)),
         readings=readings,
         calibration=calibration,
-        stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), SLOW * fastest),
+        stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
         scale=np.concatenate([scale, moves, calibration.scale, position_noise.ravel()]),
         known=known,
         slope_bounds=(

@@ -4,8 +4,8 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from ...motion import runs
 from ._readings import WorkingReadings
+from ._signs import runs
 
 
 # Equations at the start and at the end of a rest that say nothing of break-away: a joint creeps
