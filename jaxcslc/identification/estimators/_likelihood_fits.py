@@ -3,15 +3,13 @@ import dataclasses
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ..._processes import can_fork, function_beside
 from ...motion import Recording
 from ...network import CSLC
-from .._held_out_part import FEWEST_SAMPLES, held_out_from
+from .._held_out_part import FEWEST_SAMPLES
 from .._identify_one import without_lag
 from .._settings import Settings
-from ..likelihood import LikelihoodFit, MaximumLikelihood
+from ..likelihood import LeftOut, LikelihoodFit, MaximumLikelihood
 from ..solver import Identification, computed_on_host
 
 
@@ -48,15 +46,9 @@ def fit_before(
 ) -> LikelihoodFit:
     """The fit to what is before the parts that are held out: near the fit to everything, whose
     noise levels it has."""
-    early = [
-        recording.between(0.0, held_out_from(recording) - float(recording.time[0]))
-        for recording in recordings
-    ]
-    rows = [
-        np.arange(0, recording.samples, whole.every) < part.samples
-        for recording, part in zip(recordings, early, strict=True)
-    ]
-    return estimator.fit(network, early, whole.at(np.concatenate(rows)), step)
+    left_out = LeftOut.of(recordings, whole.every)
+    assert left_out is not None  # callers look at the number of samples
+    return estimator.fit(network, left_out.early, whole.at(left_out.rows), step)
 
 
 class FitsBeside:

@@ -3,6 +3,7 @@ from ._comparison import (
     EstimatorComparison as EstimatorComparison,
     calibration_lines as calibration_lines,
 )
+from ._left_out import LeftOut as LeftOut
 from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._signs import runs as runs

@@ -212,18 +212,18 @@ class MaximumLikelihood:
             noise = NoiseExcitation.of(network, minimum, first.point.q, every)
         if orders is not None and every > 1 and self.every == "auto":
             orders = NoiseOrders.of(problem, minimum)
-        coloured: OrderChoice | None = None
+        order_choice: OrderChoice | None = None
         if orders is not None and orders.order:
             white = self._white(every)
             fitted = partial(white._fit, network, every=every)
-            minimum, coloured = with_spectrum(
+            minimum, order_choice = with_spectrum(
                 problem, minimum, orders.order, fitted, white, recordings, report
             )
         fit = self._fit(network, minimum, every)
         if self.every == "auto" or self.noise_order == "auto":
             order = len(fit.noise_coefficients)
             of_joints = None if excess is None else tuple(excess.tolist())
-            selection = ModelSelection(every, order, of_joints, trials, orders, noisy, coloured)
+            selection = ModelSelection(every, order, of_joints, trials, orders, noisy, order_choice)
             fit = dataclasses.replace(fit, selection=selection)
         fit = dataclasses.replace(fit, transmission_choice=choice, noise_excitation=noise)
         return self._with_bodies(network, problem, minimum, fit, first[1:], report)
