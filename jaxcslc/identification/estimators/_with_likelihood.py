@@ -20,8 +20,8 @@ from ..possible import (
     possible_coefficients,
 )
 from ..prior import Known, Prior, with_knowledge
-from ..report import Report
-from ..solver import Identification, torque_of
+from ..report import Report, predicted_torque
+from ..solver import Identification
 from ._calibration import calibrated, calibrated_report
 from ._checks import EstimatorChoice, check_size
 from ._likelihood_fits import (
@@ -173,8 +173,9 @@ class _Judged:
         torque, mask = np.asarray(unfitted.patterns.torque), np.asarray(unfitted.patterns.mask)
         errors: dict[Estimator, np.ndarray] = {
             "least-squares": torque
-            - torque_of(base.network, unfitted.patterns, unfitted.least_squares),
-            "maximum-likelihood": np.concatenate([part.errors(predicted) for part in parts]),
+            - predicted_torque(base.network, unfitted.patterns, unfitted.least_squares),
+            "maximum-likelihood": torque
+            - predicted_torque(likelihood.network, unfitted.patterns, predicted),
         }
         relative = self._relative(unfitted, predicted)
         better: Estimator = (

@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,8 +9,8 @@ from jaxtyping import Array, Bool, Float
 from ..._environment import array_namespace, require
 from ..._text_table import text_table
 from ...motion import Patterns
-from ...network import AbstractLinearNetwork
-from ..solver import torque_of, traced
+from ...network import CSLC, AbstractLinearNetwork
+from ..solver import friction_halved_at_rest, torque_of, traced
 
 
 Numbers = Array | np.ndarray
@@ -196,7 +197,39 @@ def _over_judged(
 def predicted_torque(
     network: AbstractLinearNetwork, patterns: Patterns, k: Float[Numbers, " k"]
 ) -> Float[Numbers, "samples joints"]:
-    """The network's torque for the patterns' motion (samples, n) [N m]."""
+    """What coefficients predict of the torque along a motion.
+
+    The network's torque, with half the friction of joints that stand still
+    (`friction_halved_at_rest`).
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `patterns`: motion in order of time.
+    - `k`: (p,) coefficients.
+
+    **Returns** torques (samples, n) [N m or N].
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import predicted_torque
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+    >>> qd = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0])[:, None]
+    >>> zeros, pairs = 0 * qd, np.ones(qd.shape, bool)
+    >>> patterns = jc.Patterns(np.arange(8.0), zeros, qd, zeros, zeros, pairs, pairs)
+    >>> predicted_torque(network, patterns, np.array([0.5, 2.0]))[:, 0].tolist()
+    [2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, -2.0]
+    """
+    if not (isinstance(network, CSLC) and network.layout.friction.size):
+        return _torque(network, patterns, k)
+    return friction_halved_at_rest(
+        lambda qd: _torque(network, dataclasses.replace(patterns, qd=qd), k), patterns.qd
+    )
+
+
+def _torque(
+    network: AbstractLinearNetwork, patterns: Patterns, k: Float[Numbers, " k"]
+) -> Float[Numbers, "samples joints"]:
     if traced((network, patterns, k)):
         return network.torque(k, patterns.q, patterns.qd, patterns.qdd)
     return torque_of(network, patterns, k)

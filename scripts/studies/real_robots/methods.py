@@ -25,6 +25,7 @@ class Model(NamedTuple):
     - `settings`: by which the method itself prepares motion.
     - `seconds`: of the processor; shared by the models of one call.
     - `note`: what it said about itself.
+    - `states`: dry friction that yields before it slides, with coefficients of its own; or None.
     """
 
     method: str
@@ -33,6 +34,7 @@ class Model(NamedTuple):
     settings: jc.Settings
     seconds: float
     note: str
+    states: jc.identification.PreSlidingFit | None = None
 
 
 def usual_models(arm: Arm) -> Iterator[Model]:
@@ -73,6 +75,27 @@ def our_models(arm: Arm) -> Iterator[Model]:
             )
 
 
+def friction_models(arm: Arm) -> Iterator[Model]:
+    """`identify` by least squares with `friction="auto"`, with states where it uses them."""
+    network = jc.derive(arm.robot, lengths="numeric")
+    start = time.process_time()
+    report = jc.identify(network, arm.training, friction="auto", checks=False, systematic=False)
+    seconds = time.process_time() - start
+    assert report.friction is not None
+    used = [
+        f"{trial.kind} at joint {trial.joint}" for trial in report.friction.trials if trial.used
+    ]
+    yield Model(
+        "least-squares, friction auto",
+        report.network,
+        np.asarray(report.k),
+        report.settings,
+        seconds,
+        ", ".join(used) or "no term beside the robot's",
+        report.pre_sliding,
+    )
+
+
 def automatic_models(arm: Arm) -> Iterator[Model]:
     """`identify` with `estimator="auto"`, possible bodies where they pay: judged in training."""
     network = jc.derive(arm.robot, lengths="numeric")
@@ -89,6 +112,7 @@ def automatic_models(arm: Arm) -> Iterator[Model]:
 FAMILIES: dict[str, Callable[[Arm], Iterator[Model]]] = {
     "usual": usual_models,
     "ours": our_models,
+    "friction": friction_models,
     "auto": automatic_models,
 }
 

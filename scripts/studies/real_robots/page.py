@@ -15,18 +15,24 @@ that is judged, and nothing of a fit is chosen on the latter. (One default was s
 figures known: possible bodies are used at odds of one in five. At one in twenty, `auto` was least
 squares without them on the KR300.) Numbers are 100·‖error‖/‖torque‖ of each joint
 [%], of the raw torque, on motion smoothed in one way for all: over all samples and, after the
-stroke, over those that masks leave in (no slow motion, where friction is not known). In bold: the
-least error over all samples, joint by joint, and those within 2 % of it.
+stroke, over those that masks leave in (no slow motion, where friction is not known). Of joints that
+stand still, half the friction counts
+([why](friction.md#joints-that-stand-still)). In bold: the least error over all samples, joint by
+joint, and those within 2 % of it.
 
 - **usual pipeline**: 20 Hz Butterworth of order 4, forwards and backwards, on positions and
   torques, central differences, ordinary (OLS) or weighted (WLS) least squares; what examples of
   Pinocchio do, and FIGAROH 1.0.2 (its coefficients are those of the OLS rows to ten digits). It is
-  judged on its own motion too, and the better of both counts.
+  judged on its own motion too, and with friction at rest by the sign of measured velocity too;
+  the best of the four counts.
 - **least-squares**: `--estimator least-squares`, the default: settings chosen by
   cross-validation.
 - **maximum-likelihood**: `--estimator maximum-likelihood`: no smoothing, positions are estimated
   along ([page](likelihood.md)).
 - **possible bodies**: the same with `--possible always` ([page](uncertainty.md#possible-bodies)).
+- **friction auto**: `--friction auto`: friction terms, and states of dry friction that yields
+  before it slides, where motion that was left out is predicted better
+  ([page](friction.md#chosen-by-the-data)).
 - **auto**: `--estimator auto --possible auto`, which decides within the fitted motion.
 
     python -m scripts.studies.real_robots.study --page docs/real_robots.md

@@ -14,6 +14,7 @@ from scripts.studies.real_robots import (
     intervals,
     load_friction,
     pre_sliding,
+    rests,
     simulation_fit,
     study,
 )
@@ -76,6 +77,39 @@ def test_errors_are_parts_of_the_raw_torque() -> None:
     errors = study.errors_of(model, settings, arm.training)
     np.testing.assert_allclose(errors["all"], 100.0)
     np.testing.assert_allclose(errors["judged"], 100.0)
+
+
+def test_friction_of_a_joint_that_stands_still() -> None:
+    """The pendulum swings twice and stops: of its dry friction 60 % stay, half is nearest."""
+    arm = pendulum(Path())
+    t = 0.005 * np.arange(800)[:, None]
+    # Quintic from -1 to 1 in a second, back, and there again.
+    whole = np.minimum(np.floor(t), 2.0)
+    s, sign = np.minimum(t - whole, 1.0), 1.0 - 2.0 * (whole % 2)
+    q = sign * (2.0 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2) - 1.0)
+    qd = sign * 60.0 * s**2 * (1.0 - s) ** 2
+    qdd = sign * 120.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+    network = jc.derive(arm.robot, lengths="numeric")
+    torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.4]), q, qd, qdd))
+    torque = torque + np.where(t > 3.0, 0.6 * 0.4, 0.0)
+    recording = jc.Recording(t[:, 0], q, torque)
+    arm = arm._replace(training=recording, tests={"again": recording})
+    rows = {row[2]: float(row[3]) for row in rests.lines_of("pendulum", arm)}
+    assert 20.0 < rows["at rest [%]"] < 30.0
+    assert rows["half"] < min(rows["none"], rows["all"], rows["sign of velocity"])
+
+
+def test_the_usual_pipeline_is_judged_as_it_is_best() -> None:
+    """Friction at rest by the sign of velocity too, where that is nearer."""
+    arm = pendulum(Path())
+    network = jc.derive(arm.robot, lengths="numeric")
+    settings = jc.Settings()
+    k = np.array([0.5, 0.3, -0.1, 0.2, 0.1])
+    errors = [
+        study.judged(Model(method, network, k, settings, 0.0, ""), settings, arm.training)["all"][0]
+        for method in ("usual pipeline, 20 Hz, OLS", "least-squares")
+    ]
+    assert errors[0] <= errors[1]
 
 
 def test_missing_recordings_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,85 @@
+"""How much friction does a joint of a real arm have while it stands still?
+
+Models are those of `jaxcslc identify` by its defaults. Errors are 100 |e| / |torque| of each joint
+on the motion that is judged, of the raw torque, over all samples, as in `study.py`. Friction of
+joints at rest (`jaxcslc.motion.at_rest`) is
+
+- by the sign of the measured velocity, as of joints that move;
+- a part of the friction of the direction that the joint came from: none, half, or all of it.
+
+`jaxcslc.identification.predicted_torque` takes half.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+import jaxcslc as jc
+from jaxcslc.motion import at_rest, direction_before
+from scripts.studies import command
+from scripts.studies.real_robots import by_arm
+from scripts.studies.real_robots.arms import Arm
+
+
+jax.config.update("jax_enable_x64", True)
+
+PARTS = {"none": 0.0, "half": 0.5, "all": 1.0}
+_SLOW = 1e-12  # rad/s: only its sign counts
+
+
+def lines_of(name: str, arm: Arm) -> list[list[str]]:
+    """Of the table: for each motion, a row for each kind of friction at rest, and the rests."""
+    network = jc.derive(arm.robot, lengths="numeric")
+    report = jc.identify(network, arm.training, checks=False, systematic=False)
+    raw = report.settings.with_options(torque_alignment="sample", smooth_torque=False)
+    rows: list[list[str]] = []
+    for test, recording in arm.tests.items():
+        patterns = raw.patterns(recording)
+        torque, qd = np.asarray(patterns.torque), np.asarray(patterns.qd)
+        still = np.asarray(at_rest(qd))
+        before = _SLOW * np.asarray(direction_before(qd, still))
+        by_sign, without, whole = (
+            _errors(report, dataclasses.replace(patterns, qd=velocity), torque)
+            for velocity in (qd, np.where(still, 0.0, qd), np.where(still, before, qd))
+        )
+        some = still.any(axis=1, keepdims=True)
+        errors = {"sign of velocity": by_sign} | {
+            kind: np.where(some, (1.0 - part) * without + part * whole, by_sign)
+            for kind, part in PARTS.items()
+        }
+        rows += [
+            [name, test, kind, *_texts(100.0 * _size(error) / _size(torque))]
+            for kind, error in errors.items()
+        ]
+        rows.append([name, test, "at rest [%]", *_texts(100.0 * still.mean(axis=0))])
+    return rows
+
+
+def _errors(report: jc.Report, patterns: jc.Patterns, torque: np.ndarray) -> np.ndarray:
+    motion = patterns.q, patterns.qd, patterns.qdd
+    return torque - np.asarray(report.network.torque(report.k, *motion))
+
+
+def _size(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.sum(values**2, axis=0))
+
+
+def _texts(values: np.ndarray) -> list[str]:
+    return [f"{value:.1f}" for value in values]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = by_arm.new_parser(__doc__, "rests")
+    options = by_arm.parse(parser, argv, arms=["KUKA KR300"])
+    header = ["arm", "motion", "friction at rest"]
+    return command.run(
+        parser,
+        lambda: by_arm.print_table(options, lines_of, header, fitted=0.4 if options.quick else 1.0),
+        seconds=10.0 * len(options.arms),
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
