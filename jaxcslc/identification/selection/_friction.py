@@ -6,7 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...manipulator import RobotError
-from ...motion import Recording
+from ...motion import (
+    DEFAULT_THRESHOLD_FRACTION,
+    Recording,
+    friction_mask,
+    friction_thresholds,
+    static_fractions,
+)
 from ...network import CSLC
 from ...network.terms import DIRECTIONAL_LOAD, LOAD
 from .._held_out import RelativeError
@@ -50,7 +56,7 @@ class FrictionTrial:
 
     - `joint`: counted from 1; `kind`: of the term, or two of them joined by "and".
     - `relative`: the joint's held-out error with the term over that without it; of pre-sliding over
-      all samples, of other kinds over those that masks leave in.
+      all samples, of other kinds over those at which the joint moves.
     - `used`: whether the joint has the term in the end.
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
       coefficient of the load may be none that friction has, no length of pre-sliding may fit
@@ -336,19 +342,26 @@ def _held_out(
     """Errors of each stretch under a fit to the others, what is judged, and the joints' friction
     where the fit was possible.
 
+    Fits are of the pairs that masks leave in; judged are all that move. Judged over the former
+    alone, a KUKA KR300's joint 5 got a quadratic term, 33 % better there, with which two other
+    motions are predicted 7 % worse.
+
     Slopes of static friction, and the rigid torque that friction of the load follows to first
     order, are those of all stretches: a few numbers of thousands of rows.
     """
     suited = settings.for_network(network)
     patterns = suited.patterns(recording)
-    mask = np.asarray(patterns.mask)
+    qd = np.asarray(patterns.qd)
+    # From the speed on that static friction is fitted from.
+    slowest = static_fractions(DEFAULT_THRESHOLD_FRACTION, [True] * qd.shape[1])
+    moving = friction_mask(qd, friction_thresholds(qd, slowest))
     if network.load_terms:
         load = fit_load(network, patterns, solver=suited.solver)
         network, patterns = linearised(load.network, load.fit.k, patterns)
     elif "static" in network.robot.friction_terms:
         network = fit_slopes(network, patterns, solver=suited.solver).network
     errors = suited.solver.held_out_errors(network, patterns, _fold(patterns.samples))
-    return errors, mask, network.friction_per_joint
+    return errors, moving, network.friction_per_joint
 
 
 def _fold(samples: int) -> Int[np.ndarray, " samples"]:
