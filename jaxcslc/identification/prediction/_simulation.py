@@ -10,14 +10,13 @@ from jaxtyping import Array, Float
 from ...network import CSLC
 from ...network.terms import JointTerm
 from ..friction import split_friction, state_after
+from ._stick_slip import Friction, acceleration, through_stops
 
 
 # Longest step of integration [s].
 _LONGEST_STEP = 2e-3
 # Speed at which friction of either direction is read off [rad/s or m/s].
 _SLOWEST = 1e-9
-# By which the inertia of a joint at standstill is multiplied, so that it does not move.
-_STANDSTILL = 1e9
 
 
 State: TypeAlias = tuple[Array, Array, Array]
@@ -38,8 +37,9 @@ def simulate(
 ) -> Float[Array, "instants starts joints"]:
     """Motion under torques that are held for an interval each, without feedback.
 
-    Midpoint rule. Friction keeps its direction within a step; a joint whose velocity would change
-    its sign stops where friction bears what drives it, and moves on when that exceeds friction.
+    Midpoint rule, in stretches where a joint comes to rest within a step. A joint at rest sticks
+    while friction need not exceed break-away, as the accelerations of all joints make it: one that
+    moves can drag others along, and some stick because others do.
     A joint whose dry friction yields before it slides never sticks: its contact holds it.
 
     **Arguments**
@@ -94,7 +94,7 @@ def held_step(
         raise ValueError("simulation: knows no friction of kind 'load'; remove it")
     steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
     h = interval / steps
-    others, friction, length = (
+    others, dry, length = (
         (k, None, None) if lengths is None else split_friction(network, k, lengths)
     )
 
@@ -102,44 +102,49 @@ def held_step(
         return w if length is None else state_after(w, change, length[None])
 
     def contact_torque(w: Array) -> Array | float:
-        return 0.0 if friction is None else friction[None] * w
+        return 0.0 if dry is None else dry[None] * w
 
     def contact_stiffness(w: Array, sign: Array) -> Array | float:
-        if friction is None or length is None:
+        if dry is None or length is None:
             return 0.0
-        return ((friction / length)[None] * (1.0 - sign * w))[:, :, None] * jnp.eye(w.shape[1])[
-            None
-        ]
+        return ((dry / length)[None] * (1.0 - sign * w))[:, :, None] * jnp.eye(w.shape[1])[None]
 
     def step(state: State, force: Array) -> State:
         q, qd, w = state
-        forwards = _joint_torque(network, others, q, jnp.full_like(qd, _SLOWEST))
-        backwards = _joint_torque(network, others, q, jnp.full_like(qd, -_SLOWEST))
-        drive = force - _other_torque(network, others, q, qd) - contact_torque(w)
-        still = qd == 0.0
-        borne = (drive <= forwards) & (drive >= backwards)  # by friction at standstill
-        stuck = still & borne
-        sign = jnp.where(still, jnp.where(drive > forwards, 1.0, -1.0), jnp.sign(qd))
+        friction = Friction(
+            _joint_torque(network, others, q, jnp.full_like(qd, _SLOWEST)),
+            _joint_torque(network, others, q, jnp.full_like(qd, -_SLOWEST)),
+        )
+        resting = friction.holds & (qd == 0.0)
         half_way = contact_after(w, 0.5 * h * qd)
 
-        def acceleration(q: Array, qd: Array, direction: Array) -> Array:
-            moving = sign * jnp.maximum(sign * qd, _SLOWEST)
-            resisting = _other_torque(network, others, q, qd)
-            resisting = resisting + _joint_torque(network, others, q, moving)
-            net = force - resisting - contact_torque(half_way)
-            heavy = _STANDSTILL * stuck[:, :, None] * jnp.eye(q.shape[1])[None]
-            stiffness = contact_stiffness(half_way, direction)
-            mass = network.mass_matrix(k, q) * (1.0 + heavy) + 0.25 * h**2 * stiffness
-            return jnp.linalg.solve(mass, net[..., None])[..., 0]
+        def drive_at(q: Array, qd: Array) -> Array:
+            """Torque less all but inertia and friction of joints."""
+            return force - _other_torque(network, others, q, qd) - contact_torque(half_way)
 
-        first = acceleration(q, qd, sign)
+        def mass_at(q: Array, direction: Array) -> Array:
+            stiffness = contact_stiffness(half_way, direction)
+            return network.mass_matrix(k, q) + 0.25 * h**2 * stiffness
+
+        resisting = jnp.where(resting, 0.0, _joint_torque(network, others, q, qd))
+        drive = drive_at(q, qd)
+        sign = jnp.where(qd == 0.0, jnp.sign(drive - resisting), jnp.sign(qd))
+        mass = mass_at(q, sign)
+        leaving = friction.directions(mass, drive - resisting, resting)
+        sign = jnp.where(resting, leaving, sign)
+        resisting = resisting + friction.leaving(leaving)
+        first = acceleration(mass, drive - resisting, resting & (leaving == 0.0))
         # A contact is stiffer on the way back: by the stiffness of the way there, a joint that
         # turns would turn with more energy than it came with.
-        direction = jnp.where(sign * (qd + h * first) < 0.0, -sign, sign)
-        after = qd + h * acceleration(q + 0.5 * h * qd, qd + 0.5 * h * first, direction)
-        stops = stuck | (borne & (after * sign < 0.0) & jnp.isfinite(after))
-        after = jnp.where(stops, 0.0, after)
-        return q + 0.5 * h * (qd + after), after, contact_after(half_way, 0.5 * h * after)
+        back = sign * (qd + h * first) < 0.0
+        middle = q + 0.5 * h * qd, qd + 0.5 * h * first
+        mass, drive = mass_at(middle[0], jnp.where(back, -sign, sign)), drive_at(*middle)
+        slides = jnp.where(
+            friction.holds, sign * jnp.maximum(sign * middle[1], _SLOWEST), middle[1]
+        )
+        resisting = _joint_torque(network, others, middle[0], slides)
+        moved, after = through_stops(mass, drive, resisting, friction, leaving, qd, h)
+        return q + moved, after, contact_after(half_way, 0.5 * h * after)
 
     def advance(state: State, force: Array) -> State:
         return jax.lax.fori_loop(0, steps, lambda _, carry: step(carry, force), state)
