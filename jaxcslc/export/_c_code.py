@@ -16,6 +16,7 @@ _RESERVED = {
     *("inline", "int", "long", "register", "restrict", "return", "short", "signed"),
     *("sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void"),
     *("volatile", "while"),
+    "math",  # its header would stand before <math.h> where its folder is searched
 }
 
 
@@ -87,8 +88,9 @@ def c_code(
 
     **Raises**
 
-    - `ValueError`: for a name that is no C identifier, for coefficients that are not finite
-      or not p, and for lengths that are not n from 0 up, or of joints without dry friction.
+    - `ValueError`: for a name that is no C identifier or is `math`, for coefficients that are not
+      finite or not p, for lengths that are not n from 0 up, or of joints without dry friction, and
+      for numbers so large, or lengths so small, that constants of the code overflow.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))

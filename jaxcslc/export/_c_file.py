@@ -1,3 +1,4 @@
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -124,7 +125,8 @@ def _joint_names(network: CSLC) -> list[str]:
 def _plain(text: str) -> str:
     """For a comment: what would end it, or is not ASCII, is replaced."""
     text = text.replace("²", "^2").replace("³", "^3").replace("*/", "* /").replace("\n", " ")
-    return text.encode("ascii", "replace").decode().replace("??", "? ?").replace("/*", "/ *")
+    text = text.encode("ascii", "replace").decode().replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", text)  # of "???/", too, no trigraph is left
 
 
 def _wrapped(text: str) -> list[str]:

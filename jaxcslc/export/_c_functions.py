@@ -153,6 +153,12 @@ class CFunction:
         """Additions, multiplications and calls of functions."""
         return self.graph.cost(self.values)
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all constants are numbers that C can write."""
+        operations = self.graph.operations
+        return all(np.isfinite(operations[i].number) for i in self.graph.needed(self.values))
+
 
 def c_functions(
     network: CSLC,
@@ -168,10 +174,17 @@ def c_functions(
         candidates: list[CFunction] = []
         for rigid_body in rigid_bodies:
             motion = Motion(network.joint_count)
-            values = operation.values(Dynamics(network, k, motion, rigid_body(motion), lengths))
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                values = operation.values(Dynamics(network, k, motion, rigid_body(motion), lengths))
             if values is not None:
                 candidates.append(CFunction(operation, inputs, motion.graph, values))
-        functions.append(min(candidates, key=lambda candidate: candidate.cost))
+        function = min(candidates, key=lambda candidate: candidate.cost)
+        if not function.is_finite:
+            raise ValueError(
+                f"{operation.name}: a constant overflows; expected coefficients and lengths whose"
+                " products and reciprocals are finite numbers"
+            )
+        functions.append(function)
     return functions
 
 

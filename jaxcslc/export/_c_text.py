@@ -11,10 +11,12 @@ _FUNCTIONS = {
     "positive": "positive_part",
     "negative": "negative_part",
 }
+# What is not a number stays none, as in Python: a friction of 0 would hide a velocity that is lost.
 _DEFINITIONS = {
-    "sign": "static double sign_of(double x)\n{\n    return (double)((x > 0.0) - (x < 0.0));\n}\n",
-    "positive": "static double positive_part(double x)\n{\n    return x > 0.0 ? x : 0.0;\n}\n",
-    "negative": "static double negative_part(double x)\n{\n    return x < 0.0 ? x : 0.0;\n}\n",
+    "sign": "static double sign_of(double x)\n{\n"
+    "    return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x;\n}\n",
+    "positive": "static double positive_part(double x)\n{\n    return x < 0.0 ? 0.0 : x;\n}\n",
+    "negative": "static double negative_part(double x)\n{\n    return x > 0.0 ? 0.0 : x;\n}\n",
 }
 
 

@@ -156,7 +156,14 @@ def test_names_cannot_break_out_of_the_comment(compiled: Compiled) -> None:
     assert compiled(code)("torque", *np.ones((3, 1)), size=1).tolist() == [2.0]
 
 
-@pytest.mark.parametrize("name", ["", "2nd", "a b", "double", "a;b"])
+def test_names_leave_no_trigraph() -> None:
+    """`??/` at the end of a line goes on with the next one, in comments as well."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], name="机械臂/ ????/", friction=())
+    code = jc.c_code(jc.derive(robot, lengths="numeric"), np.ones(1))
+    assert "??" not in code.header + code.source and "? ? ?/ ? ? ? ?/" in code.header
+
+
+@pytest.mark.parametrize("name", ["", "2nd", "a b", "double", "a;b", "math"])
 def test_names_that_c_does_not_have(puma: jc.CSLC, puma_k: Any, name: str) -> None:
     with pytest.raises(ValueError, match="expected a C identifier"):
         jc.c_code(puma, puma_k, name=name)
@@ -167,6 +174,27 @@ def test_coefficients_that_do_not_fit(puma: jc.CSLC) -> None:
         jc.c_code(puma, np.ones(3))
     with pytest.raises(ValueError, match="not all finite"):
         jc.c_code(puma, np.full(43, np.nan))
+
+
+def test_constants_that_overflow() -> None:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), ("pi/2", 3, 0, 0)], friction=())
+    network = jc.derive(robot, lengths="numeric")
+    with pytest.raises(ValueError, match="torque: a constant overflows; expected coefficients"):
+        jc.c_code(network, np.full(network.size, 1e308))
+
+
+@pytest.mark.parametrize("kind", ["dry", "asymmetric_dry", "static", "asymmetric_viscous"])
+def test_a_velocity_that_is_no_number(kind: str, compiled: Compiled) -> None:
+    """It gives no torque, rather than one without friction."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    network = jc.derive(robot.with_friction(kind), lengths="numeric")
+    k, still = np.ones(network.size), np.zeros(1)
+    call = compiled(jc.c_code(network, k))
+    assert np.isnan(call("torque", still, np.array([np.nan]), still, size=1)).all()
+    for velocity in (np.inf, -np.inf, -0.0):
+        qd = np.array([velocity])
+        expected = network.torque(k, *np.array([[still], [qd], [still]]))[0]
+        np.testing.assert_array_equal(call("torque", still, qd, still, size=1), expected)
 
 
 @pytest.mark.parametrize("link", [None, 4])

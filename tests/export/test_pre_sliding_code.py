@@ -134,6 +134,22 @@ def test_lengths_of_no_contact(lengths: list[float], network: jc.CSLC) -> None:
         jc.c_code(network, np.ones(network.size), lengths=np.array(lengths))
 
 
+def test_a_length_whose_reciprocal_overflows(network: jc.CSLC) -> None:
+    with pytest.raises(ValueError, match="pre_sliding: a constant overflows; expected"):
+        jc.c_code(network, np.ones(network.size), lengths=np.array([0.1, 1e-310, 0.0]))
+
+
+def test_a_displacement_that_is_no_number(network: jc.CSLC, compiled: Compiled) -> None:
+    """Its state is none from then on, and neither is torque; those of other joints are."""
+    lengths, still = np.array([0.1, 0.2, 0.3]), np.zeros(3)
+    call = compiled(jc.c_code(network, np.ones(network.size), lengths=lengths))
+    w = call("pre_sliding", np.array([0.1, np.nan, np.inf]), still, size=3)
+    w = call("pre_sliding", np.full(3, 0.01), w, size=3)
+    assert np.isfinite(w).tolist() == [True, False, True] and w[2] == 1.0
+    torque = call("torque", still, still, still, w, size=3)
+    assert np.isfinite(torque).tolist() == [True, False, True]
+
+
 def test_joints_without_dry_friction(network: jc.CSLC) -> None:
     robot = network.robot.with_friction("viscous", joint=2)
     some = jc.derive(robot, lengths="numeric")
