@@ -27,6 +27,7 @@ class Use:
     - `joints`: by name of the limit, (n,).
     - `distance`: least distance of bodies less the clearance [m]; None where none is kept.
     - `nearest`: which bodies these are.
+    - `names`: of the joints; by their numbers if empty.
 
     >>> import numpy as np
     >>> from jaxcslc.excitation import Use
@@ -38,6 +39,7 @@ class Use:
     joints: dict[str, Joints]
     distance: float | None = None
     nearest: str = ""
+    names: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -52,7 +54,7 @@ class Use:
             return f"clearance of {self.nearest} ({1e3 * self.distance:.3g} mm short)"
         name, values = max(self.joints.items(), key=lambda item: float(item[1].max()))
         joint = int(values.argmax())
-        return f"{name} of joint {joint + 1} ({100 * values[joint]:.4g} % of its limit)"
+        return f"{name} of {self._name(joint)} ({100 * values[joint]:.4g} % of its limit)"
 
     def margins(self) -> list[dict[str, Any]]:
         """One row a limit: what is left of it at the joint that uses most, as a part."""
@@ -68,13 +70,17 @@ class Use:
 
     def __str__(self) -> str:
         parts = [
-            f"{row['limit']} {100 * row['margin']:.2g} % (joint {row['joint']})"
+            f"{row['limit']} {100 * row['margin']:.2g} % ({self._name(row['joint'] - 1)})"
             for row in self.margins()
             if row["joint"]
         ]
         if self.distance is not None:
             parts.append(f"{self.nearest} {1e3 * self.distance:.3g} mm beyond the clearance")
         return "margins: " + ", ".join(parts)
+
+    def _name(self, joint: int) -> str:
+        """Of a joint, from 0."""
+        return self.names[joint] if self.names else f"joint {joint + 1}"
 
 
 def without_jumps(
@@ -153,9 +159,10 @@ class DenseCheck:
             joints[name] = reached / half
         if self._models is not None:
             joints |= self._torques(self._models, derivatives)
+        names = self._network.output_names
         if self._distance is None or not bodies:
-            return Use(joints)
-        return Use(joints, *self._distance(self.family, parameters))
+            return Use(joints, names=names)
+        return Use(joints, *self._distance(self.family, parameters), names)
 
     def _torques(
         self, models: Float[np.ndarray, "2 coefficients"], derivatives: list[np.ndarray]

@@ -1,7 +1,7 @@
 import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,13 +94,18 @@ class Limits:
         - `ValueError`: a limit of position or velocity that is missing, an unknown name, a wrong
           number of values.
         """
-        n = len(robot.independent_joints)
+        names = [robot.joint_names[i] for i in robot.independent_joints]
+        n = len(names)
         known: dict[str, Any] = {}
+        unlimited = [False] * n
         file = _ROBOTS / f"{''.join(robot.name.lower().split())}.toml"
         if (robot.source is None or robot.source.format == "toml") and file.exists():
             known = tomllib.loads(file.read_text(encoding="utf-8"))["joints"]
         else:
-            known = _of_file(robot)
+            unlimited = _unlimited(robot)
+            known = _of_file(robot, unlimited)
+        if stated and "position" in stated:
+            unlimited = [False] * n
         known |= stated or {}
         expected = (*_NAMES, *_MARGINS)
         if unknown := sorted(known.keys() - set(expected)):
@@ -115,12 +120,14 @@ class Limits:
         }
         missing = ~np.isfinite(values["velocity"])
         if missing.any():
-            joint = int(np.argmax(missing)) + 1
+            name = names[int(np.argmax(missing))]
             raise ValueError(
-                f"limits: no velocity limit of joint {joint} of {robot.name!r}; expected one in the"
-                " robot's file or in a file of limits"
+                f"limits: no velocity limit of {name} of {robot.name!r}; expected one in the"
+                " robot's file, or velocity in [joints] of a file of limits (docs/excitation.md)"
             )
         notes: list[str] = []
+        if free := [name for name, whole_turn in zip(names, unlimited, strict=True) if whole_turn]:
+            notes.append(f"position: not stated of {', '.join(free)}; from -pi to pi rad")
         for name, before, time in (
             ("acceleration", "velocity", _TO_SPEED),
             ("jerk", "acceleration", _TO_ACCELERATION),
@@ -268,17 +275,21 @@ def _frozen(value: Any) -> Any:
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-def _of_file(robot: Manipulator) -> dict[str, Any]:
-    """What the robot's file states."""
-    joints = robot.independent_joints
-    limits = [robot.joint_limits[i] for i in joints]
-    continuous = [
-        robot.kinds[i] == "R" and math.isinf(x.low) for i, x in zip(joints, limits, strict=True)
+def _unlimited(robot: Manipulator) -> list[bool]:
+    """Joints that turn, and of whose range the file says nothing."""
+    return [
+        robot.kinds[i] == "R" and math.isinf(robot.joint_limits[i].low)
+        for i in robot.independent_joints
     ]
+
+
+def _of_file(robot: Manipulator, unlimited: Sequence[bool]) -> dict[str, Any]:
+    """What the robot's file states, and one turn where it says nothing of a range."""
+    limits = [robot.joint_limits[i] for i in robot.independent_joints]
     return {
         "position": [
             [-math.pi, math.pi] if free else [limit.low, limit.high]
-            for limit, free in zip(limits, continuous, strict=True)
+            for limit, free in zip(limits, unlimited, strict=True)
         ],
         "velocity": [limit.speed for limit in limits],
         "torque": [limit.torque for limit in limits],

@@ -107,7 +107,7 @@ def test_a_motion_for_a_payload(folder: Path) -> None:
     result = run(*arguments, "-o", folder / "payload.csv", "--payload", "1.5", "--rate", "100")
     assert result.exit_code == 0, result.output
     assert "phx: interval not determined to" in result.output
-    assert re.search(r"torque [\d.]+ % \(joint 1\)", result.output)
+    assert re.search(r"torque [\d.]+ % \(hinge\)", result.output)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Designs: limits hold at all times, gradients are those of differences, seeds repeat."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,6 +19,7 @@ from jaxcslc.excitation import (
     Limits,
     Noise,
     Planner,
+    Use,
     design_motion,
     family_named,
     random_parameters,
@@ -261,6 +263,32 @@ def test_wrong_limits_are_named(stated: dict[str, Any], message: str) -> None:
     arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)])
     with pytest.raises(ValueError, match=message):
         Limits.of(arm, stated)
+
+
+def test_limits_of_mjcf_files_are_kept(tmp_path: Path) -> None:
+    """A joint that may turn by 30° is not swung by 180°."""
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" range="-30 30"/>
+        <geom size="0.1" pos="0.3 0 0"/><body><joint name="spin" axis="1 0 0"/>
+        <geom size="0.1" pos="0.3 0 0"/></body></body></worldbody>
+        <actuator><motor joint="hinge" forcerange="-8 9"/></actuator></mujoco>"""
+    )
+    arm = jc.load_robot(file)
+    limits = Limits.of(arm, {"velocity": 2.0})
+    np.testing.assert_allclose(limits.high, [np.pi / 6, np.pi])
+    np.testing.assert_allclose(limits.torque, [8.0, np.inf])
+    assert limits.notes[0] == "position: not stated of spin; from -pi to pi rad"
+    stated = Limits.of(arm, {"velocity": 2.0, "position": [-1.0, 1.0]})
+    assert not any("position" in note for note in stated.notes)
+    with pytest.raises(ValueError, match="no velocity limit of hinge of"):
+        Limits.of(arm)
+
+
+def test_margins_name_joints_as_the_robot_does() -> None:
+    use = Use({"velocity": np.array([0.5, 0.9])}, names=("base", "elbow"))
+    assert str(use) == "margins: velocity 10 % (elbow)"
+    assert use.worst == "velocity of elbow (90 % of its limit)"
 
 
 def test_margins_of_positions_are_kept_back_at_both_ends() -> None:

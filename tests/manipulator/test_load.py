@@ -203,6 +203,25 @@ def test_what_a_file_says_of_drives() -> None:
     ]
 
 
+def test_what_mjcf_says_of_limits(tmp_path: Path) -> None:
+    """Ranges are of positions as recorded, `ref` included; torques are those of both directions."""
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        """<mujoco><default><default class="big"><general forcerange="-87 87"/></default></default>
+        <worldbody><body><joint name="a" axis="0 1 0" range="-30 45" ref="10"/><geom size="0.1"/>
+        <body><joint name="b" axis="0 1 0" limited="false" range="-1 1" actuatorfrcrange="-5 7"/>
+        <geom size="0.1"/><body><joint name="c" type="slide" range="-0.1 0.2"/><geom size="0.1"/>
+        </body></body></body></worldbody>
+        <actuator><general class="big" joint="a" gear="2"/><motor joint="b" forcerange="-9 9"/>
+        <motor joint="c" forcerange="0 255"/></actuator></mujoco>"""
+    )
+    a, b, c = jc.load_robot(path).joint_limits
+    assert_allclose([a.low, a.high, a.torque], [-np.pi / 6, np.pi / 4, 174.0])
+    assert (b.low, b.high, b.torque) == (-np.inf, np.inf, 5.0)
+    assert (c.low, c.high, c.torque) == (-0.1, 0.2, np.inf)
+    assert jc.load_robot(path, fix="a").joint_limits == (b, c)
+
+
 def test_springs_and_rest(tmp_path: Path) -> None:
     path = tmp_path / "sprung.xml"
     path.write_text(

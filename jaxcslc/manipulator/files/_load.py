@@ -183,6 +183,7 @@ def _robot(
             ),
             mimics=part.mimics,
             mimic=mimic,
+            limits=() if urdf else tuple(joint.limits for joint in files),
             notes=(*notes, *part.notes, *_faults(tree, path, numbers, attached)),
         ),
     )

@@ -1,5 +1,6 @@
+import math
 import warnings
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
@@ -13,7 +14,7 @@ from ..._environment import require
 from .._errors import RobotError
 from .._joint import JointKind
 from .._link_parameters import LinkParameters
-from .._source import Mimic
+from .._source import JointLimits, Mimic
 from ._urdf_simplifications import Edit, simplified
 
 
@@ -39,6 +40,7 @@ class FileJoint(NamedTuple):
     damping: float
     friction_loss: float
     stiffness: float
+    limits: JointLimits  # of range and torque, as MJCF states them
     fault: str | None  # why it is not represented, though of a kind that is
 
 
@@ -95,6 +97,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
         element.name = element.name or f"unnamed {i}"
     inertials = {body.name: _inertial(body) for body in spec.bodies if body.explicitinertial}
     faults = {name: _fault(*numbers) for name, numbers in inertials.items()}
+    strongest = _actuator_torques(spec)
     unknown = _without_geometry(spec, urdf)
     massless = {b.name for b in spec.bodies if not (b.explicitinertial or b.geoms)} - unknown
     stated = _replaced_inertias(spec, {*inertials, *unknown, *massless})
@@ -122,7 +125,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = _rotation(model.body_quat[i]), model.body_pos[i]
         parent = int(model.body_parentid[i]) if i else -1
-        joints = tuple(_joints(model, i))
+        joints = tuple(_joints(model, i, strongest))
         bodies.append(Body(name, parent, pose, inertia, joints, faults.get(name)))
     x, y, z = (float(g) for g in spec.option.gravity)
     zero = {joint.name: joint.zero for body in bodies for joint in body.joints}
@@ -279,7 +282,7 @@ def _laws(spec: Any) -> Iterator[tuple[str, str, tuple[float, float]]]:
             yield equality.name1, equality.name2, (constant, slope)
 
 
-def _joints(model: Any, body: int) -> Iterator[FileJoint]:
+def _joints(model: Any, body: int, strongest: Mapping[str, float]) -> Iterator[FileJoint]:
     kinds: dict[int, tuple[JointKind | None, str]] = {
         0: (None, "free"),
         1: (None, "ball"),
@@ -314,8 +317,38 @@ def _joints(model: Any, body: int) -> Iterator[FileJoint]:
             float(model.dof_damping[dof]),
             float(model.dof_frictionloss[dof]),
             float(model.jnt_stiffness[j]),
+            _limits(model, j, strongest.get(name, math.inf)),
             fault,
         )
+
+
+def _limits(model: Any, joint: int, strongest: float) -> JointLimits:
+    """Of a joint's range and of the torque of its actuators; MJCF has none of speed."""
+    low, high = -math.inf, math.inf
+    if model.jnt_limited[joint]:
+        low, high = (float(x) for x in model.jnt_range[joint])
+    if model.jnt_actfrclimited[joint]:
+        strongest = min(strongest, _both_ways(*model.jnt_actfrcrange[joint]))
+    return JointLimits(low, high, torque=strongest)
+
+
+def _actuator_torques(spec: Any) -> dict[str, float]:
+    """What the actuators of joints can do at most, by the joint's name; those that say so."""
+    mujoco: Any = require("mujoco", "urdf")
+    torques: dict[str, float] = {}
+    for actuator in spec.actuators:
+        on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+        low, high = (float(x) for x in actuator.forcerange)
+        limited = actuator.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE and low < high
+        torque = abs(float(actuator.gear[0])) * _both_ways(low, high) if limited else math.inf
+        if on_joint:  # of several on one joint, the torques add
+            torques[actuator.target] = torques.get(actuator.target, 0.0) + torque
+    return torques
+
+
+def _both_ways(low: float, high: float) -> float:
+    """The torque that an actuator has in both directions; infinite where it has only one."""
+    return float(min(-low, high)) if low < 0.0 < high else math.inf
 
 
 def _rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
