@@ -2,7 +2,7 @@ import contextlib
 import shlex
 import sys
 import tomllib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
@@ -220,6 +220,27 @@ def check_no_robot_options(context: CommandContext, name: str) -> None:
             value = context.params[parameter.name]
             options = parameter.secondary_opts if value is False else parameter.opts
             raise ValueError(f"{options[0]} is for robots; {name} describes another system")
+
+
+def check_inputs_are_kept(context: CommandContext, written: Iterable[Path]) -> None:
+    """**Raises** `ValueError` if a command would replace a file that it reads.
+
+    - `written`: the files that it writes.
+    """
+    replaced = {path.resolve() for path in written}
+    for name, value in context.params.items():
+        if name == "output":
+            continue
+        for entry in value if isinstance(value, list | tuple) else [value]:
+            if not isinstance(entry, Path) and name != "robot":
+                continue
+            path = Path(entry)
+            if path.is_dir():  # stands for what identify wrote into it
+                path /= "identification.json"
+            if path.resolve() in replaced:
+                raise ValueError(
+                    f"{path}: is read, and the results would replace it; expected another --output"
+                )
 
 
 def without_none(**options: object) -> dict[str, object]:

@@ -13,6 +13,7 @@ from ..excitation import (
     Knowledge,
     Limits,
     Noise,
+    design_files,
     design_motion,
     load_limits,
     save_design,
@@ -34,6 +35,7 @@ from ._common import (
     MimicOption,
     RobotArgument,
     TipOption,
+    check_inputs_are_kept,
     choice_of,
     command_text,
     names_in,
@@ -105,7 +107,7 @@ def excite_command(
 ) -> None:
     """Design the motion to record next, within all limits, for the least errors."""
     with one_line_errors(), progress("reading") as step:
-        _check_options(output, family, criterion, starts)
+        _check_options(context, output, family, criterion, starts)
         arm = robot_named(robot, base, tip, fix, mimic)
         before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
         before, names = _wanted(before, wanted, payload)
@@ -135,13 +137,16 @@ def excite_command(
     typer.echo(f"{_text(design, before, reach)}\n\nwrote " + ", ".join(map(str, paths)))
 
 
-def _check_options(output: Path, family: str, criterion: str, starts: int) -> None:
+def _check_options(
+    context: CommandContext, output: Path, family: str, criterion: str, starts: int
+) -> None:
     choice_of("--family", family, FAMILIES)
     choice_of("--criterion", criterion, CRITERIA)
     if starts < 1:
         raise ValueError(f"--starts is {starts}; expected 1 or more")
     if not output.parent.is_dir():
         raise ValueError(f"{output.parent}: no such folder")
+    check_inputs_are_kept(context, design_files(output))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,7 +15,13 @@ from ..identification import (
     load_prior,
 )
 from ..identification.possible import Choice
-from ..identification.report import SavedReport, check_output_folder, load_report, load_settings
+from ..identification.report import (
+    SavedReport,
+    check_output_folder,
+    load_report,
+    load_settings,
+    replaced_files,
+)
 from ..manipulator import Manipulator
 from ..network import CSLC
 from ._cluster import identified_on_cluster
@@ -32,6 +38,7 @@ from ._common import (
     RobotOrSystemArgument,
     SettingsOption,
     TipOption,
+    check_inputs_are_kept,
     check_no_robot_options,
     choice_of,
     command_text,
@@ -128,7 +135,7 @@ def identify_command(
     """
     known = estimator == "least-squares"  # the time that it takes
     with one_line_errors(), progress("reading", estimated=known) as step, processes_beside():
-        check_output_folder(output)
+        _check_output(context, output)
         if dask is not None or fleet:
             return typer.echo(identified_on_cluster(context, step))
         if is_system(robot):
@@ -146,6 +153,12 @@ def identify_command(
             report = _identified(context, arm, saved, (train, validate), preparation, options, step)
         text = _written(report, output, context, step)
     typer.echo(text)
+
+
+def _check_output(context: CommandContext, output: Path) -> None:
+    """**Raises** `ValueError` for a folder that results cannot go to, or that they must not."""
+    check_output_folder(output)
+    check_inputs_are_kept(context, replaced_files(output))
 
 
 def _identified(

@@ -8,12 +8,14 @@ from ..identification.report import check_output_folder, load_report, load_setti
 from ._common import (
     BaseOption,
     ColumnsOption,
+    CommandContext,
     FixOption,
     MimicOption,
     OutputOption,
     RobotArgument,
     SettingsOption,
     TipOption,
+    check_inputs_are_kept,
     one_line_errors,
     progress,
     recording_of,
@@ -23,6 +25,7 @@ from ._common import (
 
 
 def payload_command(
+    context: CommandContext,
     robot: RobotArgument,
     loaded: Annotated[
         Path, typer.Argument(metavar="LOADED", help="Recording of the arm carrying the payload.")
@@ -49,6 +52,7 @@ def payload_command(
     """Identify a payload: its mass, centre of gravity and inertia, in the last link's frame."""
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
+        check_inputs_are_kept(context, [output / "payload.csv", output / "payload.json"])
         saved = load_report(previous, robot_named(robot, base, tip, fix, mimic))
         arm = saved.network.robot
         carrying = recording_of(loaded, arm, columns)

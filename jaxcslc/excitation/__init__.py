@@ -20,6 +20,6 @@ from ._information import MotionInformation as MotionInformation, Prediction as 
 from ._knowledge import Knowledge as Knowledge
 from ._limits import Limits as Limits, Surroundings as Surroundings, load_limits as load_limits
 from ._noise import Noise as Noise
-from ._output import save_design as save_design
+from ._output import design_files as design_files, save_design as save_design
 from ._result import Design as Design
 from ._task import random_parameters as random_parameters

@@ -36,24 +36,42 @@ def save_design(
     - `ValueError`: a path that does not end in `.csv`.
     - `OSError`: files cannot be written.
     """
+    paths = design_files(path)
+    time, (q, qd, qdd) = design.sampled(rate)
+    texts = (
+        csv_text(design.network, time, q, qd, qdd),
+        trajectory_yaml(design.network, time, q, qd, qdd),
+        trajectory_json(design.network, time, q, qd, qdd),
+        c_text(design.network, time, q),
+        design_page(design, command),
+    )
+    for target, text in zip(paths, texts, strict=True):
+        with unfinished(target) as file:
+            file.write_text(text, encoding="utf-8")
+    return paths
+
+
+def design_files(path: str | Path) -> tuple[Path, ...]:
+    """The files that `save_design` writes: CSV, YAML, JSON, C header and page.
+
+    **Arguments**
+
+    - `path`: of the CSV file.
+
+    **Returns** the files.
+
+    **Raises**
+
+    - `ValueError`: a path that does not end in `.csv`.
+
+    >>> from jaxcslc.excitation import design_files
+    >>> [path.name for path in design_files("motion.csv")]
+    ['motion.csv', 'motion.yaml', 'motion.json', 'motion.h', 'motion.html']
+    """
     path = Path(path)
     if path.suffix != ".csv":
         raise ValueError(f"{path}: expected a name that ends in .csv")
-    time, (q, qd, qdd) = design.sampled(rate)
-    texts = {
-        ".csv": csv_text(design.network, time, q, qd, qdd),
-        ".yaml": trajectory_yaml(design.network, time, q, qd, qdd),
-        ".json": trajectory_json(design.network, time, q, qd, qdd),
-        ".h": c_text(design.network, time, q),
-        ".html": design_page(design, command),
-    }
-    paths: list[Path] = []
-    for suffix, text in texts.items():
-        target = path.with_suffix(suffix)
-        with unfinished(target) as file:
-            file.write_text(text, encoding="utf-8")
-        paths.append(target)
-    return tuple(paths)
+    return tuple(path.with_suffix(s) for s in (".csv", ".yaml", ".json", ".h", ".html"))
 
 
 Samples = Float[np.ndarray, "samples joints"]

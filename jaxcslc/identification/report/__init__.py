@@ -26,7 +26,11 @@ from ._output import (
 )
 from ._payload_report import PayloadReport as PayloadReport
 from ._report import Report as Report
-from ._report_files import quality_document as quality_document, save_report as save_report
+from ._report_files import (
+    quality_document as quality_document,
+    replaced_files as replaced_files,
+    save_report as save_report,
+)
 from ._report_text import (
     determination_lines as determination_lines,
     held_out_lines as held_out_lines,

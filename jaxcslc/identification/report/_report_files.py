@@ -87,6 +87,15 @@ def recording_files(folder: Path, name: str, quantity: str) -> tuple[Path, Path]
     return folder / f"errors_{name}.csv", folder / f"{stem}_{name}.csv"
 
 
+def replaced_files(folder: Path) -> list[Path]:
+    """The files of a folder that a report written into it may replace or remove."""
+    files = [folder / name for name in ("index.html", "coefficients.csv", "identification.json")]
+    for quantity in ("torque", "known sides"):
+        for name in RECORDINGS:
+            files += recording_files(folder, name, quantity)
+    return files
+
+
 def report_document(report: "Report", data: Mapping[str, Any]) -> dict[str, Any]:
     """A report as plain data, without its patterns.
 
