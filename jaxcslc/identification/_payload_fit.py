@@ -141,8 +141,14 @@ class PayloadFit(eqx.Module):
         return np.stack([value - half, value + half], axis=-1)
 
     def rows(self, level: float = 0.95) -> list[dict[str, Any]]:
-        """One row for each of `physical`: name, unit, value, standard error, interval, possible."""
-        interval = self.physical_interval(level)
+        """One row for each of `physical`: name, unit, value, standard error, interval, possible.
+
+        What is not determined has no value (NaN), and an interval without ends.
+        """
+        error = np.asarray(self.physical_error)
+        known = np.isfinite(error)
+        with np.errstate(invalid="ignore"):  # infinite centre less infinite error
+            interval = np.where(known[:, None], self.physical_interval(level), [-np.inf, np.inf])
         nearest = [np.nan] * 10 if self.possible is None else _listed(self.possible)
         return [
             {
@@ -157,8 +163,8 @@ class PayloadFit(eqx.Module):
             for name, unit, value, error, (low, high), body in zip(
                 PHYSICAL,
                 _UNITS,
-                np.asarray(self.physical),
-                np.asarray(self.physical_error),
+                np.where(known, np.asarray(self.physical), np.nan),
+                error,
                 interval,
                 nearest,
                 strict=True,

@@ -1,6 +1,7 @@
 """A payload from recordings: against dense NumPy, against a simulated arm, and what it refuses."""
 
 import dataclasses
+import re
 from typing import Any
 
 import jax
@@ -243,10 +244,32 @@ class TestPhysical:
         assert len(payload.unidentifiable) == 9
         assert "pm: nothing in the patterns depends on it" in payload.unidentifiable
         assert np.all(np.isinf(np.asarray(payload.physical_error)))
+        for (
+            row
+        ) in payload.rows():  # no value of what is not known, nor a NaN for the end of a range
+            assert np.isnan(row["value"]) and (row["low"], row["high"]) == (-np.inf, np.inf)
         assert payload.possible is not None
         body = body_of(payload.possible)
         assert_allclose(body[2], body_of(BODY)[2], rtol=1e-4)
         assert np.min(np.linalg.eigvalsh(pseudo_inertia(body))) > 0
+
+    def test_the_report_says_what_is_determined_instead(self) -> None:
+        """A pendulum feels first moments and a moment of inertia, and no mass."""
+        arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+        network = jc.derive(arm, lengths="numeric").with_payload()
+        k = np.full(network.size, 0.1)
+        k[network.layout.payload] = body_of(BODY)
+        t = np.arange(500)[:, None] * 0.01
+        torque = np.asarray(network.torque(k, np.sin(t), np.cos(t), -np.sin(t)))
+        report = jc.identify_payload(
+            network,
+            jc.Recording(t[:, 0], np.sin(t), torque),
+            settings=jc.Settings(),
+            previous=k[network.layout.unloaded],
+        )
+        text = str(report)
+        assert "nan" not in text and "inf" not in text
+        assert re.search(r"^determined: pIzz [\d.e-]+ \(.* phx .* phy .* kg m$", text, re.MULTILINE)
 
     @pytest.mark.parametrize("length", [0.0, 0.5])
     def test_two_joints_that_do_not_sense_the_mass(

@@ -8,6 +8,7 @@ from ..._text_table import text_table
 from ...manipulator import LinkParameters, Manipulator, seen_from
 from ...motion import Patterns
 from ...network import CSLC
+from ...network.terms import PAYLOAD
 from .._payload_fit import PayloadFit
 from .._settings import Settings, settings_document
 from ._errors import ErrorTable
@@ -77,18 +78,20 @@ class PayloadReport:
         return folder / "payload.csv", folder / "payload.json"
 
     def __str__(self) -> str:
-        rows = self.fit.rows()
         names = ["value", "low", "high", "possible"]
         table = text_table(
             ["", "unit", *names],
-            [[row["name"], row["unit"], *(f"{row[name]:.4g}" for name in names)] for row in rows],
+            [
+                [row["name"], row["unit"], *(_number(row[name]) for name in names)]
+                for row in self.fit.rows()
+            ],
             left=("unit",),
         )
         lines = [
             f"{self.network}\nsettings: {self.settings}\n\n{table}\n",
             "frame of the last link; I.. at the centre of gravity; low and high: 95 % intervals"
             f" for {self.fit.fit.errors} errors; possible: the nearest body that can exist",
-            *(f"not determined: {sentence}" for sentence in self.fit.unidentifiable),
+            *_determination_lines(self.fit),
         ]
         if self.file_body is not None and self.network.robot.source is not None:
             name, body = self.network.robot.source.links[-1], self.file_body
@@ -98,6 +101,7 @@ class PayloadReport:
             lines.append(
                 f"possible, in the file's frame of {name}: {float(body.mass):.4g} kg at"
                 f" [{centre}] m; Ixx, Iyy, Izz, Ixy, Ixz, Iyz there {moments} kg m²"
+                + ("; what the motion does not determine is a guess" if _open(self.fit) else "")
             )
         units = dict.fromkeys(self.network.output_units)
         loaded, unloaded = (", ".join(f"{x:.3g}" for x in row.tolist()) for row in self.errors.rms)
@@ -109,6 +113,38 @@ class PayloadReport:
         return "\n".join(lines)
 
 
+def _number(value: float) -> str:
+    return f"{value:.4g}" if np.isfinite(value) else ""
+
+
+def _open(fit: PayloadFit) -> bool:
+    """Whether the motion leaves something of the body open."""
+    return not np.isfinite(np.asarray(fit.physical_error)).all()
+
+
+def _determination_lines(fit: PayloadFit) -> list[str]:
+    """What the motion does not determine, and what it does determine of a body of which it leaves
+    something open: with the mass, its centre of gravity is open, not its first moments."""
+    lines = [f"not determined: {sentence}" for sentence in fit.unidentifiable]
+    if not _open(fit):
+        return lines
+    intervals = fit.confidence_interval()
+    determined = [
+        f"{name} {value:.4g} ({low:.4g} to {high:.4g}) {unit}"
+        for name, unit, value, (low, high), known in zip(
+            PAYLOAD, _UNITS, fit.parameters.tolist(), intervals, fit.determined, strict=True
+        )
+        if known
+    ]
+    return [
+        *lines,
+        f"determined: {', '.join(determined) or 'nothing by itself'}",
+        "pIxx to pIyz: about the origin of the last link's frame; phx to phz: mass times centre of"
+        " gravity; pm: mass",
+    ]
+
+
+_UNITS = (*["kg m²"] * 6, *["kg m"] * 3, "kg")  # of `PAYLOAD`
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
