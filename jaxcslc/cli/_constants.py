@@ -19,6 +19,7 @@ from ._common import (
     one_line_errors,
     progress,
     recording_of,
+    recordings_of,
     robot_named,
     with_notes,
 )
@@ -48,8 +49,10 @@ def constants_command(
     """
     with one_line_errors(), progress("reading") as step:
         manipulator = robot_named(robot, base, tip, fix, mimic)
-        alone = recording_of(unloaded, manipulator, columns)
-        carrying = recording_of(loaded, manipulator, columns)
+        read = recordings_of(
+            (unloaded, loaded), lambda path: recording_of(path, manipulator, columns)
+        )
+        alone, carrying = read.values()
         report = identify_torque_constants(
             network_of(manipulator, "numeric", friction, coupled),
             alone,

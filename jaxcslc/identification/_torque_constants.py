@@ -1,9 +1,9 @@
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..motion import Patterns, Recording
 from ..network import CSLC
@@ -24,9 +24,9 @@ class TorqueConstants:
     **Attributes**
 
     - `joint_names`: of the n joints.
-    - `constants`: (n,) joint torque per unit of what was recorded as torque [N m/A].
+    - `constants`: (n,) joint torque per unit of what was recorded as torque [N m/A or N/A].
     - `fit`: of the arm's coefficients, the payload's other than its mass, and the constants.
-    - `unit`: of the constants.
+    - `unit`: of the constants; one for each joint of an arm with prismatic joints.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.identification import identify_torque_constants
@@ -50,7 +50,7 @@ class TorqueConstants:
     joint_names: tuple[str, ...]
     constants: Float[np.ndarray, " joints"]
     fit: Identification
-    unit: str = "N m/A"
+    unit: str | tuple[str, ...] = "N m/A"
 
     @property
     def standard_error(self) -> Float[np.ndarray, " joints"]:
@@ -71,23 +71,25 @@ class TorqueConstants:
     def rows(self, level: float = 0.95) -> list[dict[str, Any]]:
         """One row a joint: constant, standard error and interval."""
         low, high = self.confidence_interval(level).T
-        columns = (self.joint_names, self.constants, self.standard_error, low, high)
+        n = len(self.joint_names)
+        units = (self.unit,) * n if isinstance(self.unit, str) else self.unit
+        columns = (self.joint_names, units, self.constants, self.standard_error, low, high)
         return [
             {
                 "joint": name,
-                "unit": self.unit,
+                "unit": unit,
                 "constant": float(value),
                 "standard_error": float(error),
                 "low": float(start),
                 "high": float(end),
             }
-            for name, value, error, start, end in zip(*columns, strict=True)
+            for name, unit, value, error, start, end in zip(*columns, strict=True)
         ]
 
     def __str__(self) -> str:
         width = max(map(len, self.joint_names))
         lines = [
-            f"{row['joint']:{width}}  {row['constant']:.5g} {self.unit}, 95 % interval"
+            f"{row['joint']:{width}}  {row['constant']:.5g} {row['unit']}, 95 % interval"
             f" {row['low']:.5g} to {row['high']:.5g}"
             for row in self.rows()
         ]
@@ -125,7 +127,8 @@ def identify_torque_constants(
     **Raises**
 
     - `ValueError`: a mass that is not positive; recordings that cannot be used, by name; or
-      recordings that do not determine the constant of some joint, with what is needed.
+      recordings that do not determine the constant of some joint, with what is needed; or
+      recordings in the wrong order, by which friction would drive the arm.
     - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
 
     An example stands at `TorqueConstants`.
@@ -176,14 +179,29 @@ def fit_torque_constants(
         fit = fitted(before)
         if np.linalg.norm(np.asarray(fit.k) - before) <= _CONVERGED * np.linalg.norm(before):
             break
-    result = TorqueConstants(whole.output_names, np.asarray(fit.k)[-n:], fit)
+    result = TorqueConstants(
+        whole.output_names, np.asarray(fit.k)[-n:], fit, _units(whole.output_units)
+    )
     if result.undetermined:
         raise ValueError(
             f"the recordings do not determine the torque constant of"
             f" {', '.join(result.undetermined)}: give it, or use motions, with and without the"
             " payload, in which the payload's weight or inertia loads that joint"
         )
+    braking = [g for g in ("viscous", "dry") if g in whole.layout.groups]  # no offsets: they drive
+    columns = whole.layout.indices(*braking)
+    if sum(some.power(np.asarray(fit.k), columns) for some in equations) < 0.0:
+        raise ValueError(
+            "with these constants friction drives the arm in place of braking it; expected the"
+            " recording without the payload first, and then the one with it"
+        )
     return result
+
+
+def _units(torques: Sequence[str]) -> str | tuple[str, ...]:
+    """Of constants: one for all joints, or one each of an arm with prismatic joints."""
+    units = tuple(f"{unit}/A" for unit in torques)
+    return units[0] if len(set(units)) == 1 else units
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -221,6 +239,14 @@ class CurrentEquations:
         unknowns = Unknowns((*names, *constants), support)
         assert len(unknowns.names) == network.size - 1 + joints
         return cls(unknowns, np.delete(whole, mass_index, axis=2), mass_torque, patterns, cutoff)
+
+    def power(
+        self, k: Float[np.ndarray, " unknowns"], columns: Int[np.ndarray, " columns"]
+    ) -> float:
+        """What the torques of some coefficients take from the motion, summed over samples."""
+        torque = self.regressor[:, :, columns] @ k[columns]
+        fitted = np.asarray(self.patterns.mask)
+        return float(np.sum(np.where(fitted, torque * np.asarray(self.patterns.qd), 0.0)))
 
     def about(self, k: Float[np.ndarray, " unknowns"] | None) -> Equations:
         """The equations of currents, linear about some unknowns.

@@ -95,6 +95,34 @@ def test_a_joint_that_says_nothing_is_refused(
         fit_torque_constants(network, masked[0], masked[1], MASS)
 
 
+def test_recordings_in_the_wrong_order_are_refused(
+    network: jc.CSLC, exact: tuple[jc.Patterns, jc.Patterns]
+) -> None:
+    """They fit as well, by constants and coefficients of the other sign."""
+    with pytest.raises(ValueError, match=r"friction drives the arm .* without the payload first"):
+        fit_torque_constants(network, exact[1], exact[0], MASS)
+
+
+def test_units_are_those_of_the_joints(exact: tuple[jc.Patterns, jc.Patterns]) -> None:
+    """A joint that slides has a force for each ampere."""
+    rows = [(0, 0, 0, 0), ("pi/2", 0.4, 0, 0)]
+    robot = jc.Manipulator.from_modified_dh(rows, kinds="RP", gravity=(0, -9.81, 0))
+    network = jc.derive(robot, lengths="numeric").with_payload()
+    k = np.full(network.size, 0.3)
+    k[network.layout.payload] = 0.01, 0.01, 0.02, 0, 0, 0, 0.1, 0.05, 0, MASS
+    recorded: list[jc.Patterns] = []
+    for patterns, carried in zip(exact, (0.0, 1.0), strict=True):
+        factors = np.ones(network.size)
+        factors[network.layout.payload] = carried
+        motion = np.asarray(patterns.q), np.asarray(patterns.qd), np.asarray(patterns.qdd)
+        current = np.asarray(network.torque(factors * k, *motion)) / CONSTANTS
+        pairs = np.ones(current.shape, bool)
+        recorded.append(jc.Patterns(patterns.time, *motion, current, pairs, pairs))
+    result = fit_torque_constants(network, recorded[0], recorded[1], MASS)
+    assert [row["unit"] for row in result.rows()] == ["N m/A", "N/A"]
+    np.testing.assert_allclose(result.constants, CONSTANTS, rtol=1e-6)
+
+
 @pytest.mark.parametrize("mass", [0.0, -1.0, np.nan, np.inf])
 def test_mass_is_positive(
     network: jc.CSLC, exact: tuple[jc.Patterns, jc.Patterns], mass: float
@@ -133,6 +161,9 @@ def test_the_command(exact: tuple[jc.Patterns, jc.Patterns], tmp_path: Path) -> 
     # Smoothing 50 Hz of motion up to 0.3 Hz changes accelerations by less than a percent.
     np.testing.assert_allclose(values, CONSTANTS, rtol=0.02)
     assert result.output.startswith("shoulder  ")
+
+    result = run("constants", robot, *paths[:1], *paths[:1], "--mass", "2", "--columns", mapping)
+    assert result.exit_code == 2 and "is given twice" in result.stderr
 
     mapping.write_text(mapping.read_text().replace("constant = 1\n", ""))
     result = run("constants", robot, *paths, "--mass", "2.0", "--columns", mapping)
