@@ -17,6 +17,7 @@ from jaxcslc.identification.checks._sample_findings import (
     clipping,
     outlier_findings,
     outliers,
+    outliers_of,
     sample_findings,
 )
 from tests.conftest import run
@@ -144,6 +145,12 @@ SPOILT: dict[str, tuple[Callable[[jc.Recording], jc.Recording], str, str, str]] 
     "position's sign": (lambda r: with_column(r, "position", 1, -1.0), "sign", "joint 2", "-1"),
     "torque's sign": (lambda r: with_column(r, "torque", 2, -1.0), "sign", "joint 3", "-1"),
     "swapped": (swapped, "swapped joints", "joint 2, joint 3", "joints ="),
+    "swapped positions": (
+        lambda r: changed(r, position=r.position[:, [0, 2, 1]]),
+        "swapped joints",
+        "joint 2, joint 3",
+        "[position] columns in the robot's order",
+    ),
 }
 
 ROWS: dict[str, tuple[Callable[[jc.Recording], jc.Recording], str, str, str]] = {
@@ -190,13 +197,9 @@ def test_the_cause_is_named_first(arm: jc.CSLC, clean: jc.Recording, name: str) 
 def test_what_is_wrong_with_rows_is_named(arm: jc.CSLC, clean: jc.Recording, name: str) -> None:
     spoil, kind, joint, part = ROWS[name]
     spoilt, names = spoil(clean), arm.robot.joint_names
-    outlying = {
-        quantity: outliers(getattr(spoilt, quantity), least)
-        for quantity, least in LEAST_DISTANCE.items()
-    }
     first, *others = [
         *clock_findings(spoilt),
-        *outlier_findings(spoilt, outlying, names),
+        *outlier_findings(spoilt, outliers_of(spoilt), names),
         *sample_findings(spoilt, names),
     ]
     assert (first.kind, first.joint, others) == (kind, joint, [])
@@ -247,6 +250,32 @@ def test_outliers_are_neither_steps_nor_peaks(rng: np.random.Generator) -> None:
     assert not outliers(wave + 0.01 * rng.standard_normal(wave.shape), 0.5).any()
     wave[[100, 700, 2990], [0, 1, 2]] += 40.0
     assert np.argwhere(outliers(wave, 0.5)).tolist() == [[100, 0], [700, 1], [2990, 2]]
+
+
+def test_motion_that_goes_on_in_a_gap_is_no_outlier() -> None:
+    """At a turning point, the sample before the gap is an extreme of all around it."""
+    time = np.arange(3000) * 0.004
+    wave = np.sin(5 * time)[:, None]
+    recording = jc.Recording(time, wave, wave).rows((time < 0.3) | (time > 1.2))
+    assert outliers(recording.position, LEAST_DISTANCE["position"]).any()
+    assert not any(marked.any() for marked in outliers_of(recording).values())
+    np.testing.assert_array_equal(without_outliers(recording).position, recording.position)
+
+
+def test_a_mass_that_no_torque_shows_is_not_named() -> None:
+    """Of an upright axis: a body is felt, and not what it weighs."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    network = jc.derive(robot, lengths="numeric")
+    t = np.arange(3000)[:, None] * 0.004
+    phase = 3 * t + np.sin(7 * t)
+    q, qd = np.sin(phase), (3 + 7 * np.cos(7 * t)) * np.cos(phase)
+    qdd = -49 * np.sin(7 * t) * np.cos(phase) - (3 + 7 * np.cos(7 * t)) ** 2 * np.sin(phase)
+    recordings = [
+        jc.Recording(t[:, 0], q, np.asarray(network.torque(np.array(k), q, qd, qdd)))
+        for k in ([0.5, 0.2, 0.1], [0.8, 0.2, 0.1])
+    ]
+    (finding,) = jc.check(network, recordings, ["a", "b"]).findings
+    assert finding.kind == "payload" and " kg" not in finding.evidence
 
 
 def test_clipping_is_no_plateau_of_rounding() -> None:

@@ -200,6 +200,7 @@ def test_wrong_columns(tmp_path: Path, header: str, expected: str, suffix: str) 
     ("cell", "expected"),
     [
         pytest.param("fast", "'fast'; expected a number", id="word"),
+        pytest.param('"0,5"', "'0,5'; expected a number with a decimal point", id="comma"),
         pytest.param("", "an empty cell; expected a number", id="empty"),
         pytest.param("NULL", "'NULL'; expected a number", id="null"),
         pytest.param("1_000", "'1_000'; expected a number", id="underscore"),

@@ -187,6 +187,7 @@ class TestNamedColumns:
             ("t,time,q_a,tau_a", "columns of time: 't', 'time'; expected one"),
             ("q_a,tau_a", "columns of time: none; expected one"),
             ("t,q_a,tau_a,q_a", "column 'q_a' occurs more than once"),
+            ("t,q_a,i_a", "no torque: .* expected torque_1 and on, or by joint as in torque_elbow"),
         ],
     )
     def test_wrong_headers(self, tmp_path: Path, header: str, expected: str) -> None:

@@ -105,14 +105,15 @@ def _cause(
     loaded = network.with_payload()
     fit = reidentify(loaded, patterns, k, groups=("payload",), solver=solver)
     parts["payload"] = explained(_errors(loaded, np.asarray(fit.k), patterns))
-    (mass,) = np.asarray(fit.k)[loaded.layout.indices("pm")]
+    (index,) = loaded.layout.indices("pm")
+    mass = f" ({float(fit.k[index]):+.2g} kg)" if bool(fit.determined[index]) else ""
     best = max(parts, key=parts.__getitem__)
     if best == "payload" and parts[best] > _EXPLAINED:
         return Finding(
             "payload",
             joints,
             f"{text}; a body at the last link explains {100 * parts[best]:.0f} % of the difference"
-            f" ({mass:+.2g} kg, where the mass can be determined)",
+            f"{mass}",
             "the arm carried another payload or tool",
             f"identify {names[0]} first, and the payload with jaxcslc payload",
             names[1],

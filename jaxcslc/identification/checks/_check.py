@@ -11,10 +11,9 @@ from ._evidence import Evidence
 from ._finding import Finding
 from ._motion_findings import motion_findings
 from ._sample_findings import (
-    LEAST_DISTANCE,
     clipping,
     outlier_findings,
-    outliers,
+    outliers_of,
     sample_findings,
     without_outliers,
 )
@@ -172,10 +171,7 @@ class _Check:
             recording = _with_time(recording, factor)
         self.recording = recording
         self.findings += clock_findings(recording)
-        outlying = {
-            quantity: outliers(getattr(recording, quantity), least)
-            for quantity, least in LEAST_DISTANCE.items()
-        }
+        outlying = outliers_of(recording)
         self.findings += outlier_findings(recording, outlying, self.names)
         source = network.robot.source
         fixable = source is not None and source.format != "toml"

@@ -15,7 +15,7 @@ _UNITS = {
     1e-9: ("nanoseconds", "ns"),
 }
 # A gap is longer than so many intervals, a lost row than so many.
-_GAP, _LOST = 10.0, 1.6
+GAP, _LOST = 10.0, 1.6
 _MOST_LOST = 1e-3
 # Standard deviation of intervals, as part of their median, from which smoothing suffers.
 _JITTER = 0.05
@@ -79,7 +79,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
             "cut it where the rate changes, with --between START,END",
         )
         return
-    gaps = np.flatnonzero(intervals > _GAP * interval)
+    gaps = np.flatnonzero(intervals > GAP * interval)
     for gap in gaps[np.argsort(-intervals[gaps])][:3]:
         spent = f"{time[gap]:.4g} s to {time[gap + 1]:.4g} s"
         start, end = max(
@@ -95,7 +95,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
         )
     regular = intervals[intervals < _LOST * interval]
     spread = float(np.std(regular) / interval)
-    lost = (intervals > _LOST * interval) & (intervals <= _GAP * interval)
+    lost = (intervals > _LOST * interval) & (intervals <= GAP * interval)
     if spread > _JITTER:
         yield Finding(
             "jitter",

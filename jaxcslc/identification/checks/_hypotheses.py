@@ -107,7 +107,8 @@ def sign_and_order(joints: int, names: Sequence[str]) -> Iterator[Hypothesis]:
                 "swapped joints",
                 (first, second),
                 f"the {what} of {pair} are swapped",
-                f"[{what.split('s')[0]}] columns in the robot's order, in the mapping of --columns"
+                f"[{what.removesuffix('s')}] columns in the robot's order, in the mapping of"
+                " --columns"
                 if " and " not in what
                 else f"joints = {_listed(np.array(names)[order])} in the mapping of --columns",
                 Change(**changes),

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...motion import Recording, encoder_resolution, stale_rows
+from ._clock_findings import GAP
 from ._finding import Finding
 
 
@@ -168,6 +169,23 @@ def outliers(
     return alone & (distance > np.maximum(_FAR * counts, least * extent))
 
 
+def outliers_of(recording: Recording) -> dict[str, Bool[np.ndarray, "samples joints"]]:
+    """The outliers of a recording's positions and torques, by quantity.
+
+    Beside a gap nothing is one: motion goes on there unseen, and its neighbours do not tell.
+    """
+    intervals = np.diff(recording.time)
+    gaps = np.flatnonzero(intervals > GAP * np.median(intervals))
+    beside = np.zeros(recording.samples, bool)
+    for reach in range(_WINDOW // 2):
+        beside[np.maximum(gaps - reach, 0)] = True
+        beside[np.minimum(gaps + 1 + reach, recording.samples - 1)] = True
+    return {
+        quantity: outliers(getattr(recording, quantity), least) & ~beside[:, None]
+        for quantity, least in LEAST_DISTANCE.items()
+    }
+
+
 def without_outliers(recording: Recording) -> Recording:
     """Replaces single samples that lie far from their neighbours by the median around them.
 
@@ -190,11 +208,11 @@ def without_outliers(recording: Recording) -> Recording:
     True
     """
 
-    def mended(quantity: str) -> Float[np.ndarray, "samples joints"]:
+    mended: dict[str, Float[np.ndarray, "samples joints"]] = {}
+    for quantity, outlying in outliers_of(recording).items():
         values = getattr(recording, quantity)
-        return np.where(outliers(values, LEAST_DISTANCE[quantity]), _local_median(values), values)
-
-    return dataclasses.replace(recording, position=mended("position"), torque=mended("torque"))
+        mended[quantity] = np.where(outlying, _local_median(values), values)
+    return dataclasses.replace(recording, **mended)
 
 
 def clipping(torque: Float[np.ndarray, "samples joints"]) -> Bool[np.ndarray, "samples joints"]:

@@ -171,7 +171,10 @@ def _faulty_cell(path: Path, header: CsvHeader, names: Sequence[str]) -> Recordi
             for name, cell in zip(header.names, cells, strict=True):
                 if name in names and not _is_number(cell):
                     shown = "an empty cell" if not cell.strip() else repr(cell)
-                    return RecordingError(f"{where}, column {name}: {shown}; expected a number")
+                    point = " with a decimal point" if _is_number(cell.replace(",", ".")) else ""
+                    return RecordingError(
+                        f"{where}, column {name}: {shown}; expected a number{point}"
+                    )
     except (UnicodeDecodeError, csv.Error) as error:
         return RecordingError(f"{path}: is no CSV text in UTF-8: {one_line(error)}")
     return None

@@ -104,7 +104,10 @@ class Layout:
         """
         for quantity in REQUIRED:
             if not self.quantities.get(quantity):
-                reason = self.hint or "the file has no column of it"
+                reason = self.hint or (
+                    f"the file has no column of it; expected {quantity}_1 and on, or by joint as in"
+                    f" {quantity}_elbow, or columns in [{quantity}] of a file of --columns"
+                )
                 raise RecordingError(f"{file}: no {quantity}: {reason}")
         for quantity, columns in self.quantities.items():
             if len(columns) != self.joints:
