@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 from .._processes import can_fork, computed_beside
 from ..motion import Recording
 from ..network import CSLC
-from ._identify_friction import friction_choice, with_friction_choice
+from ._identify_friction import ChosenFriction, choose_friction_terms
 from ._identify_one import identify_one, without_lag, without_progress
 from ._identify_several import identify_several
 from ._settings import Settings
@@ -90,7 +90,8 @@ def identify(
     - `friction`: `"auto"` adds friction terms where they predict motion that was left out better,
       joint by joint (`choose_friction`), and then tries a pre-sliding state of dry friction
       (`fit_pre_sliding`); `report.friction` says what each was worth, and `report.pre_sliding` is
-      the fit with states, where a joint gains by them. Not with `previous`.
+      the fit with states, where a joint gains by them. Maximum likelihood is fitted with their
+      lengths, and compared with least squares with states. Not with `previous`.
     - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
       `{"torque_lag": 0.02, "loss": "huber"}`.
     - `folds`: as of `choose_settings`; by default 8, or fewer where the recording is short.
@@ -151,12 +152,21 @@ def identify(
     )
     if estimator == "instrumental-variables":
         possible, systematic = "never", False
-    choice = None
+    choice: ChosenFriction | None = None
     if friction == "auto":
-        choice = friction_choice(
-            network, by_name, settings, estimator=estimator, horizon=horizon, step=step
+        choice = choose_friction_terms(
+            network,
+            by_name,
+            settings,
+            estimator=estimator,
+            likelihood=likelihood,
+            prior=prior,
+            options=options or {},
+            memory=memory,
+            horizon=horizon,
+            step=step,
         )
-        network = choice.network
+        network, likelihood = choice.terms.network, choice.likelihood
     _check_load(network, estimator, len(by_name), horizon)
     lag = 0.0 if settings is None else settings.preparation.torque_lag
     lag = (options or {}).get("torque_lag", lag)
@@ -244,18 +254,38 @@ def identify(
                 beside=fits,
             )
     if choice is not None:
-        report = with_friction_choice(report, choice, estimator=estimator, prior=prior, step=step)
+        report = choice.of_report(report, step)
+    if report.pre_sliding is not None:
+        report = dataclasses.replace(report, notes=(*report.notes, _note_of_states(report)))
     if horizon:
         step("simulating")
         report = _with_horizon(report, validation or longest)
     return report
 
 
+def _note_of_states(report: Report) -> str:
+    """What has states of dry friction, and what has it as a step."""
+    assert report.pre_sliding is not None
+    joints = ", ".join(report.pre_sliding.joint_names)
+    if report.lengths.any():
+        return (
+            f"{PRE_SLIDING} of {joints}: a state along the motion, in the coefficients and errors"
+            " of this report, simulated motion and C code; robot files have dry friction as a step"
+        )
+    return (
+        f"{PRE_SLIDING} of {joints}: a state along the motion, in report.pre_sliding,"
+        " identification.json, simulated motion and C code; all else, robot files included, has"
+        " dry friction as a step"
+    )
+
+
 def _with_horizon(report: Report, recording: Recording) -> Report:
     """The report with errors of simulated motion: of its coefficients, of those with a state of dry
     friction, and of those of the robot's file."""
     coefficients, lengths = {"fit": report.k}, {}
-    if report.pre_sliding is not None:
+    if report.lengths.any():
+        lengths["fit"] = report.lengths
+    elif report.pre_sliding is not None:
         coefficients[PRE_SLIDING] = report.pre_sliding.fit.k
         lengths[PRE_SLIDING] = report.pre_sliding.lengths
     coefficients |= file_coefficients(report.network)

@@ -97,6 +97,11 @@ class SystemReport:
         """One row a coefficient: value, interval, verdict and expression, as of `Report.rows`."""
         return coefficient_rows(self.network, self.fit, excitation=self.excitation, level=level)
 
+    def network_along(self, recording: str) -> SystemNetwork:
+        """The network that predicts known sides along a recording's motion: that of all motion."""
+        del recording
+        return self.network
+
     def to_pandas(self, level: float = 0.95) -> Any:
         """`rows()` as a `pandas.DataFrame` indexed by coefficient.
 

@@ -6,10 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...motion import Recording
-from ...network import CSLC
-from .._held_out import HeldOut, Source, held_out_error, judged_errors
-from ..friction import SlopeFit
+from ...motion import Patterns, Recording
+from .._held_out import HeldOut, Source, judged_errors
+from ..friction import PreSlidingFit, SlopeFit, along_motion
 from ..likelihood import LikelihoodFit
 from ..possible import PossibleFit
 from ..report import Report, compare, degree_of_excitation, fit_warnings
@@ -45,13 +44,13 @@ def likelihood_report(
     - `bodies`: possible bodies beside them, or None.
     - `judged`: what fits that have not seen it make of motion that was left out.
     """
-    network = likelihood.network
+    network, lengths = likelihood.network, likelihood.lengths
     vectors = {} if bodies is None else bodies.other_coefficients
     errors = {
-        name: compare(network, patterns, {"fit": fit.k, **vectors})
+        name: compare(along_motion(network, patterns, lengths), patterns, {"fit": fit.k, **vectors})
         for name, patterns in report.patterns.items()
     }
-    held_out = _held_out(report, network, fit, judged)
+    held_out = _held_out(report, likelihood, fit, judged)
     joined = report.patterns["training"]
     recording = Recording(joined.time, joined.q, joined.torque)
     warnings = [*held_out.warnings]
@@ -88,16 +87,25 @@ def likelihood_report(
         warnings=tuple(warnings),
         bodies=None if bodies is None else bodies.parameters,
         possible=bodies,
+        pre_sliding=(PreSlidingFit(network, fit, lengths, {}, lengths) if lengths.any() else None),
     )
 
 
-def _held_out(report: Report, network: CSLC, fit: Identification, judged: JudgedErrors) -> HeldOut:
+def _held_out(
+    report: Report, likelihood: LikelihoodFit, fit: Identification, judged: JudgedErrors
+) -> HeldOut:
+    network = likelihood.network
+
+    def left(patterns: Patterns) -> Float[np.ndarray, "samples joints"]:
+        of_motion = along_motion(network, patterns, likelihood.lengths)
+        return np.asarray(patterns.torque) - torque_of(of_motion, patterns, fit.k)
+
     training = report.patterns["training"]
+    error, mask = judged.error, judged.mask
     if judged.source == "validation":
-        return held_out_error(network, fit, training, report.patterns["validation"])
-    fitted = np.asarray(training.torque) - torque_of(network, training, fit.k)
-    mask = np.asarray(training.mask)
-    result = judged_errors(fitted, mask, judged.error, judged.mask, int(fit.rank))
+        validation = report.patterns["validation"]
+        error, mask = left(validation), np.asarray(validation.mask)
+    result = judged_errors(left(training), np.asarray(training.mask), error, mask, int(fit.rank))
     return dataclasses.replace(
         result, source=judged.source, units=network.output_units, names=network.output_names
     )

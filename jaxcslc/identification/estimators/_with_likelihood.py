@@ -9,6 +9,7 @@ from ...motion import Patterns, Recording, joined_patterns
 from ...network import CSLC
 from .._held_out import RelativeError, Source
 from .._held_out_part import FEWEST_SAMPLES, held_out_from
+from ..friction import along_motion, state_at
 from ..likelihood import Estimator, EstimatorComparison, LikelihoodFit, MaximumLikelihood
 from ..possible import (
     Choice,
@@ -33,6 +34,7 @@ from ._likelihood_fits import (
     start_of,
 )
 from ._likelihood_report import JudgedErrors, likelihood_report
+from ._with_states import fit_along, with_states
 
 
 # Estimators are judged in as many stretches, whose spread says what is chance.
@@ -63,15 +65,19 @@ def with_likelihood(
     - `estimator`: `"maximum-likelihood"`, or `"auto"`: it is used where it predicts motion that was
       not fitted better than least squares, by more than chance and by 1 %. They are judged by
       `MaximumLikelihood.misfit`: torque errors of smoothed motion favour regression on such.
-    - `likelihood`, `possible`, `prior`, `memory`, `step`: as of `identify`.
+    - `likelihood`, `possible`, `prior`, `memory`, `step`: as of `identify`. Where it has lengths of
+      pre-sliding, dry friction of both estimators has states over them.
     - `beside`: fits that have begun; they are computed now if None.
 
     **Returns** the report; `report.estimators` compares the two.
 
     **Raises**
 
-    - `ValueError`, `RuntimeError`: as `MaximumLikelihood.fit`, unless `"auto"`.
+    - `ValueError`, `RuntimeError`: as `MaximumLikelihood.fit`, unless `"auto"`; and lengths that
+      are not those of the network.
     """
+    likelihood = likelihood or MaximumLikelihood()
+    report = with_states(report, likelihood.lengths)
     try:
         check_size(network, training, memory)
         judged = _Judged(
@@ -79,7 +85,7 @@ def with_likelihood(
             network,
             training,
             validation,
-            likelihood or MaximumLikelihood(),
+            likelihood,
             possible,
             prior,
             step,
@@ -100,6 +106,7 @@ class _Unfitted(NamedTuple):
     - `recordings`: as recorded; `patterns`: as the report's settings prepare them.
     - `least_squares`: (p,) its coefficients, those of possible bodies where the report has them.
     - `likelihood`: the other fit, as it is.
+    - `contact`: (n,) states of dry friction that the patterns start with; None for zeros.
     """
 
     source: Source
@@ -107,6 +114,7 @@ class _Unfitted(NamedTuple):
     patterns: Patterns
     least_squares: np.ndarray
     likelihood: LikelihoodFit
+    contact: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +136,7 @@ class _Judged:
         self.step("maximum likelihood")
         training = self._on_time(self.training.values())
         if self.beside is None:
-            start = start_of(self.network, self.least_squares.fit)
+            start = start_of(self.network, self._fit_with_states)
             likelihood = self._with_bodies.fit(self.network, training, start, self.step)
             fits = LikelihoodFits(likelihood, None)
         else:
@@ -151,9 +159,11 @@ class _Judged:
         """The same from these fits, with patterns of torques as they say they were."""
         base, likelihood = self.least_squares, fits.whole
         unfitted = self._unfitted(fits)
-        parts = Part.held_out(
-            likelihood.network, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES
+        ours, theirs = (
+            along_motion(network, unfitted.patterns, likelihood.lengths, unfitted.contact)
+            for network in (likelihood.network, base.network)
         )
+        parts = Part.held_out(ours, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES)
         fit = likelihood.free
         if fit is None:
             fit = self._informed(likelihood.fit)
@@ -173,9 +183,8 @@ class _Judged:
         torque, mask = np.asarray(unfitted.patterns.torque), np.asarray(unfitted.patterns.mask)
         errors: dict[Estimator, np.ndarray] = {
             "least-squares": torque
-            - predicted_torque(base.network, unfitted.patterns, unfitted.least_squares),
-            "maximum-likelihood": torque
-            - predicted_torque(likelihood.network, unfitted.patterns, predicted),
+            - predicted_torque(theirs, unfitted.patterns, unfitted.least_squares),
+            "maximum-likelihood": torque - predicted_torque(ours, unfitted.patterns, predicted),
         }
         relative = self._relative(unfitted, predicted)
         better: Estimator = (
@@ -230,7 +239,9 @@ class _Judged:
                 "validation",
                 self._on_time([self.validation]),
                 report.patterns["validation"],
-                np.asarray(report.fit.k),
+                np.asarray(report.fit.k)
+                if report.pre_sliding is None
+                else self._regression(report.patterns["training"]),
                 likelihood,
             )
         shortest = min(recording.samples for recording in self.training.values())
@@ -244,21 +255,43 @@ class _Judged:
         late: list[Recording] = []
         fitted: list[Patterns] = []
         unfitted: list[Patterns] = []
+        contacts: list[np.ndarray] = []
         for recording in training:
             start, end, split = recording.time[0], recording.time[-1], held_out_from(recording)
             late.append(recording.between(split - float(start), float(end - start)))
             patterns = settings.patterns(calibrated(recording, likelihood))
             fitted.append(patterns.between(float(start), split))
             unfitted.append(patterns.between(split, float(end)))
-        fit = report.settings.solver.fit(report.network, joined_patterns(fitted))
-        fit = with_knowledge(fit, self._known)
-        k = np.asarray(fit.k)
-        if report.possible is not None and report.possible.used:
-            k = self._possible(report.network, fit, report.possible.parameters)
+            first = int(np.searchsorted(np.asarray(patterns.time), unfitted[-1].time[0]))
+            contacts.append(state_at(patterns, self._lengths, first))
+        k = self._regression(joined_patterns(fitted))
         shorter = fits.before
         if shorter is None:
             shorter = fit_before(self._estimator, self.network, training, likelihood, self.step)
-        return _Unfitted("held-out stretch", late, joined_patterns(unfitted), k, shorter)
+        together = joined_patterns(unfitted)
+        return _Unfitted("held-out stretch", late, together, k, shorter, contacts[0])
+
+    def _regression(self, patterns: Patterns) -> np.ndarray:
+        """(p,) coefficients of least squares, those of possible bodies where the report has them,
+        with the dry friction that maximum likelihood has."""
+        report = self.least_squares
+        fit = fit_along(report, patterns, self._lengths)
+        fit = with_knowledge(fit, self._known)
+        if report.possible is not None and report.possible.used:
+            return self._possible(report.network, fit, report.possible.parameters)
+        return np.asarray(fit.k)
+
+    @property
+    def _lengths(self) -> np.ndarray:
+        """(n,) of pre-sliding."""
+        states = self.least_squares.pre_sliding
+        return np.zeros(self.network.joint_count) if states is None else states.lengths
+
+    @property
+    def _fit_with_states(self) -> Identification:
+        """Of least squares, with the friction that maximum likelihood has."""
+        states = self.least_squares.pre_sliding
+        return self.least_squares.fit if states is None else states.fit
 
     def _informed(self, fit: Identification) -> Identification:
         """A fit of maximum likelihood with what is known, unless its search knew it."""

@@ -9,10 +9,12 @@ from ._saved_pre_sliding import (
 )
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
 from ._yielding_friction import (
+    along_motion as along_motion,
     checked_lengths as checked_lengths,
     dry_term as dry_term,
     pre_sliding as pre_sliding,
     split_friction as split_friction,
     state_after as state_after,
+    state_at as state_at,
 )
 from ._yielding_motion import yielding_motion as yielding_motion

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...derivation import Coefficient
+from ...motion import Patterns
 from ...network import CSLC
 from ...network.terms import (
     JAX_FUNCTIONS,
@@ -196,6 +197,40 @@ def dry_term(network: CSLC) -> JointTerm:
         if isinstance(term, JointTerm) and term.kind == "dry":
             return term
     raise ValueError(f"{network.name!r} has no friction of kind 'dry', which pre-sliding is of")
+
+
+def along_motion(
+    network: CSLC,
+    patterns: Patterns,
+    lengths: Float[np.ndarray, " joints"],
+    start: Float[np.ndarray, " joints"] | None = None,
+) -> CSLC:
+    """The network for the motion of patterns: its dry friction has states where it has lengths.
+
+    What a state starts with is forgotten within a few lengths; so is that joints seem to move from
+    one recording to the next where patterns of several are joined.
+
+    **Arguments**
+
+    - `network`: n joints, some with dry friction.
+    - `patterns`: whose positions states are along.
+    - `lengths`: (n,) of pre-sliding [rad or m]; the network itself is returned if all are 0.
+    - `start`: (n,) states at the first sample; zeros if None.
+    """
+    if not np.any(lengths):
+        return network
+    return with_state(network, np.asarray(patterns.q), lengths, start)[0]
+
+
+def state_at(
+    patterns: Patterns, lengths: Float[np.ndarray, " joints"], sample: int
+) -> Float[np.ndarray, " joints"]:
+    """(n,) states of contacts at a sample of a motion that begins without strain; 0 of joints
+    without a length [rad or m]."""
+    yields = lengths > 0.0
+    before = np.asarray(patterns.q)[: sample + 1]
+    state = pre_sliding(before, np.where(yields, lengths, 1.0), np.zeros(len(lengths)))
+    return np.where(yields, np.asarray(state)[-1], 0.0)
 
 
 def with_state(

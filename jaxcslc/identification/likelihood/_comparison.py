@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -86,11 +86,13 @@ class EstimatorComparison:
                 if likelihood.transmission_choice is None
                 else likelihood.transmission_choice.document()
             ),
+            "lengths": likelihood.lengths.tolist() if likelihood.lengths.any() else None,
             "steps": self.likelihood.steps,
             "converged": self.likelihood.converged,
         }
 
     def __str__(self) -> str:
+        likelihood = self.likelihood
         lines = [f"estimators, {self.source} RMS over judged samples (over all), joint by joint:"]
         for name, values in self.rms.items():
             pairs = zip(values, self.rms_all_samples[name], strict=True)
@@ -102,9 +104,11 @@ class EstimatorComparison:
             f" {self.relative} beside that of least squares; the coefficients are those of"
             f" {self.used}"
         )
+        if likelihood.lengths.any():
+            lines.append(f"    {lengths_line(likelihood.lengths.tolist(), self.units)}")
         lines += [f"    {line}" for line in calibration_lines(self.document())]
-        if self.likelihood.selection is not None:
-            lines += [f"    {line}" for line in self.likelihood.selection.lines]
+        if likelihood.selection is not None:
+            lines += [f"    {line}" for line in likelihood.selection.lines]
         return "\n".join(lines)
 
 
@@ -129,6 +133,25 @@ def calibration_lines(comparison: Mapping[str, Any]) -> list[str]:
     if choice := comparison.get("transmission_choice"):
         lines.append(choice_line(choice))
     return lines + transmission_lines(comparison.get("transmission"))
+
+
+def lengths_line(lengths: Sequence[float], units: Sequence[str]) -> str:
+    """What friction both estimators have where it yields before it slides.
+
+    **Arguments**
+
+    - `lengths`: (n,) of pre-sliding [rad or m]; 0 of joints without.
+    - `units`: of each joint's torque.
+
+    >>> lengths_line([0.04, 0.0], ["N m", "N m"])
+    'dry friction of both yields before it slides: joint 1 over 0.04 rad'
+    """
+    joints = ", ".join(
+        f"joint {number} over {length:.3g} {'m' if unit == 'N' else 'rad'}"
+        for number, (length, unit) in enumerate(zip(lengths, units, strict=True), start=1)
+        if length > 0.0
+    )
+    return f"dry friction of both yields before it slides: {joints}"
 
 
 def _pair(asked: bool, value: Any, error: Any) -> dict[str, Any] | None:

@@ -4,6 +4,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._environment import require
@@ -12,7 +13,7 @@ from ...network import CSLC
 from .._held_out import HeldOut
 from .._settings import Settings
 from ..checks import DataCheck
-from ..friction import PreSlidingFit, SlopeFit
+from ..friction import PreSlidingFit, SlopeFit, along_motion
 from ..likelihood import EstimatorComparison
 from ..possible import PhysicalParameters, PossibleFit
 from ..prediction import HorizonError
@@ -67,8 +68,10 @@ class Report:
     - `horizon`: position error of open-loop simulation; None unless asked for.
     - `friction`: friction terms that were tried joint by joint, pre-sliding included; None unless
       asked for.
-    - `pre_sliding`: dry friction that yields before it slides, with coefficients of a free fit;
-      None unless it was tried and predicts motion better that was left out, at one joint at least.
+    - `pre_sliding`: dry friction that yields before it slides; None unless it was tried and
+      predicts motion better that was left out, at one joint at least, or its lengths were given.
+      Of least squares, its coefficients are those of a free fit beside `fit`; of maximum
+      likelihood, `fit` is of it, and so are all errors of this report (`lengths`).
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -112,6 +115,26 @@ class Report:
     def k(self) -> Float[Array, " coefficients"]:
         """(p,) identified coefficients, in the order of `network.coefficients`."""
         return self.fit.k
+
+    @property
+    def lengths(self) -> Float[np.ndarray, " joints"]:
+        """(n,) lengths of pre-sliding that the coefficients go with [rad or m]; 0 where their dry
+        friction follows the sign of velocity."""
+        if self.estimators is None or self.estimators.used != "maximum-likelihood":
+            return np.zeros(self.network.joint_count)
+        return self.estimators.likelihood.lengths
+
+    def network_along(self, recording: str) -> CSLC:
+        """The network that predicts torque along a recording's motion by the coefficients `k`.
+
+        **Arguments**
+
+        - `recording`: a name in `patterns`.
+
+        **Returns** `network`; where `lengths` are not 0, dry friction has its states along the
+        positions of these patterns, so that it is for all of them at a time.
+        """
+        return along_motion(self.network, self.patterns[recording], self.lengths)
 
     def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]:
         """One row a coefficient: value, interval, verdict and expression; see

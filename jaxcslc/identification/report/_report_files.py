@@ -50,7 +50,8 @@ def write_report(
     written = [page, coefficients, identification]
     for name, patterns in report.patterns.items():
         errors, torque = recording_files(folder, name, network.output_quantity)
-        predicted = np.asarray(predicted_torque(network, patterns, report.fit.k))
+        of_motion = report.network_along(name)
+        predicted = np.asarray(predicted_torque(of_motion, patterns, report.fit.k))
         write_csv(errors, _error_rows(patterns, report.errors[name]))
         _write_torque(torque, network, patterns, predicted)
         written += [errors, torque]

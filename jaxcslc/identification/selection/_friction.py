@@ -160,14 +160,22 @@ class FrictionChoice:
         return dataclasses.replace(self, trials=(*self.trials, *trials))
 
     def with_static_friction(self) -> "FrictionChoice":
-        """With static friction of every joint that has dry friction.
+        """With static friction of every joint whose dry friction follows the sign of velocity.
 
         Smoothed reversals, which trials are judged on, do not show it. An estimator without a
-        smoothing sees it, and without it makes up for it by gravity and dry friction.
+        smoothing sees it, and without it makes up for it by gravity and dry friction. Where a state
+        of dry friction is used, that is what friction before sliding is: static friction beside it
+        would make up for errors of its length.
         """
         kinds = self.network.friction_per_joint
+        yielding = {
+            trial.joint for trial in self.trials if trial.used and trial.kind == PRE_SLIDING
+        }
         wider = [
-            (*laws, "static") if "dry" in laws and "static" not in laws else laws for laws in kinds
+            (*laws, "static")
+            if "dry" in laws and "static" not in laws and joint not in yielding
+            else laws
+            for joint, laws in enumerate(kinds, start=1)
         ]
         joints = [i for i, (new, old) in enumerate(zip(wider, kinds, strict=True)) if new != old]
         if not joints:

@@ -60,6 +60,8 @@ class WritableReport(Protocol):
 
     def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]: ...
 
+    def network_along(self, recording: str) -> AbstractLinearNetwork: ...
+
 
 def report_data(
     report: WritableReport,
@@ -111,8 +113,9 @@ def report_data(
     network, fit = report.network, report.fit
     k = np.asarray(fit.k)
     joints = list(network.output_names)
+    along = {name: report.network_along(name) for name in report.patterns}
     predicted = {
-        name: np.asarray(predicted_torque(network, patterns, k))
+        name: np.asarray(predicted_torque(along[name], patterns, k))
         for name, patterns in report.patterns.items()
     }
     recordings = {
@@ -154,6 +157,7 @@ def report_data(
         "judged_part": judged_part,
         "command": command,
     }
+    network = along["training"]
     if isinstance(network, CSLC):
         training = report.patterns["training"]
         data["friction"] = friction_points(network, k, training, predicted["training"])

@@ -3,7 +3,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ....page import AbstractBlock, Column, Paragraph, Section, Table
-from ...likelihood import calibration_lines
+from ...likelihood import calibration_lines, lengths_line
 
 
 def estimators_section(data: Mapping[str, Any]) -> Section:
@@ -26,6 +26,9 @@ def estimators_section(data: Mapping[str, Any]) -> Section:
         )
     ended = "converged" if estimators["converged"] else "did not converge"
     text += f" Maximum likelihood {ended} after {estimators['steps']} steps."
+    if lengths := estimators.get("lengths"):
+        line = lengths_line(lengths, data["units"])
+        text += f" {line[0].upper()}{line[1:]}."
     if lines := calibration_lines(estimators):
         text += f" Estimated along: {'; '.join(lines)}. Torques of this page are as they then were."
     columns = [Column(data["kind"], numeric=False)]
