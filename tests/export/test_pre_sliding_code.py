@@ -190,3 +190,35 @@ def test_the_example_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     states = np.asarray(pre_sliding(path, result.lengths, np.zeros(1)))[1:]
     k = dict(zip(result.fit.names, np.asarray(result.fit.k).tolist(), strict=True))
     assert_allclose(torque, (k["kB1"] * qdd + k["kd1"] * states)[:, 0], atol=1e-14)
+
+
+def test_code_of_a_saved_identification_by_maximum_likelihood(
+    compiled: Compiled, tmp_path: Path
+) -> None:
+    """Torques along the recorded motion are those that the report has of its coefficients."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81), name="arm")
+    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    t = 0.01 * np.arange(500)[:, None]
+    q = 0.3 * np.sin(2 * t) + 0.1 * np.sin(7 * t)
+    qd = 0.6 * np.cos(2 * t) + 0.7 * np.cos(7 * t)
+    qdd = -1.2 * np.sin(2 * t) - 4.9 * np.sin(7 * t)
+    lengths = np.array([0.02])
+    torque = 0.5 * qdd + 0.2 * qd + 0.4 * np.asarray(pre_sliding(q, lengths, np.zeros(1)))
+    report = jc.identify(
+        network,
+        jc.Recording(t[:, 0], q, torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)),
+        settings=jc.Settings(),
+        estimator="maximum-likelihood",
+        likelihood=jc.MaximumLikelihood(every=1, noise_order=0, lengths=(0.02,)),
+        possible="never",
+        systematic=False,
+    )
+    report.save(tmp_path, pictures=False)
+    states = jc.load_report(tmp_path, robot).pre_sliding
+    assert states is not None
+    call = compiled(jc.c_code(states.network, states.fit.k, lengths=states.lengths))
+    motion = report.patterns["training"]
+    recorded = (np.asarray(motion.q), np.asarray(motion.qd), np.asarray(motion.qdd))
+    expected = np.asarray(report.network_along("training").torque(report.k, *recorded))
+    torque = along(call, recorded, states.lengths, 1, "torque")
+    assert_allclose(torque, expected, rtol=_ROUNDING, atol=_ROUNDING * np.max(np.abs(expected)))
