@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.identification import predicted_torque
+from jaxcslc.identification.friction import along_motion, state_at
 from jaxcslc.motion import at_rest, direction_before
 
 
@@ -131,17 +132,16 @@ def test_states_of_pre_sliding_are_left_alone(rng: np.random.Generator) -> None:
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, 0, -9.81))
     network = jc.derive(robot.with_friction("dry"), lengths="numeric")
     patterns = patterns_of(rng.normal(size=(SAMPLES, 2)), rng)
-    plain, lengths = jc.LeastSquares().fit(network, patterns), np.array([0.01, 0.0])
-    fit = jc.identification.PreSlidingFit(network, plain, lengths, {}, lengths)
+    k, lengths = np.asarray(jc.LeastSquares().fit(network, patterns).k), np.array([0.01, 0.0])
     # Half a swing, and rest.
     time = 0.01 * np.arange(600)
     path = 0.3 * np.sin(np.minimum(time, 2.5))
-    q, qd = (
-        np.stack([path, path], axis=1),
-        np.gradient(np.stack([path, path], axis=1), 0.01, axis=0),
-    )
-    torque, state = fit.torque(q, qd, np.zeros(q.shape))
-    named = dict(zip(network.names, np.asarray(plain.k), strict=True))
+    q = np.stack([path, path], axis=1)
+    qd, zeros, pairs = np.gradient(q, 0.01, axis=0), np.zeros(q.shape), np.ones(q.shape, bool)
+    patterns = jc.Patterns(time, q, qd, zeros, zeros, pairs, pairs)
+    torque = predicted_torque(along_motion(network, patterns, lengths), patterns, k)
+    state = state_at(patterns, lengths, len(time) - 1)
+    named = dict(zip(network.names, k, strict=True))
     friction = np.asarray(torque)[-1]  # nothing accelerates, and no axis feels gravity
-    assert_allclose(state[0], -1.0, atol=1e-3)
-    assert_allclose(friction, [named["kd1"] * float(state[0]), -0.5 * named["kd2"]], rtol=1e-9)
+    assert_allclose(state, [-1.0, 0.0], atol=1e-3)
+    assert_allclose(friction, [named["kd1"] * state[0], -0.5 * named["kd2"]], rtol=1e-9)

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import RelativeError
-from ..solver import Identification, LeastSquares, friction_halved_at_rest, torque_of
+from ..solver import Identification, LeastSquares, torque_of
 from ._yielding_friction import dry_term, with_state
 from ._yielding_motion import yielding_motion
 
@@ -68,9 +68,6 @@ class PreSlidingFit(eqx.Module):
     ) -> tuple[Float[Array, "samples joints"], Float[Array, " joints"]]:
         """Torque along a motion, and the state at its end.
 
-        Friction that follows the sign of velocity counts half while its joint stands still, as in
-        `predicted_torque`.
-
         **Arguments**
 
         - `q`, `qd`, `qdd`: (samples, n) [rad, rad/s, rad/s², or m, m/s, m/s²].
@@ -80,9 +77,8 @@ class PreSlidingFit(eqx.Module):
         """
         first = np.zeros(self.network.joint_count) if start is None else start
         network, state = with_state(self.network, jnp.asarray(q), self.lengths, first)
-        k, q, qd, qdd = (jnp.asarray(x) for x in (self.fit.k, q, qd, qdd))
-        torque = friction_halved_at_rest(lambda qd: network.torque(k, q, qd, qdd), qd)
-        return jnp.asarray(torque), state[-1]
+        motion = (jnp.asarray(x) for x in (q, qd, qdd))
+        return network.torque(jnp.asarray(self.fit.k), *motion), state[-1]
 
     def motion(
         self,

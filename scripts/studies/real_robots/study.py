@@ -34,6 +34,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 from jaxcslc.identification import predicted_torque
+from jaxcslc.identification.friction import along_motion
 from jaxcslc.identification.report import text_table, write_csv
 from jaxcslc.motion import Patterns, Recording
 from scripts.studies import command
@@ -57,12 +58,12 @@ def torque_of(
 
     - `by_sign`: friction of joints that stand still by the sign of their measured velocity too.
     """
-    motion = patterns.q, patterns.qd, patterns.qdd
     if by_sign:
-        return np.asarray(model.network.torque(model.k, *motion))
-    if model.states is not None:
-        return np.asarray(model.states.torque(*motion)[0])
-    return np.asarray(predicted_torque(model.network, patterns, model.k))
+        return np.asarray(model.network.torque(model.k, patterns.q, patterns.qd, patterns.qdd))
+    network, k, states = model.network, model.k, model.states
+    if states is not None:
+        network, k = along_motion(states.network, patterns, states.lengths), states.fit.k
+    return np.asarray(predicted_torque(network, patterns, k))
 
 
 def errors_of(
