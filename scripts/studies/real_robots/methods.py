@@ -76,24 +76,30 @@ def our_models(arm: Arm) -> Iterator[Model]:
 
 
 def friction_models(arm: Arm) -> Iterator[Model]:
-    """`identify` by least squares with `friction="auto"`, with states where it uses them."""
+    """`identify` with `friction="auto"`, by least squares and by `estimator="auto"`."""
     network = jc.derive(arm.robot, lengths="numeric")
-    start = time.process_time()
-    report = jc.identify(network, arm.training, friction="auto", checks=False, systematic=False)
-    seconds = time.process_time() - start
-    assert report.friction is not None
-    used = [
-        f"{trial.kind} at joint {trial.joint}" for trial in report.friction.trials if trial.used
-    ]
-    yield Model(
-        "least-squares, friction auto",
-        report.network,
-        np.asarray(report.k),
-        report.settings,
-        seconds,
-        ", ".join(used) or "no term beside the robot's",
-        report.pre_sliding,
-    )
+    for name in ("least-squares", "auto"):
+        start = time.process_time()
+        report = jc.identify(
+            network, arm.training, estimator=name, friction="auto", checks=False, systematic=False
+        )
+        seconds = time.process_time() - start
+        assert report.friction is not None
+        used = ", ".join(
+            f"{trial.kind} at joint {trial.joint}" for trial in report.friction.trials if trial.used
+        )
+        note = used or "no term beside the robot's"
+        if report.estimators is not None:
+            note = f"{report.estimators.used}; {note}"
+        yield Model(
+            f"{name}, friction auto",
+            report.network,
+            np.asarray(report.k),
+            report.settings,
+            seconds,
+            note,
+            report.pre_sliding,
+        )
 
 
 def automatic_models(arm: Arm) -> Iterator[Model]:
