@@ -56,7 +56,11 @@ def remove_left_behind(parent: Path, name: str | None = None) -> None:
 @contextlib.contextmanager
 def _new_scratch_folder(parent: Path, name: str) -> Generator[Path]:
     prefix = f".{name}-{platform.node()}-{os.getpid()}-"
-    scratch = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+    try:
+        scratch = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+    except OSError as error:  # of a name that nobody knows
+        error.filename = str(parent / name)
+        raise
     try:
         yield scratch
     finally:

@@ -1,7 +1,11 @@
 """Commands do not replace what they read, nor what is no result of theirs."""
 
+import errno
+import os
 import shutil
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,3 +98,28 @@ def test_a_name_is_refused_before_a_motion_is_searched_for(folder: Path) -> None
     """Without masses the search would take seconds, and end in the same line."""
     robot = folder / "pendulum.toml"
     assert "expected a name that ends in .csv" in refused("excite", robot, "-o", "motion.txt")
+
+
+def test_a_folder_that_cannot_be_written_to(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line names the file that was asked for, not that of a scratch folder."""
+
+    def denied(*_: Any, **__: Any) -> str:
+        raise PermissionError(errno.EACCES, "Permission denied", "/somewhere/.scratch")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", denied)
+    page = tmp_path / "page.html"
+    line = refused("compare", folder / "results", folder / "results", "-o", page)
+    assert line == f"jaxcslc: [Errno {errno.EACCES}] Permission denied: '{page}'"
+
+
+def test_a_motion_is_not_searched_for_where_it_cannot_be_written(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nowhere(*_: Any, **__: Any) -> bool:
+        return False
+
+    monkeypatch.setattr(os, "access", nowhere)
+    line = refused("excite", folder / "pendulum.toml", "-o", tmp_path / "motion.csv")
+    assert line == f"jaxcslc: {tmp_path}: expected a folder that can be written to"

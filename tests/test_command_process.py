@@ -38,3 +38,20 @@ def test_a_process_ends_with_the_status_of_its_command(
     assert printed in done.stdout + done.stderr
     # What others have registered for the end is done, and what they print is not lost.
     assert done.stdout.endswith("at the end\n")
+
+
+def test_ctrl_c_in_a_command_is_said() -> None:
+    """typer ends a command that Ctrl-C interrupts by a status alone."""
+    program = """
+import jaxcslc.cli._common as common
+from jaxcslc.cli import main
+
+def interrupted(*_, **__):
+    raise KeyboardInterrupt
+
+common.load_robot = interrupted
+main()
+"""
+    command = [sys.executable, "-c", program, "derive", "arm.toml"]
+    done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ))
+    assert (done.returncode, done.stderr) == (130, "jaxcslc: interrupted\n")

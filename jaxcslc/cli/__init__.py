@@ -1,6 +1,9 @@
 import sys
 
 
+_INTERRUPTED = 130  # 128 and the number of SIGINT, as shells have it
+
+
 def main() -> None:
     """The command `jaxcslc`: wrong input ends it with one line and exit code 2, Ctrl-C with 130."""
     try:
@@ -13,12 +16,18 @@ def main() -> None:
         try:
             run()
         except SystemExit as end:
+            if end.code == _INTERRUPTED:  # typer ends so, without a word
+                _say_interrupted()
             end_process(end)
     except (KeyboardInterrupt, ImportError) as error:
         if not _is_interruption(error):
             raise
-        print("jaxcslc: interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
+        _say_interrupted()
+        raise SystemExit(_INTERRUPTED) from None
+
+
+def _say_interrupted() -> None:
+    print("jaxcslc: interrupted", file=sys.stderr)
 
 
 def _is_interruption(error: BaseException | None) -> bool:

@@ -20,7 +20,7 @@ from ..excitation import (
     wanted_indices,
 )
 from ..identification import Identification, Settings, identify
-from ..identification.report import load_report
+from ..identification.report import check_output_folder, load_report
 from ..manipulator import Manipulator
 from ..motion import Sampling
 from ..network import CSLC
@@ -146,6 +146,7 @@ def _check_options(
         raise ValueError(f"--starts is {starts}; expected 1 or more")
     if not output.parent.is_dir():
         raise ValueError(f"{output.parent}: no such folder")
+    check_output_folder(output.parent)
     check_inputs_are_kept(context, design_files(output))
 
 
