@@ -40,6 +40,13 @@ def test_a_process_ends_with_the_status_of_its_command(
     assert done.stdout.endswith("at the end\n")
 
 
+def test_python_runs_the_command() -> None:
+    command = [sys.executable, "-m", "jaxcslc", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("0.")
+
+
 def test_ctrl_c_in_a_command_is_said() -> None:
     """typer ends a command that Ctrl-C interrupts by a status alone."""
     program = """

@@ -37,7 +37,7 @@ _SAMPLES = {"judged": "samples that masks leave in", "all": "all samples"}
 class ReportComparison:
     """Two reports side by side: coefficients, errors and settings.
 
-    `print` shows the verdict, the coefficients that differ most, and torque errors.
+    `print` shows the verdict and the coefficients that differ most, `page` everything.
 
     **Attributes**
 
@@ -114,7 +114,11 @@ class ReportComparison:
             [row["name"], *(_number(row[name]) for name in _SHOWN), row["unit"]] for row in shown
         ]
         header = ["name", *_SHOWN.values(), "unit"]
-        return "\n".join(parts) + "\n\n" + text_table(header, cells, left=("unit",))
+        text = "\n".join(parts) + "\n\n" + text_table(header, cells, left=("unit",))
+        hidden = len(self.rows) - len(shown)
+        return text + (
+            f"\n{hidden} more, errors and settings: on the page (-o, save)" if hidden else ""
+        )
 
 
 _SHOWN = {
