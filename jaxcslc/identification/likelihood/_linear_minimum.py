@@ -8,6 +8,8 @@ from .band import Factored
 # The laws of counts and of joints that stick are taken where a step ends up to so many times, until
 # the sum of squares falls by this part of what their parabolas promise.
 _MOST_SOLUTIONS, _GOOD = 8, 0.5
+# Halvings of a step whose solutions have all gone up.
+_MOST_HALVINGS = 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,13 +26,14 @@ class LinearMinimum:
     **Attributes**
 
     - `linear`: with the parabolas of the last solution; `factored`: its normal equations.
-    - `step`: to its minimum; `after`: residuals there.
+    - `damping`: of these; `step`: to its minimum; `after`: residuals there.
     - `promise`: how far the sum of squares falls in the step, by these parabolas or by the laws as
       they are.
     """
 
     linear: Linear
     factored: Factored
+    damping: float
     step: Step
     after: Residuals
     promise: float
@@ -55,7 +58,7 @@ class LinearMinimum:
             factored = linear.factored(damping)
             step = linear.step(factored, linear.residuals, damping)
             after = linear.after(step, present)
-            return cls(linear, factored, step, after, value - linear.value(after))
+            return cls(linear, factored, damping, step, after, value - linear.value(after))
 
         result = solved(start or linear)
         if objective.intervals is None and objective.sticking is None:
@@ -68,5 +71,30 @@ class LinearMinimum:
             del result  # its matrices are as large as all else together
             result = solved(bent)
             fall = value - objective.value(result.after)
+        else:
+            if fall <= 0.0:
+                del result
+                return solved(start or linear)._shortened(value)
         # Parabolas of steep sides are above flat ones, and may promise less than there is.
         return dataclasses.replace(result, promise=max(result.promise, fall))
+
+    def _shortened(self, value: float) -> "LinearMinimum":
+        """A part of the step in which laws fall from a value, the best of its halves.
+
+        The set of steep laws only grows. Where many are steep that should not be, the step to the
+        minimum of their parabolas goes up, and a search that waits for another one does not end.
+        Parabolas of the present have the slope of the laws: along their step these fall at first.
+        """
+        objective, present, best = self.linear.objective, self.linear.present, self
+        fall, part = 0.0, 1.0
+        for _ in range(_MOST_HALVINGS):
+            part *= 0.5
+            step = self.step.scaled(part)
+            after = self.linear.after(step, present)
+            of_part = value - objective.value(after)
+            if of_part <= fall and fall > 0.0:
+                break
+            if of_part > fall:
+                fall = of_part
+                best = dataclasses.replace(self, step=step, after=after, promise=fall)
+        return best

@@ -126,3 +126,25 @@ def test_flat_sides_need_a_second_solution(linear: Linear) -> None:
     assert value(minimum.after) < value(linear.after(first, linear.present))
     # Nothing is solved again for what is not worth it.
     assert LinearMinimum.of(linear, 1e-3, np.inf).linear is linear
+
+
+def test_where_solutions_go_up_a_part_of_the_first_step_goes_down(
+    linear: Linear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Laws that are steep although they should not be: parabolas a hundred times as steep, which
+    # point the other way.
+    def steep(linear: Linear, residuals: Residuals) -> Linear:
+        position = -100.0 * linear.residuals.position
+        return dataclasses.replace(
+            linear, residuals=dataclasses.replace(linear.residuals, position=position)
+        )
+
+    monkeypatch.setattr(Linear, "about", steep)
+    minimum = LinearMinimum.of(linear, 1e-3, 0.0)
+    value = linear.objective.value
+    assert minimum.promise > 0.0
+    assert_allclose(minimum.promise, value(linear.present) - value(minimum.after))
+    first = linear.step(linear.factored(1e-3), linear.residuals, 1e-3)
+    ratio = minimum.step.position / first.position
+    assert_allclose(ratio, ratio[0, 0], rtol=1e-6)
+    assert 0.0 < ratio[0, 0] <= 0.5
