@@ -28,8 +28,8 @@ class Problem:
     - `calibration`: of recorded torques.
     - `stuck`: (intervals, n), where joints are at standstill.
     - `scale`: (border,) of the unknowns that all equations share; 0 fixes one.
-    - `known`: from a point, mean and inverse variance, (border,) each, of what is known of these
-      beforehand.
+    - `known`: from a point, and from one whose dry friction counts, mean and inverse variance,
+      (border,) each, of what is known of these beforehand.
     - `slope_bounds`: (n,) each, least and greatest logarithms of slopes.
     - `breakaway`: from a point, (n,) the greatest friction at standstill, as it is recorded.
     - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts.
@@ -45,7 +45,9 @@ class Problem:
     calibration: TorqueCalibration
     stuck: Bool[np.ndarray, "intervals joints"]
     scale: Float[np.ndarray, " border"]
-    known: Callable[[Point], tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]]
+    known: Callable[
+        [Point, Point], tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]
+    ]
     slope_bounds: tuple[Float[np.ndarray, " slopes"], Float[np.ndarray, " slopes"]]
     breakaway: Callable[[Point], Float[np.ndarray, " joints"]]
     encoder_step: Float[np.ndarray, "recordings joints"]

@@ -101,12 +101,12 @@ def starting_point(
     values, precision, fixed = prior_values(prior, network)
     k[fixed] = values[fixed]
 
-    def known(point: Point) -> tuple[Float[np.ndarray, " border"], Float[np.ndarray, " border"]]:
+    def known(point: Point, of_dry: Point) -> tuple[np.ndarray, np.ndarray]:
         # Encoders are within half a step, and friction at rest rarely is above twice the dry one:
         # without the latter, static friction that the motion does not show grows without bounds,
         # with a slope that hides it. Nor is it below the dry one: a search whose motion crosses
         # zero too quickly to show it may end at friction that would drive a joint at rest.
-        spread = static.dry(point.k)[static.joints]
+        spread = static.dry(of_dry.k)[static.joints]
         spread = np.where(point.k[static.indices] < 0.0, _BELOW_DRY * spread, spread)
         of_k = np.zeros(p)
         of_k[static.indices] = np.where(static.with_dry, np.maximum(spread, 1e-9) ** -2.0, 0.0)

@@ -1,3 +1,4 @@
+from ._coupled import CoupledTerm as CoupledTerm
 from ._input_expressions import (
     ExpressionFunctions as ExpressionFunctions,
     term_entries as term_entries,

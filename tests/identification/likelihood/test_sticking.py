@@ -85,7 +85,8 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
     deviation = []
     for value in (0.5, -0.5):
         k = np.array([1.0, 2.0, value])
-        mean, precision = problem.known(dataclasses.replace(point, k=k))
+        there = dataclasses.replace(point, k=k)
+        mean, precision = problem.known(there, there)
         assert mean[static] == 0.0
         deviation.append(precision[static] ** -0.5)
     assert_allclose(deviation, [2.0, 0.2])

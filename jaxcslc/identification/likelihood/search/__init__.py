@@ -1,1 +1,2 @@
-from ._search import Minimum as Minimum, search as search
+from ._search import Minimum as Minimum, search as search, search_on as search_on
+from ._state import State as State

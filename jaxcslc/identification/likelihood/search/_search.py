@@ -10,7 +10,8 @@ from .._linear import Linear
 from .._objective import Objective, Point
 from .._problem import Problem
 from ..band import Factored
-from ._noise import NEAR, with_intervals, with_levels, with_refined_intervals
+from ._common_shafts import with_common_shafts
+from ._noise import LITTLE_DAMPING, NEAR, with_intervals, with_levels, with_refined_intervals
 from ._state import MARGINS, Mask, State, with_link_levels, with_signs
 from ._weighting import objective_of, outlier_weights, with_sticking
 
@@ -29,6 +30,11 @@ _LEVEL = 1e-2
 # many standard errors. Else weights follow static friction that hardly any motion shows, and it
 # follows these, to and fro.
 _FIXED = 1.0
+# Before that, and what equations leave out, too, after so many steps before which the sum of
+# squares had risen by so much: what follows the motion goes to and fro with it. (Of a Stäubli TX40,
+# whose static friction is four standard deviations of its prior below zero, by six standard errors
+# a step for as long as there were steps.)
+_MOST_RISES, _RISE = 3, 0.1
 # Beside intervals, edges and the level of torque noise follow steps of less than so many of these:
 # while the level is far too large, steps are short.
 _NEARER = 3.0
@@ -45,6 +51,7 @@ class Minimum:
     - `torque_noise`, `position_noise`: (recordings, n) standard deviations.
     - `counted`: (equations, n), which equations have the full weight.
     - `steps`: Gauss-Newton steps; `converged`: whether the last one changed nothing.
+    - `state`: of the search: signs, weights and levels, for one that goes on from here.
     """
 
     point: Point
@@ -56,6 +63,7 @@ class Minimum:
     counted: Mask
     steps: int
     converged: bool
+    state: State
 
 
 def search(
@@ -100,29 +108,91 @@ def search(
         moments,
     )
     first = 0 if edge is None else len(MARGINS)
-    number = first - 1
+    return _ended(
+        problem,
+        state,
+        first,
+        progress,
+        weighted=edge is None,
+        tolerance=tolerance,
+        most_steps=most_steps,
+    )
+
+
+def search_on(
+    problem: Problem,
+    state: State,
+    k: Float[np.ndarray, " coefficients"],
+    progress: Callable[[str], None],
+) -> Minimum:
+    """Goes on from where a search has ended, with other coefficients.
+
+    Signs of the motion, weights and noise levels are those of its end, unless reversals come or go.
+    So the sum of squares is the same function of all unknowns, and its minima for several
+    coefficients are comparable.
+
+    **Arguments**
+
+    - `problem`: of that search; other unknowns may be fixed.
+    - `state`: `Minimum.state`; `k`: (p,) coefficients to start from.
+    """
+    state = dataclasses.replace(
+        state,
+        point=dataclasses.replace(state.point, k=k),
+        damping=SMALL_DAMPING,
+        of_friction=state.of_friction or state.point,
+    )
+    return _ended(problem, state, len(MARGINS) + 1, progress)
+
+
+def _ended(
+    problem: Problem,
+    state: State,
+    first: int,
+    progress: Callable[[str], None],
+    *,
+    weighted: bool = True,
+    tolerance: float = 0.0,
+    most_steps: int = _MOST_STEPS,
+) -> Minimum:
+    """Where a search from a state ends.
+
+    **Arguments** as of `search`, and
+
+    - `first`: number of its first step: the first few leave much of the motion uncertain.
+    - `weighted`: whether weights of outliers are those of the state; else of the first step.
+    """
+    number, rises, end = first - 1, 0, np.inf
     while True:
         number += 1
         state, same = with_signs(problem, state, number)
+        state, same_shafts = with_common_shafts(problem, state, number)
+        same &= same_shafts
         state = with_link_levels(problem, state)
         objective, counted = objective_of(problem, state)
         if number >= len(MARGINS):
             objective = with_sticking(problem, state, objective)
         linear = Linear.of(objective, state.point)
         step = levenberg_step(problem, linear, state.point, state.damping)
-        state = dataclasses.replace(state, point=step.point, damping=step.damping)
+        # Nothing has changed, and nothing will.
+        stalled = step.point is state.point and step.damping == state.damping and same
+        rises += same and linear.present_value > end + _RISE
+        state = stepped = dataclasses.replace(state, point=step.point, damping=step.damping)
         progress(f"maximum likelihood: step {number + 1 - first}")
         quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
+        # Damping makes any step small.
+        quiet &= step.minimum.damping <= LITTLE_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
         settled |= step.change <= 0.1 * _SETTLED and step.promise <= _PROMISE_OF_POSITIONS
         fall = step.fall * linear.present_value
         at_kink = step.promise <= AT_KINK and fall <= min(_LEVEL, 0.5 * step.promise)
         settled |= at_kink
-        converged = quiet and settled and state.final and (edge is None or number > first)
+        converged = quiet and settled and state.final and (weighted or number > first)
         # Rounding lets the sum grow: without a tolerance, that is no end.
         small = tolerance > 0.0 and state.final and number >= len(MARGINS)
         small = small and step.fall < tolerance
-        if converged or small or number == most_steps - 1:
+        stalled &= state.final and state.of_friction is not None and (weighted or number > first)
+        if converged or small or stalled or number == most_steps - 1:
             linear = Linear.of(objective, state.point)
             return Minimum(
                 state.point,
@@ -134,16 +204,20 @@ def search(
                 counted,
                 number + 1 - first,
                 converged,
+                state,
             )
-        if edge is not None and number == first:
+        if not weighted and number == first:
             weight = outlier_weights(problem, state, step, counted)
             state = dataclasses.replace(state, outlier_weight=weight)
         elif not state.levels_fixed:
             state = with_levels(problem, state, step, counted, number)
         elif state.intervals is not None and not state.final and step.change <= _NEARER:
             state = with_refined_intervals(problem, state, step, counted)
-        if state.final and state.breakaway is None and step.change <= _FIXED:
-            state = dataclasses.replace(state, breakaway=problem.breakaway(state.point))
+        end = linear.present_value - fall if state is stepped else np.inf
+        if (state.final and step.change <= _FIXED) or rises >= _MOST_RISES:
+            state = dataclasses.replace(state, of_friction=state.of_friction or state.point)
+        if rises >= _MOST_RISES and state.truncation is None:
+            state = dataclasses.replace(state, truncation=objective.truncation)
         waiting = state.levels_fixed and state.intervals is None and not state.final
         if waiting and quiet and (at_kink or step.change <= NEAR):
             state = with_intervals(problem, state, step.minimum)

@@ -16,7 +16,7 @@ from ..torque import Whitening
 # are moments to be estimated.
 MARGINS = (4, 3, 2)
 # From this step on, a reversal that comes or goes is left uncertain.
-_SIGN_STEPS = 7
+SIGN_STEPS = 7
 
 Mask = Bool[np.ndarray, "equations joints"]
 
@@ -28,12 +28,15 @@ class State:
     - `whitening`: of torque residuals.
     - `outlier_weight`: (equations, n) of equations far beyond the noise.
     - `ambiguous`: (equations, n) of reversals that came and went.
+    - `undecided`: (equations, n) of joints with a common shaft that may turn either way.
     - `levels_fixed`: whether noise levels and these weights are, while readings are normally
       distributed; `final`: and what counts are.
     - `moments`: (samples, n) of reversals to start from, NaN where they are not known; None if none
       is.
     - `refinements`: of the level of torque noise beside intervals.
-    - `breakaway`: (n,) that says how uncertain friction is [N m or N]; None: the present one does.
+    - `of_friction`: the point whose friction says how uncertain friction is where its sign is, and
+      how large static friction may be; None: the present one.
+    - `truncation`: what equations leave out [N m or N]; None: what they do at the present point.
     """
 
     point: Point
@@ -43,13 +46,15 @@ class State:
     whitening: Whitening
     outlier_weight: Float[np.ndarray, "equations joints"]
     ambiguous: Mask
+    undecided: Mask
     intervals: Intervals | None
     damping: float
     levels_fixed: bool
     final: bool
     refinements: int = 0
     moments: Float[np.ndarray, "samples _"] | None = None
-    breakaway: Float[np.ndarray, " joints"] | None = None
+    of_friction: Point | None = None
+    truncation: Float[np.ndarray, "equations joints"] | float | None = None
 
     @classmethod
     def start(
@@ -73,12 +78,18 @@ class State:
             Whitening(np.zeros((0, n)) if noise_coefficients is None else noise_coefficients),
             np.ones((samples - 2, n)),
             np.zeros((samples - 2, n), bool),
+            np.zeros((samples - 2, n), bool),
             intervals,
             DAMPING,
             fixed,
             fixed,
             moments=moments,
         )
+
+    def same_motion(self, other: "State") -> bool:
+        """Whether signs and what is uncertain of them are the other's, so that sums of squares are
+        comparable."""
+        return self.signs is other.signs and np.array_equal(self.undecided, other.undecided)
 
 
 def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool]:
@@ -110,11 +121,11 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
         if before is None or number <= len(MARGINS):
             break
         unmatched = signs.unmatched(before)
-        if number >= _SIGN_STEPS:
+        if number >= SIGN_STEPS:
             unmatched |= before.at_bounds(point.turn)
         if not unmatched.any():
             return state, True
-        if number < _SIGN_STEPS or np.all(ambiguous[unmatched]):
+        if number < SIGN_STEPS or np.all(ambiguous[unmatched]):
             break
         ambiguous = ambiguous | unmatched
     if before is not None:

@@ -28,13 +28,19 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
     assert signs is not None
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
     equations = problem.equations_about(point)
-    of_friction = _friction_variance(problem, equations, signs, point, _breakaway(problem, state))
+    scale = state.of_friction or point
+    breakaway = problem.breakaway(scale)
+    of_friction = _friction_variance(problem, equations, signs, point, breakaway)
     extra = state.whitening.variance(of_friction)
     weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + extra)
     beyond = problem.calibration.outside(point.calibration)
-    without = state.whitening.touched(problem.at_rest | (readings.joined | beyond)[:, None])
+    unknown = problem.at_rest | state.undecided | (readings.joined | beyond)[:, None]
+    without = state.whitening.touched(unknown)
     weight[without] = 0.0
-    expected, known = problem.known(point)
+    left_out = state.truncation
+    if left_out is None:
+        left_out = _truncation(problem, equations, signs, point)
+    expected, known = problem.known(point, scale)
     at_rest = 1.0 / (_REST * state.position_noise[of_interval]) ** 2
     weights = Residuals(
         torque=weight,
@@ -54,7 +60,7 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
         problem.scale,
         state.whitening,
         state.intervals,
-        truncation=_truncation(problem, equations, signs, point),
+        truncation=left_out,
     )
     return objective, (extra == 0.0) & ~without
 
@@ -104,10 +110,6 @@ def with_sticking(problem: Problem, state: State, objective: Objective) -> Objec
         signs=dataclasses.replace(signs, direction=direction),
         sticking=Sticking(mask, direction, state.torque_noise[part[1:-1]]),
     )
-
-
-def _breakaway(problem: Problem, state: State) -> Float[np.ndarray, " joints"]:
-    return problem.breakaway(state.point) if state.breakaway is None else state.breakaway
 
 
 def _friction_variance(

@@ -92,8 +92,8 @@ def with_transmission(
             transmission=np.zeros(0),
         )
 
-    def known(point: Point) -> tuple[np.ndarray, np.ndarray]:
-        mean, precision = problem.known(narrow(point))
+    def known(point: Point, of_dry: Point) -> tuple[np.ndarray, np.ndarray]:
+        mean, precision = problem.known(narrow(point), narrow(of_dry))
         return (
             _widened_border(mean, expected, problem, n, f, 0.0),
             _widened_border(precision, weight, problem, n, f, 1.0),
