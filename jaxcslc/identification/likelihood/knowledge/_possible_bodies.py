@@ -12,14 +12,14 @@ from ...prior import Prior
 from ...solver import Errors, Identification
 from .._levels import Levels
 from .._likelihood_fit import LikelihoodFit, likelihood_fit
-from .._linear import Linear
 from .._problem import Problem
-from ..search import Minimum, search
+from ..search import Minimum, State, search, search_on
+from ._profile import Profile
 
 
 # Bodies follow positions, and positions bodies, until no coefficient moves by more than this part
 # of its standard error; three or four times are usual.
-_SETTLED, _MOST_ROUNDS = 0.02, 10
+_SETTLED, _MOST_ROUNDS = 0.02, 20
 
 
 def possible_bodies(
@@ -39,8 +39,10 @@ def possible_bodies(
     its minimum and its information. The possible bodies nearest to that in its metric are what
     `physical_parameters` computes. For their coefficients the search estimates everything else,
     and the next step begins there: sequential quadratic programming with a constraint that is
-    convex. Noise levels are estimated anew for the first bodies: where a recording says little,
-    coefficients that nothing confines follow noise, and their levels are too small.
+    convex. It goes on with the signs and weights of the search before, so that the objective is
+    one function; where friction bends that more than a square, a part of the step is taken. Noise
+    levels are estimated anew for the first bodies: where a recording says little, coefficients that
+    nothing confines follow noise, and their levels are too small.
 
     **Arguments**
 
@@ -70,43 +72,39 @@ def possible_bodies(
     with_fixed_coefficients = dataclasses.replace(
         problem, scale=np.where(coefficients, 0.0, problem.scale)
     )
-    nearest, weight = bodies_nearest_to(free.fit, None), None
-    bodies, fit, unconfined = nearest, free, minimum
-    steps, settled = free.steps, False
-    for number in range(1, _MOST_ROUNDS + 1):
-        bodies = nearest
-        torque_noise, position_noise = fit.torque_noise, fit.position_noise
-        anew = False
-        if number == 1 and levels is not None:
-            (torque_noise, position_noise), anew = levels, True
+
+    words = "maximum likelihood: possible bodies"
+
+    def search_with(k: Float[np.ndarray, " coefficients"], state: State) -> Minimum:
+        return search_on(with_fixed_coefficients, state, k, lambda _: progress(words))
+
+    bodies = bodies_nearest_to(free.fit, None)
+    if levels is None:
+        minimum = search_with(bodies.k, minimum.state)
+    else:
         minimum = search(
             with_fixed_coefficients,
             dataclasses.replace(minimum.point, k=bodies.k),
-            torque_noise,
-            position_noise,
-            lambda _, number=number: progress(f"maximum likelihood: possible bodies, {number}"),
-            fixed_levels=not anew,
-            edge=None if anew else fit.edge,
-            noise_coefficients=fit.noise_coefficients,
+            *levels,
+            lambda _: progress(words),
+            noise_coefficients=free.noise_coefficients,
         )
-        objective = dataclasses.replace(minimum.objective, scale=problem.scale)
-        linear = Linear.of(objective, minimum.point)
-        factored = linear.factored(0.0)
-        unconfined = dataclasses.replace(
-            minimum, objective=objective, linear=linear, factored=factored
-        )
-        fit = likelihood_fit(network, unconfined, "independent")
-        steps += minimum.steps
-        step = linear.step(factored, linear.residuals)
-        target = objective.moved(minimum.point, step).k
-        nearest = bodies_nearest_to(_with_coefficients(fit.fit, target), weight)
-        weight = nearest.prior_weight
+    steps, weight, part, rounds = free.steps + minimum.steps, bodies.prior_weight, 1.0, 1
+    while True:
+        profile = Profile.of(minimum, problem.scale)
+        fit = likelihood_fit(network, profile.minimum, "independent")
+        bodies = bodies_nearest_to(_with_coefficients(fit.fit, profile.target), weight)
+        change = bodies.k - profile.k
         error = np.where(np.asarray(fit.fit.determined), np.asarray(fit.fit.standard_error), np.inf)
-        settled = bool(np.all(np.abs(nearest.k - bodies.k) <= _SETTLED * error))
-        if settled:
+        settled = bool(np.all(np.abs(change) <= _SETTLED * error))
+        if settled or rounds == _MOST_ROUNDS:
             break
+        minimum, part, of_trials = profile.towards(change, part, search_with)
+        steps, rounds = steps + of_trials, rounds + 1
+    if not settled:
+        bodies = bodies_nearest_to(_with_coefficients(fit.fit, profile.k), weight)
     if errors != "independent":
-        fit = likelihood_fit(network, unconfined, errors)
+        fit = likelihood_fit(network, profile.minimum, errors)
     return dataclasses.replace(
         fit,
         fit=_with_coefficients(fit.fit, bodies.k),
