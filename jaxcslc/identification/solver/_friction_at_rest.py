@@ -26,11 +26,11 @@ def friction_halved_at_rest(torque: Callable[[Rows], Rows], qd: Rows) -> Rows:
     that was not fitted, errors of joints 1 to 6 in percent of the torque
     (`scripts/studies/real_robots/rests.py`), with
 
-    - half of it: TX40, a third to a half of whose motion is rest, 19 13 20 12 54 34; KR300, motion
+    - half of it: TX40, a third to a half of whose motion is rest, 19 13 18 26 71 34; KR300, motion
       C, 21 17 11 37 20 23;
-    - the sign of measured velocity: 19 14 26 14 81 65; 22 17 11 38 19 24;
-    - none: 19 17 16 14 43 47; 22 18 11 41 21 25;
-    - all of it: 19 11 33 14 97 27; 21 17 11 35 19 21.
+    - the sign of measured velocity: 20 14 22 33 109 66; 22 17 11 38 19 24;
+    - none: 19 17 15 23 46 47; 22 18 11 41 21 25;
+    - all of it: 20 11 28 40 136 27; 21 17 11 35 19 21.
 
     **Arguments**
 
