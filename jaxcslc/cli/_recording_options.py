@@ -1,5 +1,6 @@
+import contextlib
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -88,14 +89,34 @@ class RecordingOptions:
         if self.measured is not None:
             recording = dataclasses.replace(recording, torque_measured=self.measured)
         if self.between is not None:
-            recording = recording.between(*_two_numbers(self.between))
+            start, end = _two_numbers(self.between)
+            with _of_option(path, recording, f"--between {self.between}"):
+                recording = recording.between(start, end)
         if self.drop_stale:
-            recording = without_stale_rows(recording)
+            with _of_option(path, recording, "--drop-stale"):
+                recording = without_stale_rows(recording)
         if self.every is not None:
-            recording = fresh_rows(recording, self.every)
+            with _of_option(path, recording, f"--every {self.every}"):
+                recording = fresh_rows(recording, self.every)
         if self.period is not None:
-            recording = restore_clock(recording, self.period)
+            with _of_option(path, recording, f"--period {self.period:g}"):
+                recording = restore_clock(recording, self.period)
         return without_outliers(recording) if self.despike else recording
+
+
+@contextlib.contextmanager
+def _of_option(path: Path, recording: Recording, option: str) -> Generator[None]:
+    """Names the option and what it was of in what it raises.
+
+    - `recording`: before it.
+    """
+    try:
+        yield
+    except ValueError as error:
+        spent = float(recording.time[-1] - recording.time[0])
+        raise ValueError(
+            f"{path}, {option} of {recording.samples} samples in {spent:.4g} s: {error}"
+        ) from error
 
 
 def _two_numbers(text: str) -> tuple[float, float]:
