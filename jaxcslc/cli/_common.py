@@ -52,13 +52,16 @@ LengthsOption = Annotated[
     ),
 ]
 BaseOption = Annotated[
-    str | None, typer.Option(help="Body of a URDF or MJCF file that the robot stands on.")
+    str | None,
+    typer.Option(
+        help="Body of a URDF or MJCF file that the robot stands on; the file's first if omitted."
+    ),
 ]
 TipOption = Annotated[
     list[str] | None,
     typer.Option(
         help="Body of a URDF or MJCF file that the robot ends with; may be repeated, for several"
-        " arms."
+        " arms; everything on --base if omitted."
     ),
 ]
 FixOption = Annotated[
@@ -74,7 +77,7 @@ MimicOption = Annotated[
     typer.Option(
         metavar="fix|couple",
         help="Joints of a URDF or MJCF file that mimic others: fixed at zero with what they"
-        " follow, or moved with it (docs/robots.md).",
+        " follow, or moved with it; an error if omitted and a file has some (docs/robots.md).",
     ),
 ]
 

@@ -33,7 +33,7 @@ def constants_command(
     loaded: Annotated[
         Path, typer.Argument(metavar="LOADED", help="Recording of the arm carrying the payload.")
     ],
-    mass: Annotated[float, typer.Option(help="Of the payload [kg].")],
+    mass: Annotated[float, typer.Option(help="Mass of the payload [kg].")],
     columns: ColumnsOption = None,
     base: BaseOption = None,
     tip: TipOption = None,

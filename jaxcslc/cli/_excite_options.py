@@ -10,7 +10,7 @@ MotionOption = Annotated[
         "-o", "--output", help="CSV file of the motion; .yaml, .json, .h and .html go beside it."
     ),
 ]
-DurationOption = Annotated[float, typer.Option(help="Of the motion [s].")]
+DurationOption = Annotated[float, typer.Option(help="Length of the motion [s].")]
 RateOption = Annotated[
     float,
     typer.Option(
@@ -114,7 +114,14 @@ TaskOption = Annotated[
 ]
 StartOption = Annotated[
     str | None,
-    typer.Option(metavar="NUMBERS", help="Pose to start from, one number a joint [rad or m]."),
+    typer.Option(
+        metavar="NUMBERS",
+        help="Pose to start from, one number a joint [rad or m]; searched for if omitted.",
+    ),
 ]
-SeedOption = Annotated[int, typer.Option(help="Of random motions; the same gives the same.")]
-StartsOption = Annotated[int, typer.Option(help="Random motions to begin with.")]
+SeedOption = Annotated[
+    int, typer.Option(help="Seed of random motions; the same gives the same motion.")
+]
+StartsOption = Annotated[
+    int, typer.Option(help="How many random motions the search starts from; the best counts.")
+]

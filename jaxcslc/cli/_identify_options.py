@@ -47,13 +47,17 @@ OffsetsOption = Annotated[
 ]
 TorqueLagOption = Annotated[
     float | None,
-    typer.Option(help="How much later than positions torques were measured [s]."),
+    typer.Option(
+        help="How much later than positions torques were measured [s]; that of --settings, or 0, if"
+        " omitted."
+    ),
 ]
 LossOption = Annotated[
     str | None,
     typer.Option(
         metavar="squared|huber|bisquare",
-        help="Loss of the fit; huber and bisquare bound what outliers do to it.",
+        help="Loss of the fit; huber and bisquare bound what outliers do to it; that of --settings,"
+        " or squared, if omitted.",
     ),
 ]
 FoldsOption = Annotated[
