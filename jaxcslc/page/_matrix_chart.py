@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 _ORANGE, _BLUE = COLOURS[0], COLOURS[1]
+_MOST_LABELS = 50  # of 10 pixels each, beside the highest matrix
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,12 +46,21 @@ class MatrixChart(AbstractChart):
     def width(self) -> int | None:
         return self.height + 60
 
+    @property
+    def ticks(self) -> range:
+        """Rows that have a label: all, or every second and so on where labels would overlap."""
+        return range(0, len(self.labels), -(-len(self.labels) // _MOST_LABELS) or 1)
+
     def plotly_figure(self) -> dict[str, Any]:
         labels = [escape(label) for label in self.labels]
         layout = base_layout(self.height)
         layout["margin"] = {"t": 30, "b": 60, "l": 60, "r": 8}
         # Ticks by number: labels that are equal would otherwise share a row.
-        ticks = {"tickvals": list(range(len(labels))), "ticktext": labels, "showgrid": False}
+        ticks = {
+            "tickvals": list(self.ticks),
+            "ticktext": [labels[i] for i in self.ticks],
+            "showgrid": False,
+        }
         small = {"tickfont": {"size": 10}, "zeroline": False}
         layout["xaxis"] = {**ticks, **small, "tickangle": -90}
         layout["yaxis"] = {**ticks, **small, "autorange": "reversed"}
@@ -73,8 +83,8 @@ class MatrixChart(AbstractChart):
         colormap = require("matplotlib.colors", "plot").LinearSegmentedColormap
         colours = colormap.from_list("signed", [_BLUE, "#ffffff", _ORANGE])
         image = axes.imshow(np.asarray(self.values, float), cmap=colours, vmin=-1, vmax=1)
-        ticks = range(len(self.labels))
-        axes.set_xticks(ticks, self.labels, rotation=90, fontsize=7, parse_math=False)
-        axes.set_yticks(ticks, self.labels, fontsize=7, parse_math=False)
+        labels = [self.labels[i] for i in self.ticks]
+        axes.set_xticks(self.ticks, labels, rotation=90, fontsize=7, parse_math=False)
+        axes.set_yticks(self.ticks, labels, fontsize=7, parse_math=False)
         figure.colorbar(image, ax=axes, shrink=0.8)
         return figure

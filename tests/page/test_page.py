@@ -106,6 +106,19 @@ def test_charts_are_valid_in_plotly(chart: AbstractChart) -> None:
     assert "<b>" not in str(described)
 
 
+@pytest.mark.parametrize(("size", "labelled"), [(50, 50), (62, 31), (120, 40)])
+def test_labels_of_a_large_matrix_do_not_overlap(size: int, labelled: int) -> None:
+    """Ten pixels each are left at 50; the names of all stand in what a pointer shows."""
+    names = tuple(f"kB{i}" for i in range(size))
+    chart = MatrixChart(names, np.eye(size).tolist(), "correlations")
+    described = chart.plotly_figure()
+    axis = described["layout"]["xaxis"]
+    assert len(axis["tickvals"]) == labelled
+    assert axis["ticktext"] == [names[i] for i in axis["tickvals"]]
+    assert described["data"][0]["text"][1][2] == "kB1, kB2"
+    assert len(chart.figure().axes[0].get_xticklabels()) == labelled
+
+
 @pytest.mark.parametrize("chart", CHARTS, ids=lambda chart: type(chart).__name__)
 def test_static_pictures_are_in_the_page(chart: AbstractChart) -> None:
     reader = Reader(render(page_with(chart), interactive=False))
