@@ -149,4 +149,4 @@ def _margins(design: Design) -> Section:
         "What is left of each limit at the joint that uses most of it, at all times: what happens"
         " between samples is bounded and counted."
     )
-    return Section("Margins", lead, (Table(columns, rows, name="margins"),))
+    return Section("Margins", lead, (Table(columns, rows, name="margins-table"),))

@@ -68,6 +68,8 @@ def test_writes_the_motion_in_five_forms(folder: Path) -> None:
     page = (folder / "motion.html").read_text()
     assert "Predicted intervals" in page
     assert "Margins" in page
+    marks = re.findall(r'\bid="([^"]+)"', re.sub(r"(?s)<script.*?</script>", "", page))
+    assert len(marks) == len(set(marks))  # a link to one of two would find the first
 
 
 def test_the_trajectory_is_yaml_and_json(folder: Path) -> None:

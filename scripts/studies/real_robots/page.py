@@ -35,7 +35,9 @@ joint, and those within 2 % of it.
   ([page](friction.md#chosen-by-the-data)).
 - **auto**: `--estimator auto --possible auto`, which decides within the fitted motion.
 
-    OPENBLAS_NUM_THREADS=1 python -m scripts.studies.real_robots.study --page docs/real_robots.md
+```sh
+OPENBLAS_NUM_THREADS=1 python -m scripts.studies.real_robots.study --page docs/real_robots.md
+```
 
 (One thread of BLAS, as the command has it: more of them spend two to five times the processor
 time on small matrices.)

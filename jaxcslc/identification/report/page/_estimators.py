@@ -42,7 +42,7 @@ def estimators_section(data: Mapping[str, Any]) -> Section:
     rows = tuple(zip(*values, strict=True))
     blocks: list[AbstractBlock] = [
         Paragraph(text),
-        Table(tuple(columns), rows, "Torque errors by estimator", "estimators"),
+        Table(tuple(columns), rows, "Torque errors by estimator", "estimators-table"),
     ]
     if selection := estimators.get("selection"):
         tried = "; ".join(selection["lines"])
