@@ -20,6 +20,7 @@ from ._criteria import (
 from ._families import AbstractFamily, BSplines, FourierSeries, MinimumJerkMoves, Parameters
 from ._feasibility import DenseCheck, Use
 from ._information import (
+    UNDETERMINED,
     MotionInformation,
     Prediction,
     coefficient_sizes,
@@ -32,7 +33,7 @@ from ._knowledge import Knowledge
 from ._limits import Limits, Surroundings
 from ._noise import Noise
 from ._regressor import regressor_of
-from ._result import UNDETERMINED, Design
+from ._result import Design
 from ._search import Problem, Search
 from ._task import body_prior, random_parameters, random_products, task_products
 from .collision import Bodies

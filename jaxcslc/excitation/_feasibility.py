@@ -51,7 +51,7 @@ class Use:
     def worst(self) -> str:
         """The limit of which most is used, in words."""
         if self.distance is not None and self.distance < 0.0:
-            return f"clearance of {self.nearest} ({1e3 * self.distance:.3g} mm short)"
+            return f"clearance of {self.nearest} ({-1e3 * self.distance:.3g} mm short)"
         name, values = max(self.joints.items(), key=lambda item: float(item[1].max()))
         joint = int(values.argmax())
         return f"{name} of {self._name(joint)} ({100 * values[joint]:.4g} % of its limit)"

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..network import CSLC
 from ._families import Times
@@ -16,6 +16,10 @@ from ._regressor import mass_matrices_of, regressor_of
 
 Motion = tuple[Any, Any, Any]
 Square = Float[np.ndarray, "coefficients coefficients"]
+
+
+# Sizes of coefficients: standard errors near that are of those that nothing determines.
+UNDETERMINED = 1e3
 
 
 class Spectra(NamedTuple):
@@ -185,10 +189,15 @@ class Prediction:
         """(p,) standard errors over sizes."""
         return self.standard_error / self.size
 
+    @property
+    def determined(self) -> Bool[np.ndarray, " coefficients"]:
+        """Which coefficients the motion and what is known determine."""
+        return self.relative_error <= 0.1 * UNDETERMINED
+
     def gains(self, most: int = 8) -> list[str]:
         """What the motion buys, a line a coefficient, the largest gain first: 95 % intervals."""
-        ratio = self.standard_error / self.before
-        order = np.argsort(ratio)[:most]
+        ratio = np.where(self.determined, self.standard_error / self.before, np.inf)
+        order = np.argsort(ratio)[: min(most, int(self.determined.sum()))]
         return [
             f"{self.names[i]}: interval {_interval(float(self.before[i] / self.size[i]))} to"
             f" {_interval(float(self.relative_error[i]))}"

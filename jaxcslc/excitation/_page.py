@@ -27,14 +27,7 @@ _QUANTITIES = (("Position", "rad"), ("Velocity", "rad/s"), ("Acceleration", "rad
 
 def design_page(design: Design, command: str = "") -> str:
     """A page of a design: what it will bring, the motion against its limits, margins."""
-    relative = design.prediction.relative_error
-    wanted = [design.network.names.index(name) for name in design.wanted]
-    median, largest = 100 * np.median(relative[wanted]), 100 * np.max(relative[wanted])
-    worst = design.wanted[int(np.argmax(relative[wanted]))]
-    headline = (
-        f"{design.family.duration:g} s of this motion determine {len(wanted)} coefficients to"
-        f" {median:.2g} % of their size (median), {worst} to {largest:.2g} %."
-    )
+    headline, left = _headline(design), design.undetermined
     sections = [_predicted(design), *_film(design), *_motion(design), _margins(design)]
     if command:
         sections.append(Section("Command", "", (Code(command),)))
@@ -43,10 +36,27 @@ def design_page(design: Design, command: str = "") -> str:
         design.family.description,
         headline,
         "good",
-        tuple(Message(note, "plain") for note in design.notes),
+        (
+            *([Message(f"Not determined: {', '.join(left)}.", "caution")] if left else []),
+            *(Message(note, "plain") for note in design.notes),
+        ),
         tuple(sections),
     )
     return render(page)
+
+
+def _headline(design: Design) -> str:
+    names = [name for name in design.wanted if name not in design.undetermined]
+    spent = f"{design.family.duration:g} s of this motion determine"
+    if not names:
+        return f"{spent} none of the coefficients."
+    indices = [design.network.names.index(name) for name in names]
+    relative = 100 * design.prediction.relative_error[indices]
+    worst = int(np.argmax(relative))
+    return (
+        f"{spent} {len(names)} coefficients to {np.median(relative):.2g} % of their size (median),"
+        f" {names[worst]} to {relative[worst]:.2g} %."
+    )
 
 
 def _predicted(design: Design) -> Section:
@@ -56,9 +66,14 @@ def _predicted(design: Design) -> Section:
             row["unit"],
             row["prior"],
             196 * row["error_before"] / size,
-            196 * row["relative"],
+            196 * row["relative"] if known else float("inf"),
         )
-        for row, size in zip(design.prediction.rows(), design.prediction.size, strict=True)
+        for row, size, known in zip(
+            design.prediction.rows(),
+            design.prediction.size,
+            design.prediction.determined.tolist(),
+            strict=True,
+        )
     )
     columns = (
         Column("coefficient", numeric=False),

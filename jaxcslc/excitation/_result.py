@@ -12,10 +12,6 @@ from ._limits import Limits
 from ._noise import Noise
 
 
-# Sizes of coefficients: standard errors near that are of those that nothing determines.
-UNDETERMINED = 1e3
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Design:
     """A motion to record, with what it uses of limits and what it is predicted to bring.
@@ -58,23 +54,39 @@ class Design:
         """How long this motion must be repeated for standard errors of this part of the sizes of
         all wanted coefficients [s]; infinite where it determines one not at all."""
         indices = [self.network.names.index(name) for name in self.wanted]
-        worst = float(np.max(self.prediction.relative_error[indices]))
-        if worst > 0.1 * UNDETERMINED:
+        if not self.prediction.determined[indices].all():
             return np.inf
+        worst = float(np.max(self.prediction.relative_error[indices]))
         return self.family.duration * max(worst / relative, 1e-12) ** 2
 
     def __str__(self) -> str:
-        wanted = [self.network.names.index(name) for name in self.wanted]
-        relative = self.prediction.relative_error[wanted]
         lines = [
             f"{self.network.name}: {self.family.duration:g} s, {self.family.description}",
             f"{self.criterion} ({EXPLANATIONS[self.criterion]}): {self.value:.4g}",
             f"condition number {self.prediction.condition:.4g}, of columns of unit length"
             f" {self.prediction.scaled_condition:.4g}",
-            f"predicted standard errors over sizes: median {100 * np.median(relative):.3g} %,"
-            f" largest {100 * np.max(relative):.3g} %"
-            f" ({self.wanted[int(np.argmax(relative))]})",
+            *self._errors(),
             str(self.use),
             *(f"note: {note}" for note in self.notes),
         ]
         return "\n".join(lines)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the wanted coefficients that neither the motion nor what is known determines."""
+        open_ = ~self.prediction.determined
+        return tuple(name for name in self.wanted if open_[self.network.names.index(name)])
+
+    def _errors(self) -> list[str]:
+        names = [name for name in self.wanted if name not in self.undetermined]
+        indices = [self.network.names.index(name) for name in names]
+        relative = 100 * self.prediction.relative_error[indices]
+        lines: list[str] = []
+        if names:
+            lines.append(
+                f"predicted standard errors over sizes: median {np.median(relative):.3g} %,"
+                f" largest {np.max(relative):.3g} % ({names[int(np.argmax(relative))]})"
+            )
+        if self.undetermined:
+            lines.append(f"not determined by this motion: {', '.join(self.undetermined)}")
+        return lines
