@@ -9,6 +9,7 @@ from ._errors import RobotError
 
 JointKind = Literal["R", "P"]
 
+_MOST_ANGLE = 4 * math.pi  # as a number: beyond, it is one in degrees
 _PI_MULTIPLE = re.compile(
     r"^\s*(?P<sign>[+-]?)\s*(?P<factor>\d+(?:\.\d*)?)?\s*\*?\s*pi\s*(?:/\s*(?P<divisor>[1-9]\d*))?\s*$"
 )
@@ -83,7 +84,8 @@ def parse_angle(value: object, where: str) -> float:
 
     **Raises**
 
-    - `RobotError`: if `value` is neither; `where` says which entry it was.
+    - `RobotError`: if `value` is neither, or an angle of more than two turns, as one in degrees;
+      `where` says which entry it was.
 
     >>> parse_angle("-pi/2", "alpha of joint 2")
     -1.5707963267948966
@@ -105,6 +107,11 @@ def parse_angle(value: object, where: str) -> float:
             ) from None
     if angle is None or not math.isfinite(angle):
         raise RobotError(f"{where}: expected a finite angle, got {value!r}")
+    if abs(angle) > _MOST_ANGLE and "pi" not in str(value):
+        raise RobotError(
+            f"{where}: {value!r} rad is more than two turns; expected an angle in rad, not in"
+            " degrees, or a multiple of pi such as '-pi/2'"
+        )
     return angle
 
 

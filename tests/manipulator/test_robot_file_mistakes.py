@@ -19,6 +19,11 @@ MISTAKES = [
     ("mass = 2.0", "weight = 2", ", joint 1, link: unknown key 'weight'; expected some of centre"),
     ('kind = "P"', 'kind = "X"', r", joint 2, kind: expected 'R' \(revolute\) or 'P'.*got 'X'"),
     ('"-pi/2"', '"-pie"', ", joint 2, alpha: expected an angle in rad or a multiple.*got '-pie'"),
+    (
+        '"-pi/2"',
+        "-90",
+        ", joint 2, alpha: -90 rad is more than two turns; expected .* not in degrees",
+    ),
     ('"-pi/2"', "nan", ", joint 2, alpha: expected a finite angle, got nan"),
     ('"-pi/2"', "[1]", r", joint 2, alpha: expected an angle in rad.*got \[1\]"),
     ("theta = 0.1", "theta = true", ", joint 1, theta: expected an angle in rad.*got True"),
