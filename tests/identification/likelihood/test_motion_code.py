@@ -75,8 +75,27 @@ def test_it_is_the_equations_in_jax(
     assert_allclose(code.smooth(k, *motion), equations.smooth(k, *motion), atol=1e-12)
 
 
-def test_a_network_of_too_many_operations_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_motion_code, "_MOST_OPERATIONS", 3)
-    _motion_code._of_network.cache_clear()
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    assert motion_code(jc.derive(robot.with_friction("viscous"), lengths="numeric")) is None
+@pytest.fixture
+def pendulum() -> jc.CSLC:
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0), name="swing")
+    return jc.derive(robot.with_friction("viscous"), lengths="numeric")
+
+
+@pytest.mark.parametrize("limit", ["_MOST_OPERATIONS", "_MOST_WITHOUT_COMPILER"])
+def test_too_many_operations_are_refused(
+    pendulum: jc.CSLC, limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether there is a compiler or not; what XLA would need for them is not to be had."""
+    monkeypatch.setattr(_motion_code, "_MOST_WITHOUT_COMPILER", 3)
+    monkeypatch.setattr(_motion_code, limit, 3)
+    if limit == "_MOST_WITHOUT_COMPILER":
+        monkeypatch.setattr(_motion_code, "c_library", lambda *_: None)
+    with pytest.raises(ValueError, match=r"'swing': equations of motion of .* numeric lengths"):
+        motion_code(pendulum)
+
+
+def test_a_few_operations_need_no_compiler(
+    pendulum: jc.CSLC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_motion_code, "c_library", lambda *_: None)
+    assert motion_code(pendulum) is None

@@ -21,8 +21,11 @@ from ._smooth_code import smooth_code
 _BLOCK = 128
 # And those that a thread computes.
 _CHUNK = 4096
-# A compiler takes a second for a thousand operations, and longer than in proportion.
-_MOST_OPERATIONS = 5000
+# A compiler takes a second for a thousand operations, and longer than in proportion; from so many
+# on less of it: for a Panda with symbolic lengths (20,000) a minute and 0.4 GB.
+_QUICKLY = 5000
+# XLA needs more than 30 GB for that, and did not end in five minutes.
+_MOST_OPERATIONS, _MOST_WITHOUT_COMPILER = 25_000, 5000
 
 Samples = Float[np.ndarray, "samples joints"]
 Rows = Float[np.ndarray, "equations joints"]
@@ -40,6 +43,7 @@ class MotionCode:
     - `source`: of the library.
     - `joints`, `coefficients`: n and p.
     - `entries`: joint and column of the derivatives that are not 0, see `JointColumns`.
+    - `operations`: of torque.
 
     Methods have the arguments of `MotionEquations`, and `intervals`, (samples - 1,) [s].
     """
@@ -48,6 +52,12 @@ class MotionCode:
     joints: int
     coefficients: int
     entries: tuple[tuple[int, int], ...]
+    operations: int
+
+    @property
+    def library(self) -> ctypes.CDLL | None:
+        """The source, compiled and loaded; None where there is no C compiler."""
+        return c_library(self.source, ("-O1",) if self.operations > _QUICKLY else ())
 
     def torque(
         self,
@@ -119,7 +129,7 @@ class MotionCode:
     ) -> None:
         """Calls a function of the library: the first rows of `motion` and of `outputs` are those of
         the first equation, and so on."""
-        library = c_library(self.source)
+        library = self.library
         if library is None:
             raise OSError("there is no C compiler: cc, or what the environment's CC names")
         function = getattr(library, name)
@@ -139,14 +149,26 @@ class MotionCode:
 def motion_code(network: CSLC) -> MotionCode | None:
     """The code of a network's equations of motion.
 
-    None where there is no C compiler, for networks that cannot be written as expressions, and for
-    those of so many operations that compiling them would take longer than a fit.
+    None where there is no C compiler, and for networks that cannot be written as expressions.
+
+    **Raises** `ValueError` for networks of so many operations that they cannot be compiled in a
+    reasonable time or memory.
     """
     if network.static_slopes is not None:  # arguments of the code
         network = network.with_static_slopes(np.ones(network.joint_count))
     # Its layout is kept once it was asked for, and networks with and without it are not equal.
     code = _of_network(network, network.layout.size)
-    return None if code is None or c_library(code.source) is None else code
+    if code is None:
+        return None
+    # Not compiled at all if it is too much.
+    without = code.operations > _MOST_OPERATIONS or code.library is None
+    if without and code.operations > _MOST_WITHOUT_COMPILER:
+        raise ValueError(
+            f"{network.name!r}: equations of motion of {code.operations:,} operations are too many"
+            " to compile for maximum likelihood; expected numeric lengths,"
+            " as of derive(robot, lengths='numeric')"
+        )
+    return None if without else code
 
 
 @lru_cache(maxsize=16)
@@ -154,8 +176,6 @@ def _of_network(network: CSLC, p: int) -> MotionCode | None:
     if not network.has_column_entries:
         return None
     smooth = smooth_code(network, _BLOCK)
-    if smooth.operations > _MOST_OPERATIONS:
-        return None
     friction = friction_code(network)
     n = network.joint_count
     laws = [(joint, index) for joint, row in enumerate(friction.indices) for index in row]
@@ -186,7 +206,7 @@ def _of_network(network: CSLC, p: int) -> MotionCode | None:
         torque=smooth.torque,
         columns=smooth.columns,
     )
-    return MotionCode(source, n, p, tuple(entries))
+    return MotionCode(source, n, p, tuple(entries), smooth.operations)
 
 
 def _listed(numbers: list[Any]) -> str:
