@@ -9,8 +9,8 @@ import numpy as np
 _INTRODUCTION = """\
 # Real robots
 
-What `jaxcslc identify` reaches on published recordings of real arms, by its defaults, beside the
-usual pipeline. Each recording is divided once and for all into motion that is fitted and motion
+What `jaxcslc identify` reaches on published recordings of real arms, by its defaults and where it
+decides more by itself, beside the usual pipeline. Each recording is divided once and for all into motion that is fitted and motion
 that is judged, and nothing of a fit is chosen on the latter. (One default was set with these
 figures known: possible bodies are used at odds of one in five. At one in twenty, `auto` was least
 squares without them on the KR300.) Numbers are 100·‖error‖/‖torque‖ of each joint
