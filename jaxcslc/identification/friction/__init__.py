@@ -12,6 +12,7 @@ from ._yielding_friction import (
     along_motion as along_motion,
     checked_lengths as checked_lengths,
     dry_term as dry_term,
+    has_states as has_states,
     pre_sliding as pre_sliding,
     split_friction as split_friction,
     state_after as state_after,

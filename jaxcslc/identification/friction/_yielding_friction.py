@@ -222,6 +222,11 @@ def along_motion(
     return with_state(network, np.asarray(patterns.q), lengths, start)[0]
 
 
+def has_states(network: CSLC) -> bool:
+    """Whether it is for the motion of some patterns, as of `along_motion`."""
+    return any(isinstance(term, YieldingFriction) for term in network.terms)
+
+
 def state_at(
     patterns: Patterns, lengths: Float[np.ndarray, " joints"], sample: int
 ) -> Float[np.ndarray, " joints"]:

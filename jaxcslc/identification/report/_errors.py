@@ -3,6 +3,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -10,6 +11,7 @@ from ..._environment import array_namespace, require
 from ..._text_table import text_table
 from ...motion import Patterns
 from ...network import CSLC, AbstractLinearNetwork
+from ..friction import has_states
 from ..solver import friction_halved_at_rest, torque_of, traced
 
 
@@ -222,9 +224,13 @@ def predicted_torque(
     """
     if not (isinstance(network, CSLC) and network.layout.friction.size):
         return _torque(network, patterns, k)
-    return friction_halved_at_rest(
-        lambda qd: _torque(network, dataclasses.replace(patterns, qd=qd), k), patterns.qd
-    )
+
+    def of_samples(qd: Any, rows: Any) -> Any:
+        of_rows = jax.tree.map(lambda values: values[rows], patterns)
+        return _torque(network, dataclasses.replace(of_rows, qd=qd), k)
+
+    states = has_states(network)  # they are along all of the motion
+    return friction_halved_at_rest(of_samples, patterns.qd, sample_by_sample=not states)
 
 
 def _torque(

@@ -1,7 +1,8 @@
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..._environment import array_namespace
 from ...motion import at_rest, direction_before
@@ -14,7 +15,13 @@ Rows = Float[Array | np.ndarray, "samples joints"]
 _REST_SPEED = 1e-12
 
 
-def friction_halved_at_rest(torque: Callable[[Rows], Rows], qd: Rows) -> Rows:
+Selection: TypeAlias = slice | Int[np.ndarray, " some"]
+"""Of samples."""
+
+
+def friction_halved_at_rest(
+    torque: Callable[[Rows, Selection], Rows], qd: Rows, *, sample_by_sample: bool = True
+) -> Rows:
     """Torque along a motion, with half the friction of joints that stand still.
 
     While a joint moves, its friction has the direction of its velocity. When it stops, what is left
@@ -34,8 +41,10 @@ def friction_halved_at_rest(torque: Callable[[Rows], Rows], qd: Rows) -> Rows:
 
     **Arguments**
 
-    - `torque`: torques (samples, n) [N m or N] as a function of velocities.
+    - `torque`: torques [N m or N] as a function of the velocities of some samples, and of which
+      these are: indices, or all of them as a slice.
     - `qd`: (samples, n) in order of time [rad/s or m/s].
+    - `sample_by_sample`: whether some samples can be computed without the others.
 
     **Returns** torques (samples, n); those of `torque` itself where no joint is at rest
     (`jaxcslc.motion.at_rest`).
@@ -43,13 +52,22 @@ def friction_halved_at_rest(torque: Callable[[Rows], Rows], qd: Rows) -> Rows:
     >>> import numpy as np
     >>> from jaxcslc.identification.solver import friction_halved_at_rest
     >>> qd = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0])[:, None]
-    >>> friction_halved_at_rest(lambda qd: 2.0 * np.sign(qd), qd)[:, 0].tolist()
+    >>> friction_halved_at_rest(lambda qd, rows: 2.0 * np.sign(qd), qd)[:, 0].tolist()
     [2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, -2.0]
     """
-    measured, still = torque(qd), at_rest(qd)
+    everything = slice(None)
+    measured, still = torque(qd, everything), at_rest(qd)
     if not traced(still) and not np.any(still):
         return measured
     xp = array_namespace(measured, qd)
     slow = _REST_SPEED * xp.max(xp.abs(qd), axis=0, keepdims=True) * direction_before(qd, still)
-    without, whole = (torque(xp.where(still, velocity, qd)) for velocity in (0.0, slow))
-    return xp.where(xp.any(still, axis=1, keepdims=True), 0.5 * (without + whole), measured)
+    velocities = (xp.where(still, velocity, qd) for velocity in (0.0, slow))
+    some = xp.any(still, axis=1, keepdims=True)
+    if xp is np and sample_by_sample:
+        rows = np.flatnonzero(some)
+        without, whole = (torque(velocity[rows], rows) for velocity in velocities)
+        halved = np.array(measured)
+        halved[rows] = 0.5 * (without + whole)
+        return halved
+    without, whole = (torque(velocity, everything) for velocity in velocities)
+    return xp.where(some, 0.5 * (without + whole), measured)
