@@ -27,57 +27,43 @@ import jaxcslc as jc
 from jaxcslc.identification import Identification, fit_pre_sliding
 from jaxcslc.identification.report import text_table, write_csv
 from scripts.studies import command
+from scripts.studies.likelihood.dahl_pendulum import (
+    INTERVAL,
+    WEIGHT,
+    after_interval,
+    counted,
+    pendulum,
+    recording,
+    torque_error,
+)
 from scripts.studies.rows import Rows, made_of
 
 
 jax.config.update("jax_enable_x64", True)
 
 LENGTHS = (0.03, 2e-3, 5e-4, 1e-4)
-_INERTIA, _WEIGHT, _VISCOUS, _DRY = 0.4, 3.0, 0.3, 0.8
-_COUNT, _NOISE, _INTERVAL, _STEPS = 1e-4, 0.02, 0.005, 25
 _SETTINGS = jc.Settings(jc.Preparation(jc.Butterworth(20.0), threshold_fraction=0.0))
 
 
-def pendulum() -> tuple[jc.CSLC, Float[np.ndarray, " coefficients"]]:
-    """Its network, and the true coefficients."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
-    true = {"kB1": _INERTIA, "kB2": _WEIGHT / 9.81, "kB3": 0.0, "kv1": _VISCOUS, "kd1": _DRY}
-    return network, np.array([true[name] for name in network.names])
-
-
 def swing(length: float, seed: int, samples: int) -> jc.Recording:
-    """A recording of it; `length` of pre-sliding [rad]."""
+    """A recording of the pendulum; `length` of pre-sliding [rad]."""
     rng = np.random.default_rng(seed)
     phase, size = rng.uniform(0.0, 2.0 * np.pi, 3), rng.uniform(0.8, 1.2, 3)
-    t = _INTERVAL * np.arange(samples)
+    t = INTERVAL * np.arange(samples)
     cosines = np.sin(np.array([1.7, 5.1, 11.0]) * t[:, None] + phase)
-    torque = _WEIGHT + cosines @ (size * np.array([1.3, 1.0, 0.6]))
-    step, state, path = _INTERVAL / _STEPS, np.zeros(3), []
-
-    def rates(state: Float[np.ndarray, "3"], held: float) -> Float[np.ndarray, "3"]:
-        q, qd, w = state
-        net = held - _WEIGHT * np.cos(q) - _VISCOUS * qd - _DRY * w
-        return np.array([qd, net / _INERTIA, (qd - abs(qd) * w) / length])
-
+    torque = WEIGHT + cosines @ (size * np.array([1.3, 1.0, 0.6]))
+    state, path = np.zeros(3), []
     for held in torque:
         path.append(state[0])
-        for _ in range(_STEPS):
-            one = rates(state, held)
-            two = rates(state + 0.5 * step * one, held)
-            three = rates(state + 0.5 * step * two, held)
-            four = rates(state + step * three, held)
-            state = state + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
-    counts = _COUNT * np.round(np.array(path) / _COUNT)
-    noisy = torque + _NOISE * rng.normal(size=samples)
-    return jc.Recording(t, counts[:, None], noisy[:, None])
+        state = after_interval(state, held, length)
+    return recording(counted(np.array(path)), torque, rng)
 
 
 def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     """One row an estimator."""
-    (network, true), recording = pendulum(), swing(length, seed, samples)
+    (network, true), recorded = pendulum(), swing(length, seed, samples)
     started = time.process_time()
-    regression = fit_pre_sliding(network, _SETTINGS.patterns(recording))
+    regression = fit_pre_sliding(network, _SETTINGS.patterns(recorded))
     identified = tuple(regression.lengths.tolist())
     fits: dict[str, tuple[float, ...]] = {
         "step": (),
@@ -89,7 +75,7 @@ def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     for name, lengths in fits.items():
         started = time.process_time()
         options = jc.MaximumLikelihood(lengths=lengths, every=1, noise_order=0)
-        result = options.fit(network, recording)
+        result = options.fit(network, recorded)
         yield _row(name, result.fit, result.converged, lengths, true, started, length, seed)
 
 
@@ -103,15 +89,12 @@ def _row(
     length: float,
     seed: int,
 ) -> dict[str, Any]:
-    rng = np.random.default_rng(0)
-    q, qd, qdd = rng.uniform(-1, 1, (3, 300, 1)) * np.array([1.0, 2.0, 8.0])[:, None, None]
-    error = pendulum()[0].torque(np.asarray(fit.k) - true, q, qd, qdd)
     low, high = np.asarray(fit.confidence_interval()).T
     return {
         "length": length,
         "seed": seed,
         "estimator": name,
-        "error": float(np.sqrt(np.mean(np.square(error)))),
+        "error": torque_error(pendulum()[0], np.asarray(fit.k) - true),
         "inside": float(100 * np.mean((low <= true) & (true <= high))),
         "converged": bool(converged),
         "used_length": lengths[0] if lengths else 0.0,
@@ -143,7 +126,10 @@ def table(rows: Sequence[dict[str, Any]], length: float) -> str:
 
 def study(options: argparse.Namespace) -> int:
     """Makes what is missing, prints the tables and writes the rows."""
-    digest = made_of({"samples": options.samples}, [Path(__file__)])
+    digest = made_of(
+        {"samples": options.samples},
+        [Path(__file__), Path(__file__).with_name("dahl_pendulum.py")],
+    )
     finished = Rows(options.output / "rows.jsonl", ("length", "seed", "estimator"), digest)
     cases = [(length, seed) for length in LENGTHS for seed in command.seeds_of(options)]
     for length, seed in command.progress(cases, desc="recordings", unit="recording"):

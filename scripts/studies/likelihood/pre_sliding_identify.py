@@ -21,21 +21,27 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.identification import EstimatorChoice, FrictionChoice
 from jaxcslc.identification.report import text_table, write_csv
 from scripts.studies import command
-from scripts.studies.likelihood.pre_sliding import pendulum
+from scripts.studies.likelihood.dahl_pendulum import (
+    INERTIA,
+    INTERVAL,
+    WEIGHT,
+    after_interval,
+    counted,
+    pendulum,
+    recording,
+    torque_error,
+)
 from scripts.studies.rows import Rows, made_of
 
 
 jax.config.update("jax_enable_x64", True)
 
 LENGTHS = (0.03, 0.01, 2e-3)
-_INERTIA, _WEIGHT, _VISCOUS, _DRY = 0.4, 3.0, 0.3, 0.8
-_COUNT, _NOISE, _INTERVAL, _STEPS = 1e-4, 0.02, 0.005, 25
 # Of the position controller, at 30 rad/s.
 _STIFFNESS, _DAMPING = 360.0, 17.0
 _SIZE, _RATE = np.array([0.25, 0.12]), np.array([2.0, 5.3])
@@ -46,36 +52,24 @@ def controlled(length: float, seed: int, samples: int) -> jc.Recording:
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0.0, 2.0 * np.pi, 2)
     size, rate = _SIZE * rng.uniform(0.8, 1.2, 2), _RATE * rng.uniform(0.8, 1.2, 2)
-    t = _INTERVAL * np.arange(samples)
+    t = INTERVAL * np.arange(samples)
     angle = rate * t[:, None] + phase
     path, speed = np.sin(angle) @ size, np.cos(angle) @ (size * rate)
-    feedforward = -_INERTIA * np.sin(angle) @ (size * rate**2) + _WEIGHT * np.cos(path)
-    step, state = _INTERVAL / _STEPS, np.array([path[0], speed[0], 0.0])
-    counts, torque, before = np.zeros(samples), np.zeros(samples), path[0]
-
-    def rates(state: Float[np.ndarray, "3"], held: float) -> Float[np.ndarray, "3"]:
-        q, qd, w = state
-        net = held - _WEIGHT * np.cos(q) - _VISCOUS * qd - _DRY * w
-        return np.array([qd, net / _INERTIA, (qd - abs(qd) * w) / length])
-
+    feedforward = -INERTIA * np.sin(angle) @ (size * rate**2) + WEIGHT * np.cos(path)
+    state, before = np.array([path[0], speed[0], 0.0]), path[0]
+    counts, torque = np.zeros(samples), np.zeros(samples)
     for i in range(samples):
-        counts[i] = _COUNT * np.round(state[0] / _COUNT)
-        velocity, before = (counts[i] - before) / _INTERVAL if i else speed[0], counts[i]
+        counts[i] = counted(state[0])
+        velocity, before = (counts[i] - before) / INTERVAL if i else speed[0], counts[i]
         held = feedforward[i] + _STIFFNESS * (path[i] - counts[i])
-        torque[i] = held = held + _DAMPING * (speed[i] - velocity)
-        for _ in range(_STEPS):
-            one = rates(state, held)
-            two = rates(state + 0.5 * step * one, held)
-            three = rates(state + 0.5 * step * two, held)
-            four = rates(state + step * three, held)
-            state = state + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
-    noisy = torque + _NOISE * rng.normal(size=samples)
-    return jc.Recording(t, counts[:, None], noisy[:, None])
+        torque[i] = held + _DAMPING * (speed[i] - velocity)
+        state = after_interval(state, torque[i], length)
+    return recording(counts, torque, rng)
 
 
 def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     """One row a report."""
-    (network, true), recording = pendulum(), controlled(length, seed, samples)
+    (network, true), recorded = pendulum(), controlled(length, seed, samples)
     expected = dict(zip(network.names, true.tolist(), strict=True))
     terms: jc.CSLC | None = None
     reports: dict[str, EstimatorChoice] = {
@@ -85,14 +79,14 @@ def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     for name, estimator in reports.items():
         started = time.process_time()
         report = jc.identify(
-            network, recording, estimator=estimator, friction="auto", possible="never"
+            network, recorded, estimator=estimator, friction="auto", possible="never"
         )
         terms = report.network
         yield _row(name, report, expected, started, length, seed)
     assert terms is not None
     started = time.process_time()
     with_step = FrictionChoice(terms, ()).with_static_friction().network
-    report = jc.identify(with_step, recording, estimator="maximum-likelihood", possible="never")
+    report = jc.identify(with_step, recorded, estimator="maximum-likelihood", possible="never")
     yield _row("likelihood, step", report, expected, started, length, seed)
 
 
@@ -106,10 +100,7 @@ def _row(
 ) -> dict[str, Any]:
     states = report.pre_sliding
     fit = report.fit if states is None else states.fit
-    rng = np.random.default_rng(0)
-    q, qd, qdd = rng.uniform(-1, 1, (3, 300, 1)) * np.array([1.0, 2.0, 8.0])[:, None, None]
     true = np.array([expected.get(name, 0.0) for name in report.network.names])
-    error = report.network.torque(np.asarray(fit.k) - true, q, qd, qdd)
     systematic = report.systematic if states is None or report.lengths.any() else None
     interval = jc.identification.uncertainty_interval(fit, systematic)
     low, high = np.asarray(interval).T
@@ -118,7 +109,7 @@ def _row(
         "length": length,
         "seed": seed,
         "report": name,
-        "error": float(np.sqrt(np.mean(np.square(error)))),
+        "error": torque_error(report.network, np.asarray(fit.k) - true),
         "inside": float(100 * np.mean(((low <= true) & (true <= high))[known])),
         "used_length": 0.0 if states is None else float(states.lengths[0]),
         "seconds": time.process_time() - started,
@@ -150,7 +141,10 @@ def table(rows: Sequence[dict[str, Any]], length: float) -> str:
 
 def study(options: argparse.Namespace) -> int:
     """Makes what is missing, prints the tables and writes the rows."""
-    digest = made_of({"samples": options.samples}, [Path(__file__)])
+    digest = made_of(
+        {"samples": options.samples},
+        [Path(__file__), Path(__file__).with_name("dahl_pendulum.py")],
+    )
     finished = Rows(options.output / "rows.jsonl", ("length", "seed", "report"), digest)
     cases = [(length, seed) for length in LENGTHS for seed in command.seeds_of(options)]
     for length, seed in command.progress(cases, desc="recordings", unit="recording"):

@@ -1,0 +1,67 @@
+"""A pendulum whose dry friction yields before it slides (Dahl 1968): what studies record and judge.
+
+0.4 kg m², a weight of 3 N m, viscous friction of 0.3 N m s/rad and dry friction of 0.8 N m; torques
+are held for 5 ms each, within which Runge and Kutta's method goes in steps of 0.2 ms.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+import jaxcslc as jc
+
+
+INERTIA, WEIGHT, VISCOUS, DRY = 0.4, 3.0, 0.3, 0.8
+INTERVAL = 0.005  # s, that torques are held for and positions are read after
+COUNT = 1e-4  # rad
+_STEPS, _NOISE = 25, 0.02
+
+State = Float[np.ndarray, "3"]
+"""Position [rad], velocity [rad/s], and the contact's state from -1 to 1."""
+
+
+def pendulum() -> tuple[jc.CSLC, Float[np.ndarray, " coefficients"]]:
+    """Its network, and the true coefficients."""
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    true = {"kB1": INERTIA, "kB2": WEIGHT / 9.81, "kB3": 0.0, "kv1": VISCOUS, "kd1": DRY}
+    return network, np.array([true[name] for name in network.names])
+
+
+def after_interval(state: State, torque: float, length: float) -> State:
+    """The state after a torque [N m] was held for an interval; `length` of pre-sliding [rad]."""
+
+    def rates(state: State) -> State:
+        q, qd, w = state
+        net = torque - WEIGHT * np.cos(q) - VISCOUS * qd - DRY * w
+        return np.array([qd, net / INERTIA, (qd - abs(qd) * w) / length])
+
+    step = INTERVAL / _STEPS
+    for _ in range(_STEPS):
+        one = rates(state)
+        two = rates(state + 0.5 * step * one)
+        three = rates(state + 0.5 * step * two)
+        four = rates(state + step * three)
+        state = state + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
+    return state
+
+
+def counted(position: Float[np.ndarray, "*samples"] | float) -> Float[np.ndarray, "*samples"]:
+    """Positions as the encoder reads them [rad]."""
+    return COUNT * np.round(np.asarray(position) / COUNT)
+
+
+def recording(
+    position: Float[np.ndarray, " samples"],
+    torque: Float[np.ndarray, " samples"],
+    rng: np.random.Generator,
+) -> jc.Recording:
+    """Of positions that were read and torques that acted [N m], with torque noise of 0.02 N m."""
+    noisy = torque + _NOISE * rng.normal(size=len(torque))
+    return jc.Recording(INTERVAL * np.arange(len(torque)), position[:, None], noisy[:, None])
+
+
+def torque_error(network: jc.CSLC, difference: Float[np.ndarray, " coefficients"]) -> float:
+    """RMS torque of a difference of coefficients where the pendulum slides [N m]."""
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.uniform(-1, 1, (3, 300, 1)) * np.array([1.0, 2.0, 8.0])[:, None, None]
+    return float(np.sqrt(np.mean(np.square(network.torque(difference, q, qd, qdd)))))
