@@ -44,7 +44,7 @@ from ._residual_thresholds import (
     StaticFriction as StaticFriction,
     thresholds_from_residuals as thresholds_from_residuals,
 )
-from ._rest import at_rest as at_rest, direction_before as direction_before
+from ._rest import at_rest as at_rest, directions_beside as directions_beside
 from ._sampling import (
     Sampling as Sampling,
     encoder_resolution as encoder_resolution,

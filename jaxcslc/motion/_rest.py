@@ -49,10 +49,12 @@ def at_rest(qd: Velocities) -> Bool[Array | np.ndarray, "samples joints"]:
     return still
 
 
-def direction_before(
+def directions_beside(
     qd: Velocities, still: Bool[Array | np.ndarray, "samples joints"]
-) -> Float[Array | np.ndarray, "samples joints"]:
-    """Which way each joint went last, at samples where it stands still.
+) -> tuple[
+    Float[Array | np.ndarray, "samples joints"], Float[Array | np.ndarray, "samples joints"]
+]:
+    """Which way each joint went before it stands still, and which way it goes afterwards.
 
     **Arguments**
 
@@ -61,15 +63,23 @@ def direction_before(
 
     **Returns**
 
-    The sign of the last velocity outside `still`, shape `(samples, joints)`; 0 where there was none
-    yet. Outside `still` the sign of the velocity itself.
+    The signs of the last velocity before and of the first one after, outside `still`, shape
+    `(samples, joints)` each; 0 where there is none. Outside `still` both are the sign of the
+    velocity itself.
 
     >>> import numpy as np
-    >>> from jaxcslc.motion import direction_before
+    >>> from jaxcslc.motion import directions_beside
     >>> qd = np.array([0.0, -1.0, 1e-6, 1e-6, 2.0])[:, None]
-    >>> direction_before(qd, np.abs(qd) < 1e-3)[:, 0].tolist()
-    [0.0, -1.0, -1.0, -1.0, 1.0]
+    >>> before, after = directions_beside(qd, np.abs(qd) < 1e-3)
+    >>> before[:, 0].tolist(), after[:, 0].tolist()
+    ([0.0, -1.0, -1.0, -1.0, 1.0], [-1.0, -1.0, 1.0, 1.0, 1.0])
     """
+    return _before(qd, still), _before(qd[::-1], still[::-1])[::-1]
+
+
+def _before(
+    qd: Velocities, still: Bool[Array | np.ndarray, "samples joints"]
+) -> Float[Array | np.ndarray, "samples joints"]:
     xp = array_namespace(qd, still)
     index = xp.where(still, -1, xp.arange(qd.shape[0])[:, None])
     last = np.maximum.accumulate(index) if xp is np else jax.lax.cummax(jnp.asarray(index))

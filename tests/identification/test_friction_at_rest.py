@@ -1,4 +1,4 @@
-"""Half the friction at rest: against literal loops, at its edges, under every transform."""
+"""Friction at rest, the mean of before and after: literal loops, edges, every transform."""
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.identification import predicted_torque
 from jaxcslc.identification.friction import along_motion, state_at
-from jaxcslc.motion import at_rest, direction_before
+from jaxcslc.motion import at_rest, directions_beside
 
 
 SAMPLES = 400
@@ -47,15 +47,20 @@ def test_rests_and_directions_are_those_of_a_literal_loop(rng: np.random.Generat
     assert still[:, 0].sum() == 7 + 5 + 80 + 10 and not still[:, 1:].any()
     np.testing.assert_array_equal(at_rest(qd), still)
     np.testing.assert_array_equal(at_rest(jnp.asarray(qd)), still)
-    expected = np.zeros(qd.shape)
+    before, after = np.zeros(qd.shape), np.zeros(qd.shape)
     for joint in range(qd.shape[1]):
-        last = 0.0
-        for sample in range(len(qd)):
-            if not still[sample, joint]:
-                last = float(np.sign(qd[sample, joint]))
-            expected[sample, joint] = last
-    np.testing.assert_array_equal(direction_before(qd, still), expected)
-    np.testing.assert_array_equal(direction_before(jnp.asarray(qd), jnp.asarray(still)), expected)
+        for expected, samples in ((before, range(len(qd))), (after, reversed(range(len(qd))))):
+            last = 0.0
+            for sample in samples:
+                if not still[sample, joint]:
+                    last = float(np.sign(qd[sample, joint]))
+                expected[sample, joint] = last
+    for directions in (
+        directions_beside(qd, still),
+        directions_beside(jnp.asarray(qd), jnp.asarray(still)),
+    ):
+        np.testing.assert_array_equal(directions[0], before)
+        np.testing.assert_array_equal(directions[1], after)
 
 
 @pytest.mark.parametrize("samples", [0, 1, 4])
@@ -81,21 +86,23 @@ def patterns_of(qd: np.ndarray, rng: np.random.Generator) -> jc.Patterns:
     return jc.Patterns(0.01 * np.arange(len(qd)), q, qd, qdd, torque, pairs, pairs)
 
 
-def test_friction_at_rest_is_half_that_of_the_last_direction(
+def test_friction_at_rest_is_the_mean_of_that_before_and_after(
     arm: tuple[jc.CSLC, np.ndarray], rng: np.random.Generator
 ) -> None:
     """The other terms are those of a joint that stands: written out, joint by joint."""
     network, k = arm
     patterns = patterns_of(velocities(rng)[:, :2], rng)
     still = literal_rests(np.asarray(patterns.qd))
-    direction = direction_before(np.asarray(patterns.qd), still)
+    before, after = directions_beside(np.asarray(patterns.qd), still)
     named = dict(zip(network.names, k, strict=True))
     stopped = np.where(still, 0.0, patterns.qd)
-    # At velocity 0 signs are 0: no dry and no static friction, of all of it half is missing.
+    # At velocity 0 signs are 0: no dry and no static friction.
     expected = np.array(network.torque(k, patterns.q, stopped, patterns.qdd))
     for joint in range(2):
         whole = named[f"kd{joint + 1}"] + named[f"ks{joint + 1}"]
-        expected[:, joint] += np.where(still[:, joint], 0.5 * whole * direction[:, joint], 0.0)
+        expected[:, joint] += np.where(
+            still[:, joint], 0.5 * whole * (before + after)[:, joint], 0.0
+        )
     assert still.any()
     assert_allclose(predicted_torque(network, patterns, k), expected, rtol=1e-9, atol=1e-9)
 
@@ -128,7 +135,7 @@ def test_every_transform_agrees(arm: tuple[jc.CSLC, np.ndarray], rng: np.random.
 
 
 def test_states_of_pre_sliding_are_left_alone(rng: np.random.Generator) -> None:
-    """A joint with a length keeps what its state says at rest, the other one half its friction."""
+    """A joint with a length keeps what its state says, the other one half at the end."""
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, 0, -9.81))
     network = jc.derive(robot.with_friction("dry"), lengths="numeric")
     patterns = patterns_of(rng.normal(size=(SAMPLES, 2)), rng)

@@ -12,7 +12,7 @@ from ..._text_table import text_table
 from ...motion import Patterns
 from ...network import CSLC, AbstractLinearNetwork
 from ..friction import has_states
-from ..solver import friction_halved_at_rest, torque_of, traced
+from ..solver import friction_averaged_at_rest, torque_of, traced
 
 
 Numbers = Array | np.ndarray
@@ -201,8 +201,8 @@ def predicted_torque(
 ) -> Float[Numbers, "samples joints"]:
     """What coefficients predict of the torque along a motion.
 
-    The network's torque, with half the friction of joints that stand still
-    (`friction_halved_at_rest`).
+    The network's torque; of joints that stand still, with the mean of the friction of the motion
+    before and of that after (`friction_averaged_at_rest`).
 
     **Arguments**
 
@@ -220,7 +220,7 @@ def predicted_torque(
     >>> zeros, pairs = 0 * qd, np.ones(qd.shape, bool)
     >>> patterns = jc.Patterns(np.arange(8.0), zeros, qd, zeros, zeros, pairs, pairs)
     >>> predicted_torque(network, patterns, np.array([0.5, 2.0]))[:, 0].tolist()
-    [2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, -2.0]
+    [2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, -2.0]
     """
     if not (isinstance(network, CSLC) and network.layout.friction.size):
         return _torque(network, patterns, k)
@@ -230,7 +230,7 @@ def predicted_torque(
         return _torque(network, dataclasses.replace(of_rows, qd=qd), k)
 
     states = has_states(network)  # they are along all of the motion
-    return friction_halved_at_rest(of_samples, patterns.qd, sample_by_sample=not states)
+    return friction_averaged_at_rest(of_samples, patterns.qd, sample_by_sample=not states)
 
 
 def _torque(

@@ -24,7 +24,7 @@ from ._factors import (
     triangle_of as triangle_of,
 )
 from ._fixed import Fixed as Fixed, Previous as Previous
-from ._friction_at_rest import friction_halved_at_rest as friction_halved_at_rest
+from ._friction_at_rest import friction_averaged_at_rest as friction_averaged_at_rest
 from ._identification import (
     MEANINGLESS_CONDITION as MEANINGLESS_CONDITION,
     RESULTS as RESULTS,

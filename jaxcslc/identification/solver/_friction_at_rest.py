@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._environment import array_namespace
-from ...motion import at_rest, direction_before
+from ...motion import at_rest, directions_beside
 from ._compiled import traced
 
 
@@ -19,26 +19,19 @@ Selection: TypeAlias = slice | Int[np.ndarray, " some"]
 """Of samples."""
 
 
-def friction_halved_at_rest(
+def friction_averaged_at_rest(
     torque: Callable[[Rows, Selection], Rows], qd: Rows, *, sample_by_sample: bool = True
 ) -> Rows:
-    """Torque along a motion, with half the friction of joints that stand still.
+    """Torque along a motion; at rest with the mean of the friction before and after.
 
     While a joint moves, its friction has the direction of its velocity. When it stops, what is left
-    of it is anything from none to that of the direction the joint came from, and the velocity does
-    not say: a measured one has the sign of its noise, or of a controller's creep. The middle is at
-    most half the friction wrong. Before a first motion it is none; where recordings are joined, a
-    rest at the beginning of one follows the motion at the end of the one before.
+    of that is anything up to all of it, and before it moves on, friction is that of the new
+    direction. Between these, a measured velocity has the sign of its noise, or of a controller's
+    creep. So a joint that turns back has none on average, one that goes on has all, and one that
+    stands still at the beginning or at the end of a recording has half. Where recordings are
+    joined, a rest at the beginning of one follows the motion at the end of the one before.
 
-    On real arms with long rests this is nearer than the alternatives. Over all samples of motion
-    that was not fitted, errors of joints 1 to 6 in percent of the torque
-    (`scripts/studies/real_robots/rests.py`), with
-
-    - half of it: TX40, a third to a half of whose motion is rest, 19 13 18 26 71 34; KR300, motion
-      C, 21 17 11 37 20 23;
-    - the sign of measured velocity: 20 14 22 33 109 66; 22 17 11 38 19 24;
-    - none: 19 17 15 23 46 47; 22 18 11 41 21 25;
-    - all of it: 20 11 28 40 136 27; 21 17 11 35 19 21.
+    `scripts/studies/real_robots/rests.py` compares this with other rules on real arms.
 
     **Arguments**
 
@@ -51,24 +44,26 @@ def friction_halved_at_rest(
     (`jaxcslc.motion.at_rest`).
 
     >>> import numpy as np
-    >>> from jaxcslc.identification.solver import friction_halved_at_rest
+    >>> from jaxcslc.identification.solver import friction_averaged_at_rest
     >>> qd = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0])[:, None]
-    >>> friction_halved_at_rest(lambda qd, rows: 2.0 * np.sign(qd), qd)[:, 0].tolist()
-    [2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, -2.0]
+    >>> friction_averaged_at_rest(lambda qd, rows: 2.0 * np.sign(qd), qd)[:, 0].tolist()
+    [2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, -2.0]
     """
     everything = slice(None)
     measured, still = torque(qd, everything), at_rest(qd)
     if not traced(still) and not np.any(still):
         return measured
     xp = array_namespace(measured, qd)
-    slow = _REST_SPEED * xp.max(xp.abs(qd), axis=0, keepdims=True) * direction_before(qd, still)
-    velocities = (xp.where(still, velocity, qd) for velocity in (0.0, slow))
+    slow = _REST_SPEED * xp.max(xp.abs(qd), axis=0, keepdims=True)
+    velocities = (
+        xp.where(still, slow * direction, qd) for direction in directions_beside(qd, still)
+    )
     some = xp.any(still, axis=1, keepdims=True)
     if xp is np and sample_by_sample:
         rows = np.flatnonzero(some)
-        without, whole = (torque(velocity[rows], rows) for velocity in velocities)
-        halved = np.array(measured)
-        halved[rows] = 0.5 * (without + whole)
-        return halved
-    without, whole = (torque(velocity, everything) for velocity in velocities)
-    return xp.where(some, 0.5 * (without + whole), measured)
+        before, after = (torque(velocity[rows], rows) for velocity in velocities)
+        averaged = np.array(measured)
+        averaged[rows] = 0.5 * (before + after)
+        return averaged
+    before, after = (torque(velocity, everything) for velocity in velocities)
+    return xp.where(some, 0.5 * (before + after), measured)

@@ -13,12 +13,12 @@ What `jaxcslc identify` reaches on published recordings of real arms, by its def
 decides more by itself, beside the usual pipeline. Each recording is divided once and for all into
 motion that is fitted and motion that is judged, and nothing of a fit is chosen on the latter. (Two
 things were set with these figures known: possible bodies are used at odds of one in five; at one in
-twenty, `auto` was least squares without them on the KR300. And half the friction of joints at rest
-is predicted, for all methods.) Numbers are 100·‖error‖/‖torque‖ of each joint [%], of the raw
-torque, on motion smoothed in one way for all: over all samples and, after the stroke, over those
-that masks leave in (no slow motion, where friction is not known). Of joints that stand still, half
-the friction counts ([why](friction.md#joints-that-stand-still)). In bold: the least error over all
-samples, joint by joint, and those within 2 % of it.
+twenty, `auto` was least squares without them on the KR300. And
+[friction at rest](friction.md#joints-that-stand-still), for all methods.) Numbers are
+100·‖error‖/‖torque‖ of each joint [%], of the raw torque, on motion smoothed in one way for all:
+over all samples and, after the stroke, over those that masks leave in (no slow motion, where
+friction is not known). In bold: the least error over all samples, joint by joint, and those within
+2 % of it.
 
 - **usual pipeline**: 20 Hz Butterworth of order 4, forwards and backwards, on positions and
   torques, central differences, ordinary (OLS) or weighted (WLS) least squares; what examples of

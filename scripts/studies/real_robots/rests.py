@@ -5,9 +5,8 @@ on the motion that is judged, of the raw torque, over all samples, as in `study.
 joints at rest (`jaxcslc.motion.at_rest`) is
 
 - by the sign of the measured velocity, as of joints that move;
-- a part of the friction of the direction that the joint came from: none, half, or all of it.
-
-`jaxcslc.identification.predicted_torque` takes half.
+- none; that of the motion before; or the mean of that of the motion before and after, as
+  `jaxcslc.identification.predicted_torque` has it (unknown at the ends of a recording: none).
 """
 
 import dataclasses
@@ -17,7 +16,7 @@ import jax
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.motion import at_rest, direction_before
+from jaxcslc.motion import at_rest, directions_beside
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
@@ -25,7 +24,6 @@ from scripts.studies.real_robots.arms import Arm
 
 jax.config.update("jax_enable_x64", True)
 
-PARTS = {"none": 0.0, "half": 0.5, "all": 1.0}
 _SLOW = 1e-12  # rad/s: only its sign counts
 
 
@@ -39,16 +37,18 @@ def lines_of(name: str, arm: Arm) -> list[list[str]]:
         patterns = raw.patterns(recording)
         torque, qd = np.asarray(patterns.torque), np.asarray(patterns.qd)
         still = np.asarray(at_rest(qd))
-        before = _SLOW * np.asarray(direction_before(qd, still))
-        by_sign, without, whole = (
-            _errors(report, dataclasses.replace(patterns, qd=velocity), torque)
-            for velocity in (qd, np.where(still, 0.0, qd), np.where(still, before, qd))
-        )
-        some = still.any(axis=1, keepdims=True)
-        errors = {"sign of velocity": by_sign} | {
-            kind: np.where(some, (1.0 - part) * without + part * whole, by_sign)
-            for kind, part in PARTS.items()
+        before, after = (_SLOW * np.asarray(x) for x in directions_beside(qd, still))
+        errors = {
+            name: _errors(report, dataclasses.replace(patterns, qd=velocity), torque)
+            for name, velocity in (
+                ("sign of velocity", qd),
+                ("none", np.where(still, 0.0, qd)),
+                ("of the motion before", np.where(still, before, qd)),
+                ("of the motion after", np.where(still, after, qd)),
+            )
         }
+        last = errors.pop("of the motion after")
+        errors["mean of before and after"] = 0.5 * (errors["of the motion before"] + last)
         rows += [
             [name, test, kind, *_texts(100.0 * _size(error) / _size(torque))]
             for kind, error in errors.items()

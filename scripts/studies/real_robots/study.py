@@ -13,7 +13,7 @@ defaults: nothing is chosen on the motion that is judged. Methods:
 
 The error is 100 |e| / |torque| of each joint, of the raw torque, over all samples and over those
 that the settings' masks leave in. All are judged on the same motion, smoothed as `jaxcslc identify`
-chose on the training recording, with half the friction of joints that stand still; the usual
+chose on the training recording, with friction at rest as `predicted_torque` has it; the usual
 pipeline also on its own motion, and with friction by the sign of velocity, and the best counts.
 
 Rows of finished arms are kept in `rows.jsonl`; an interrupted run goes on from there. `--page`
