@@ -10,6 +10,7 @@ from ._build import Preprocessed as Preprocessed, fully_connected as fully_conne
 from ._inverse_dynamics import (
     InverseDynamicsInputs as InverseDynamicsInputs,
     inverse_dynamics as inverse_dynamics,
+    subnetwork_masks as subnetwork_masks,
 )
 from ._layers import ContextLayer as ContextLayer, Layer as Layer
 from ._linear_combiner import (

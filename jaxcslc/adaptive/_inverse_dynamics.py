@@ -4,10 +4,12 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..derivation import Table
+from ..motion import Patterns
 from ..network import CSLC, JAX_FUNCTIONS, input_rows
+from ..network.terms import LOAD
 from ._activations import LINEAR_COMBINER
 from ._layers import ContextLayer, Layer
 from ._links import Links
@@ -115,6 +117,57 @@ def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
         parts.append(Subnetwork(term.kind, (Layer(links),)))
     return AdaptiveNetwork(
         tuple(parts), InverseDynamicsInputs(network), LINEAR_COMBINER, network.names
+    )
+
+
+def subnetwork_masks(
+    network: AdaptiveNetwork, patterns: Patterns
+) -> Bool[np.ndarray, "subnetworks samples joints"]:
+    """Return which pairs of sample and joint each subnetwork learns from (thesis 7.2.2).
+
+    Static friction, which viscous and Coulomb friction cannot explain, matters at slow pairs. It
+    averages out in the mass, velocity and gravity subnetworks, and does not in those of friction.
+    So friction learns from the pairs of `patterns.mask`. The other subnetworks also learn from
+    slow pairs. Pairs in possible backlash are left out of all.
+
+    **Arguments**
+
+    - `network`: from `inverse_dynamics`. Friction is what its robot's friction model names, except
+      springs.
+    - `patterns`: n joints.
+
+    **Returns**
+
+    True where a pair counts, shape `(subnetworks, samples, n)`: the `counts` of
+    `jaxcslc.training.examples`.
+
+    **Raises**
+
+    - `ValueError`: for another network, whose subnetworks are not of inverse dynamics.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.adaptive import inverse_dynamics, subnetwork_masks
+    >>> network = inverse_dynamics(jc.derive(jc.puma560()))
+    >>> motion, slow = np.ones((2, 6)), np.array([[True] * 6, [False] * 6])
+    >>> patterns = jc.Patterns(np.arange(2.0), *[motion] * 4, motion > 0, slow)
+    >>> masks = subnetwork_masks(network, patterns)
+    >>> dict(zip(network.groups, masks[:, 1, 0].tolist()))
+    {'mass': True, 'velocity': True, 'gravity': True, 'viscous': False, 'dry': False}
+    """
+    inputs = network.preprocess
+    if not isinstance(inputs, InverseDynamicsInputs):
+        raise ValueError(
+            "masks by subnetwork: expected a network from `inverse_dynamics`, got one with other"
+            f" subnetworks: {', '.join(part.name for part in network.subnetworks)}"
+        )
+    friction = {
+        term.kind
+        for term in inputs.network.input_terms
+        if not {"friction", LOAD}.isdisjoint(term.parts)
+    }
+    mask, backlash_mask = np.asarray(patterns.mask), np.asarray(patterns.backlash_mask)
+    return np.stack(
+        [mask if part.name in friction else backlash_mask for part in network.subnetworks]
     )
 
 

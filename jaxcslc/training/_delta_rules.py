@@ -2,7 +2,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals
-from ._rules import AbstractRule, Numbers, Weights, change_of_weights, transposed_product
+from ._rules import (
+    AbstractRule,
+    Counts,
+    Numbers,
+    Weights,
+    change_of_weights,
+    of_subnetwork,
+    transposed_product,
+)
 
 
 class PerceptronRule(AbstractRule):
@@ -30,11 +38,11 @@ class PerceptronRule(AbstractRule):
         weights: Weights,
         signals: Signals,
         targets: Numbers,
-        counts: Numbers,
+        counts: Counts,
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         passage = network.forward(weights, signals)
-        errors = (targets - network.activation.value(passage.total)) * counts
+        errors = (targets - network.activation.value(passage.total)) * of_subnetwork(counts, 0)
         move = transposed_product(errors, passage.layer_inputs[0][0])
         return change_of_weights(network, [move], learning)
 
@@ -45,6 +53,9 @@ class Backpropagation(AbstractRule):
     Through any number of adaptive layers and context-sensitive ones. The change of a shared
     weight is its gradient, by the chain rule through every link's multiple, divided by how many
     links share it (5.2.6): at one rate for all layers it vanishes where the gradient does.
+
+    Pairs that count for some subnetworks only (7.2.2) have errors in these alone. The change is
+    then the gradient of no cost, and training ends at `NormalEquations.solution`.
     """
 
     @property
@@ -67,18 +78,18 @@ class Backpropagation(AbstractRule):
         weights: Weights,
         signals: Signals,
         targets: Numbers,
-        counts: Numbers,
+        counts: Counts,
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         passage = network.forward(weights, signals)
         slope = network.activation.slope
         assert slope is not None, self.check_network(network)
-        errors = (targets - network.activation.value(passage.total)) * counts
-        at_outputs = errors * slope(passage.total)
+        errors = targets - network.activation.value(passage.total)
+        slopes = slope(passage.total)
 
         moves: list[Array] = []
         for at, subnetwork in enumerate(network.subnetworks):
-            delta = at_outputs
+            delta = errors * of_subnetwork(counts, at) * slopes
             for layer, context in zip(
                 reversed(subnetwork.contexts), reversed(signals.contexts[at]), strict=True
             ):

@@ -324,11 +324,11 @@ def _one_by_one(
     # Patterns first, so that a step reads one stretch of memory.
     rows = jax.tree.map(
         lambda x: jnp.moveaxis(x, -1, 0),
-        (training_set.signals, training_set.targets, training_set.counts),
+        (training_set.signals, training_set.targets, training_set.learning_counts),
     )
 
     def step(weights: Array, at: Array) -> tuple[Array, None]:
-        signals, targets, counts = jax.tree.map(lambda x: x[at][:, None], rows)
+        signals, targets, counts = jax.tree.map(lambda x: x[at][..., None], rows)
         change = rule.change(network, weights, signals, targets, counts, learning)
         return weights + rates @ change, None
 

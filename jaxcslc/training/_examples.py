@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals, Subnetwork
 from ._costs import Cost
-from ._rules import AbstractRule
+from ._rules import AbstractRule, Counts, of_subnetwork
 from .fused import CostKernel, batched_by, cost_kernel, summed_change
 
 
@@ -40,10 +40,8 @@ def _reach(subnetworks: tuple[Subnetwork, ...]) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(sorted(weights)) for weights in reaching)
 
 
-def covered(
-    network: AdaptiveNetwork, signals: Signals, counts: Float[Array, "outputs patterns"]
-) -> Bool[Array, " weights"]:
-    """Which weights at least one pair that counts can tell something of.
+def covered(network: AdaptiveNetwork, signals: Signals, counts: Counts) -> Bool[Array, " weights"]:
+    """Which weights at least one pair that counts for their subnetwork can tell something of.
 
     Moduli all the way, so that nothing cancels: what counts is carried back to the links of the
     first layer through whatever is not zero. Hidden nodes are taken to answer something.
@@ -56,13 +54,12 @@ def _covered(
     subnetworks: tuple[Subnetwork, ...],
     size: int,
     signals: Signals,
-    counts: Float[Array, "outputs patterns"],
+    counts: Counts,
 ) -> Bool[Array, " weights"]:
     total = jnp.zeros(size, counts.dtype)
-    for subnetwork, inputs, contexts in zip(
-        subnetworks, signals.inputs, signals.contexts, strict=True
-    ):
-        back = counts
+    for at, subnetwork in enumerate(subnetworks):
+        inputs, contexts = signals.inputs[at], signals.contexts[at]
+        back = of_subnetwork(counts, at)
         for layer, context in zip(reversed(subnetwork.contexts), reversed(contexts), strict=True):
             back = layer.backward(back, jnp.abs(context))
         for number, layer in reversed(list(enumerate(subnetwork.layers))):
@@ -85,16 +82,24 @@ class Examples(eqx.Module):
     - `signals`: preprocessed inputs and contexts.
     - `targets`: (outputs, patterns).
     - `counts`: (outputs, patterns), one where the pair of output and pattern takes part in
-      learning and zero where it is masked.
+      learning and zero where it is masked. Costs are of these pairs.
     - `condensed`: for a network with context-sensitive layers that is linear in its weights,
       for every output the sensitivity to each weight that reaches it, (weights, patterns);
       otherwise none. What an epoch needs to know a cost, in a tenth of the operations.
+    - `subnetwork_counts`: (subnetworks, outputs, patterns), of the pairs of `counts`, those that
+      each subnetwork learns from (7.2.2); none where all learn from all of them.
     """
 
     signals: Signals
     targets: Float[Array, "outputs patterns"]
     counts: Float[Array, "outputs patterns"]
     condensed: tuple[Float[Array, "_ patterns"], ...] | None
+    subnetwork_counts: Float[Array, "subnetworks outputs patterns"] | None = None
+
+    @property
+    def learning_counts(self) -> Counts:
+        """What rules take: the pairs of each subnetwork, or those of all."""
+        return self.counts if self.subnetwork_counts is None else self.subnetwork_counts
 
     @property
     def patterns(self) -> Float[Array, ""]:
@@ -189,7 +194,7 @@ class Examples(eqx.Module):
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         """A batch's move at a rate of one: the mean over patterns."""
-        patterns = self.signals, self.targets, self.counts
+        patterns = self.signals, self.targets, self.learning_counts
         return summed_change(network, rule, weights, *patterns, learning) / self.patterns
 
     def totals(
@@ -237,7 +242,7 @@ def examples(
     network: AdaptiveNetwork,
     patterns: Any,
     targets: Float[Array | np.ndarray, "patterns outputs"],
-    counts: Bool[Array | np.ndarray, "patterns outputs"] | None = None,
+    counts: Bool[Array | np.ndarray, "*subnetworks patterns outputs"] | None = None,
 ) -> Examples:
     """Patterns and targets as training takes them.
 
@@ -247,11 +252,13 @@ def examples(
     - `patterns`: whatever the network's preprocessing takes: (patterns, inputs), or motion.
     - `targets`: (patterns, o), within the range of the network's activation.
     - `counts`: (patterns, o), False for pairs of pattern and output to leave out (5.2.4, 7.5);
-      all count if omitted.
+      all count if omitted. (subnetworks, patterns, o) for subnetworks that learn from different
+      pairs, as friction does in 7.2.2: see `jaxcslc.adaptive.subnetwork_masks`. Costs are then
+      of all pairs that count for any subnetwork.
 
     **Raises** `ValueError`, unless under `jit` or `vmap`, if targets are not of that shape or
-    not finite, lie outside what the activation can answer, or if no pair that counts reaches
-    one of the weights.
+    not finite, lie outside what the activation can answer, or if no pair that counts for its
+    subnetwork reaches one of the weights.
 
     >>> import numpy as np
     >>> from jaxcslc.adaptive import fully_connected
@@ -270,12 +277,20 @@ def examples(
             f"targets: expected shape ({samples if samples >= 0 else 'patterns'}, {outputs}), one"
             f" row a pattern and one column an output, got {wanted.shape}"
         )
-    if counts is not None and jnp.shape(counts) != wanted.shape:
-        raise ValueError(f"counts: expected shape {wanted.shape}, got {jnp.shape(counts)}")
+    by_subnetwork = (len(network.subnetworks), *wanted.shape)
+    if counts is not None and jnp.shape(counts) not in (wanted.shape, by_subnetwork):
+        raise ValueError(
+            f"counts: expected shape {wanted.shape}, or {by_subnetwork} for masks by subnetwork,"
+            f" got {jnp.shape(counts)}"
+        )
     dtype = jnp.result_type(float, signals.inputs[0])
     taking_part = jnp.ones(wanted.shape, dtype) if counts is None else jnp.asarray(counts, dtype)
-    wanted = jnp.where(taking_part.T > 0, wanted.T.astype(dtype), 0.0)
-    training_set = Examples(signals, wanted, taking_part.T, None)
+    learning_counts = jnp.swapaxes(taking_part, -1, -2)
+    subnetwork_counts = learning_counts if learning_counts.ndim == 3 else None
+    if subnetwork_counts is not None:
+        learning_counts = jnp.max(subnetwork_counts, axis=0)
+    wanted = jnp.where(learning_counts > 0, wanted.T.astype(dtype), 0.0)
+    training_set = Examples(signals, wanted, learning_counts, None, subnetwork_counts)
     _check(network, training_set, named=jnp.asarray(targets))
     with_contexts = any(subnetwork.contexts for subnetwork in network.subnetworks)
     if network.linear and with_contexts:
@@ -335,7 +350,7 @@ def _check(network: AdaptiveNetwork, training_set: Examples, named: Array) -> No
             f" {values[pattern, output]:g}, but a hard limiter answers 0 or 1 only"
         )
     missing = np.flatnonzero(
-        ~np.asarray(covered(network, training_set.signals, training_set.counts))
+        ~np.asarray(covered(network, training_set.signals, training_set.learning_counts))
     )
     if len(missing):
         names = ", ".join(network.names[index] for index in missing[:5])

@@ -27,15 +27,22 @@ class NormalEquations(eqx.Module):
     **Attributes**
 
     - `gram`: (p, p), the mean over patterns of regressor' regressor.
-    - `layered`: (groups, p, p), its parts by the adaptive layer that the left factor belongs to.
-    - `moment`: (groups, p), the mean of regressor' target, by layer.
+    - `moment`: (p,), the mean of regressor' target.
     - `square`: mean over patterns of the summed squared targets.
+    - `layered_gram`: (groups, p, p), parts of `gram` by the adaptive layer that the left factor
+      belongs to.
+    - `layered_moment`: (groups, p), parts of `moment` by layer.
+
+    Where subnetworks learn from pairs of their own, `gram`, `moment` and `square` are of all pairs
+    that count for any, as costs are. A layer's parts are of its own pairs. The sum of
+    `layered_gram` is then not `gram`, and not symmetric.
     """
 
     gram: Float[Array, "*sets weights weights"]
-    layered: Float[Array, "*sets groups weights weights"]
-    moment: Float[Array, "*sets groups weights"]
+    moment: Float[Array, "*sets weights"]
     square: Float[Array, "*sets"]
+    layered_gram: Float[Array, "*sets groups weights weights"]
+    layered_moment: Float[Array, "*sets groups weights"]
 
     @property
     def trainings(self) -> int | None:
@@ -45,7 +52,7 @@ class NormalEquations(eqx.Module):
     @property
     def arrays(self) -> tuple[Array, ...]:
         """The numbers, to check their precision."""
-        return (self.gram, self.moment)
+        return (self.gram, self.layered_moment)
 
     def check_rule(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
         """Why they cannot be trained with so, in one line; none if they can."""
@@ -69,8 +76,7 @@ class NormalEquations(eqx.Module):
         millionth of that of zero weights nothing is left but rounding, and it may be negative.
         """
         del network
-        moment = jnp.sum(self.moment, axis=0)
-        square = weights @ (self.gram @ weights) - 2.0 * (moment @ weights) + self.square
+        square = weights @ (self.gram @ weights) - 2.0 * (self.moment @ weights) + self.square
         return (0.5 * square,) * len(costs)
 
     def trial_costs(
@@ -97,9 +103,44 @@ class NormalEquations(eqx.Module):
         del rule
         layers = [layer.links for _, layer in network.adaptive_layers]
         shares = jnp.asarray(1.0 / links_per_weight(layers, network.size, learning))
-        gradient = self.moment - self.layered @ weights
+        gradient = self.layered_moment - self.layered_gram @ weights
         takes_part = jnp.asarray(learning, gradient.dtype)
         return gradient * shares[None, :] * takes_part[:, None]
+
+    def solution(self) -> Float[Array, "*sets weights"]:
+        """The weights at which backpropagation at one rate for all layers no longer moves, (p,).
+
+        They solve Z'(t - X k) = 0 over all pairs of output and pattern. X is the regressor. Z is X
+        with the columns of a subnetwork zero at pairs that it does not learn from. If all
+        subnetworks learn from the same pairs, this is the least-squares solution, of lowest cost.
+        Otherwise it is an instrumental-variable estimate with the instruments Z: its cost may be
+        above the lowest. It helps where what the network lacks correlates with the columns that Z
+        has zero, and with no others, as static friction does with viscous and Coulomb friction
+        (7.2.2). The other columns then keep the pairs, which a mask of all subnetworks would lose.
+
+        Of weights that the patterns leave open, the smallest in proportion to their regressors.
+        Can be jitted, and mapped over sets of patterns.
+
+        >>> import numpy as np
+        >>> from jaxcslc.adaptive import fully_connected
+        >>> from jaxcslc.training import examples, normal_equations
+        >>> network = fully_connected([1, 1], "linear combiner")
+        >>> line = examples(network, np.array([[0.0], [1.0]]), np.array([[1.0], [3.0]]))
+        >>> normal_equations(network, line).solution().round(9).tolist()  # slope and bias
+        [2.0, 1.0]
+        """
+        matrix = jnp.sum(self.layered_gram, axis=-3)
+        moment = jnp.sum(self.layered_moment, axis=-2)
+        lengths = jnp.sqrt(jnp.diagonal(self.gram, axis1=-2, axis2=-1))
+        lengths = jnp.where(lengths > 0.0, lengths, 1.0)
+        scaled = matrix / (lengths[..., :, None] * lengths[..., None, :])
+
+        def solved(scaled: Array, moment: Array) -> Array:
+            return jnp.linalg.lstsq(scaled, moment)[0]
+
+        for _ in range(moment.ndim - 1):
+            solved = jax.vmap(solved)
+        return solved(scaled, moment / lengths) / lengths
 
 
 def normal_equations(network: AdaptiveNetwork, training_set: Examples) -> NormalEquations:
@@ -135,31 +176,41 @@ def _normal_equations(network: AdaptiveNetwork, training_set: Examples) -> Norma
     width = min(samples, _BLOCK)
 
     def block_of(x: Array) -> Array:
-        """(units, patterns) to (blocks, units, width), filled up with patterns of no weight."""
-        filled = jnp.pad(x, ((0, 0), (0, blocks * width - samples)))
-        return jnp.moveaxis(filled.reshape(x.shape[0], blocks, width), 1, 0)
+        """(..., patterns) to (blocks, ..., width), filled up with patterns of no weight."""
+        filled = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, blocks * width - samples)])
+        return jnp.moveaxis(filled.reshape(*x.shape[:-1], blocks, width), -2, 0)
 
     units = jnp.eye(network.size, dtype=training_set.targets.dtype)
 
-    def sums(part: Any) -> tuple[Array, Array, Array]:
-        signals, targets, counts = part
+    def sums(part: Any) -> tuple[Array, ...]:
+        signals, targets, counts, subnetwork_counts = part
+        own_counts = counts[None] if subnetwork_counts is None else subnetwork_counts
         unit_responses = jax.lax.map(
             lambda unit: jnp.stack(network.forward(unit, signals).parts), units
         )
         masked_responses = (
-            jnp.moveaxis(unit_responses, 1, 0) * counts[None, None]
+            jnp.moveaxis(unit_responses, 1, 0) * own_counts[:, None]
         )  # (groups, p, outputs, patterns)
         whole = jnp.sum(unit_responses, axis=1)
-        return (
+        layered = (
             jnp.einsum("gpok,qok->gpq", masked_responses, whole),
             jnp.einsum("gpok,ok->gp", masked_responses, targets),
-            jnp.sum(targets**2 * counts),
         )
+        square = jnp.sum(targets**2 * counts)
+        if subnetwork_counts is None:
+            return square, *layered
+        counted = whole * counts[None]
+        gram = jnp.einsum("pok,qok->pq", counted, whole)
+        return square, *layered, gram, jnp.einsum("pok,ok->p", counted, targets)
 
-    parts = jax.tree.map(
-        block_of, (training_set.signals, training_set.targets, training_set.counts)
+    of_patterns = (
+        training_set.signals,
+        training_set.targets,
+        training_set.counts,
+        training_set.subnetwork_counts,
     )
-    layered, moment, square = jax.tree.map(
-        lambda x: jnp.sum(x, axis=0) / training_set.patterns, jax.lax.map(sums, parts)
-    )
-    return NormalEquations(jnp.sum(layered, axis=0), layered, moment, square)
+    parts = jax.lax.map(sums, jax.tree.map(block_of, of_patterns))
+    square, *layered = (jnp.sum(x, axis=0) / training_set.patterns for x in parts)
+    layered_gram, layered_moment, *of_all = layered
+    gram, moment = of_all or (jnp.sum(x, axis=0) for x in layered)
+    return NormalEquations(gram, moment, square, layered_gram, layered_moment)

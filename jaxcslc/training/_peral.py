@@ -4,7 +4,15 @@ from jaxtyping import Array, Float
 
 from .._rank import numerical_rank
 from ..adaptive import AdaptiveNetwork, Signals
-from ._rules import AbstractRule, Numbers, Weights, change_of_weights, transposed_product
+from ._rules import (
+    AbstractRule,
+    Counts,
+    Numbers,
+    Weights,
+    change_of_weights,
+    of_subnetwork,
+    transposed_product,
+)
 
 
 class PERAL(AbstractRule):
@@ -20,7 +28,9 @@ class PERAL(AbstractRule):
     twice. Where subnetworks meet in one output node, the node's error is shared among the links
     of all of them. For a weight that links share, a link asks for the change that moves what it
     passes on as wanted, its multiple notwithstanding, and the average over links is taken
-    (5.2.6). The scan prints x_j under the sum of Eqn. 6.2-6; Eqn. 6.2-7 has every x_m.
+    (5.2.6). Where a pair counts for some subnetworks only (7.2.2), links of the others have their
+    share of its error all the same, and do not move by it. The scan prints x_j under the sum of
+    Eqn. 6.2-6; Eqn. 6.2-7 has every x_m.
     """
 
     @property
@@ -52,13 +62,12 @@ class PERAL(AbstractRule):
         weights: Weights,
         signals: Signals,
         targets: Numbers,
-        counts: Numbers,
+        counts: Counts,
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         passage = network.forward(weights, signals)
         activation = network.activation
-        errors = (targets - activation.value(passage.total)) * counts
-        wanted = errors if activation.increasing else -errors  # Eqn. 6.2-1
+        errors = targets - activation.value(passage.total)
 
         # Moduli of what the links of each subnetwork's adaptive layer bring to its nodes, and of
         # what its context layers bring to theirs.
@@ -71,13 +80,13 @@ class PERAL(AbstractRule):
             ):
                 moduli.append(layer.forward(jnp.abs(value), jnp.abs(context)))
             brought.append(moduli)
-        at_outputs = share(
-            wanted, sum((moduli[-1] for moduli in brought[1:]), start=brought[0][-1])
-        )
+        at_outputs = sum((moduli[-1] for moduli in brought[1:]), start=brought[0][-1])
 
         moves: list[Array] = []
         for at, subnetwork in enumerate(network.subnetworks):
-            portion = at_outputs
+            counted = errors * of_subnetwork(counts, at)
+            wanted = counted if activation.increasing else -counted  # Eqn. 6.2-1
+            portion = share(wanted, at_outputs)
             for number in reversed(range(len(subnetwork.contexts))):
                 layer, value = subnetwork.contexts[number], passage.values[at][number]
                 signs = jnp.sign(signals.contexts[at][number])
@@ -156,16 +165,15 @@ class IdealPERAL(AbstractRule):
         return None
 
     def check_patterns(
-        self, network: AdaptiveNetwork, signals: Signals, counts: Numbers
+        self, network: AdaptiveNetwork, signals: Signals, counts: Counts
     ) -> str | None:
-        counted = np.asarray(counts) > 0
-        for subnetwork, inputs in zip(network.subnetworks, signals.inputs, strict=True):
-            layer = subnetwork.layers[0]
+        for at, subnetwork in enumerate(network.subnetworks):
+            layer, inputs = subnetwork.layers[0], signals.inputs[at]
             seen = np.asarray(layer.with_bias(jnp.asarray(inputs)))
             # Nodes that see the same inputs of the same patterns are looked at once.
             views = {
                 (tuple(layer.links.source[layer.links.node == node]), taken.tobytes()): taken
-                for node, taken in enumerate(counted)
+                for node, taken in enumerate(np.asarray(of_subnetwork(counts, at)) > 0)
             }
             for (sources, _), taken in views.items():
                 try:
@@ -180,20 +188,21 @@ class IdealPERAL(AbstractRule):
         weights: Weights,
         signals: Signals,
         targets: Numbers,
-        counts: Numbers,
+        counts: Counts,
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         passage = network.forward(weights, signals)
-        errors = (targets - network.activation.value(passage.total)) * counts
+        errors = targets - network.activation.value(passage.total)
         wanted = errors if network.activation.increasing else -errors
         brought = [
             subnetwork.layers[0].links.matrix(self.optimum, magnitude=True) @ jnp.abs(inputs[0])
             for subnetwork, inputs in zip(network.subnetworks, passage.layer_inputs, strict=True)
         ]
-        portion = share(wanted, sum(brought[1:], start=brought[0]))
-        moves = [
-            transposed_product(portion, jnp.sign(inputs[0])) for inputs in passage.layer_inputs
-        ]
+        at_outputs = sum(brought[1:], start=brought[0])
+        moves: list[Array] = []
+        for at, inputs in enumerate(passage.layer_inputs):
+            portion = share(wanted * of_subnetwork(counts, at), at_outputs)
+            moves.append(transposed_product(portion, jnp.sign(inputs[0])))
         change = change_of_weights(network, moves, learning, by_sign=True)
         return jnp.abs(self.optimum)[None, :] * change
 

@@ -12,6 +12,9 @@ from ..adaptive import AdaptiveNetwork, Links, Signals
 
 Weights = Float[Array, " weights"]
 Numbers = Float[Array, "outputs patterns"]
+#: One where a pair of output and pattern takes part in learning, zero where it is masked: for all
+#: subnetworks, or for each.
+Counts = Float[Array, "*subnetworks outputs patterns"]
 #: What every adaptive layer's links are moved by: (nodes, inputs) each, of sizes that differ.
 Moves = Sequence[Float[Array, "_ _"]]
 
@@ -44,7 +47,7 @@ class AbstractRule(eqx.Module):
         self,
         network: AdaptiveNetwork,
         signals: Signals,
-        counts: Numbers,
+        counts: Counts,
     ) -> str | None:
         """Why these patterns cannot lead anywhere, in one line; none if they can."""
         del network, signals, counts
@@ -57,16 +60,23 @@ class AbstractRule(eqx.Module):
         weights: Weights,
         signals: Signals,
         targets: Numbers,
-        counts: Numbers,
+        counts: Counts,
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         """What each adaptive layer contributes to the change of the weights, (groups, p); zero for
         weights that none of its links has.
 
-        - `signals`, `targets`, `counts`: as in `Examples`.
+        - `signals`, `targets`: as in `Examples`.
+        - `counts`: (outputs, patterns), or (subnetworks, outputs, patterns): a node's error then
+          passes to a subnetwork only where the pair counts for it (7.2.2).
         - `learning`: which layers take part; shared weights move by the average over the links
           of those that do (5.2.6).
         """
+
+
+def of_subnetwork(counts: Counts, number: int) -> Numbers:
+    """What counts for one subnetwork."""
+    return counts[number] if counts.ndim == 3 else counts
 
 
 def change_of_weights(

@@ -219,15 +219,19 @@ def _largest_block(
     learning, layers = plan.learning(network), len(network.adaptive_layers)
     by_kernel = training_set.condensed is not None and training_set.trainings is None
     rules, costs = plan.schedule.rules, {plan.cost, plan.measure or plan.cost}
-    if by_kernel and plan.schedule.switch is None and plan.order == "batch":
-        changes = all(kernel_of(network, rule, learning) is not None for rule in rules)
-        if changes and all(training_set.has_cost_kernel(network, cost) for cost in costs):
-            return _ALL_BY_KERNELS
+    by_subnetwork = training_set.subnetwork_counts is not None
+    by_kernel = by_kernel and all(
+        kernel_of(network, rule, learning, by_subnetwork=by_subnetwork) is not None
+        for rule in rules
+    )
+    in_batches = by_kernel and plan.schedule.switch is None and plan.order == "batch"
+    if in_batches and all(training_set.has_cost_kernel(network, cost) for cost in costs):
+        return _ALL_BY_KERNELS
     # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch keeps
     # some ten at a time; with a kernel, for outputs, their parts by layer, and errors at trial
     # rates, all at a time.
     numbers = 10 * sum(layer.links.nodes for _, layer in network.adaptive_layers)
-    if by_kernel and all(kernel_of(network, rule, learning) is not None for rule in rules):
+    if by_kernel:
         numbers = network.outputs_count * (2 + layers) + 4 * layers
     return max(1, int(4e9 / (8 * max(numbers, 1) * training_set.targets.shape[-1])))
 
@@ -307,7 +311,9 @@ def _check(
         if reason is not None:
             raise ValueError(reason)
         if isinstance(training_set, Examples) and training_set.trainings is None:
-            reason = rule.check_patterns(network, training_set.signals, training_set.counts)
+            reason = rule.check_patterns(
+                network, training_set.signals, training_set.learning_counts
+            )
             if reason is not None:
                 raise ValueError(reason)
     reason = plan.schedule.rules[0].check_start(network, np.asarray(start), learning)

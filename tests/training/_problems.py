@@ -56,7 +56,11 @@ class Problem:
             tuple(tuple(jnp.asarray(c.T) for c in per_pattern) for per_pattern in self.contexts),
         )
         ones = np.ones(self.t.shape) if counts is None else counts
-        return Examples(signals, jnp.asarray(self.t.T), jnp.asarray(ones.T), None)
+        masks = jnp.asarray(np.swapaxes(ones, -1, -2), float)
+        t = jnp.asarray(self.t.T)
+        if masks.ndim == 2:
+            return Examples(signals, t, masks, None)
+        return Examples(signals, t, jnp.max(masks, axis=0), None, masks)
 
     def literally(
         self,
@@ -66,13 +70,13 @@ class Problem:
     ) -> np.ndarray:
         per_pattern: list[thesis.Moves] = []
         for p in range(len(self.t)):
-            if counts is not None and not counts[p].any():
+            if counts is not None and not counts[..., p, :].any():
                 continue
             xs = [x[p] for x in self.xs]
             contexts = [
                 [c[p] for c in subnetwork_contexts] for subnetwork_contexts in self.contexts
             ]
-            pattern_counts = None if counts is None else counts[p]
+            pattern_counts = None if counts is None else counts[..., p, :]
             per_pattern.append(
                 rule(self.parts, self.f, xs, contexts, self.t[p], self.k, pattern_counts)
             )
@@ -216,7 +220,12 @@ def summed(
     learning: tuple[bool, ...],
 ) -> jax.Array:
     return rule.change(
-        network, k, training_set.signals, training_set.targets, training_set.counts, learning
+        network,
+        k,
+        training_set.signals,
+        training_set.targets,
+        training_set.learning_counts,
+        learning,
     )
 
 

@@ -210,6 +210,13 @@ def outputs_of(passes: Sequence[Values]) -> list[float]:
     return [sum(item) for item in zip(*(values.passed[-1] for values in passes), strict=True)]
 
 
+def count(counts: np.ndarray | None, subnetwork: int, output: int) -> float:
+    """One where the pair is learnt from: by all subnetworks, or by this one (7.2.2)."""
+    if counts is None:
+        return 1.0
+    return float(counts[output] if counts.ndim == 1 else counts[subnetwork, output])
+
+
 Moves = list[list[float]]  # of every link of every adaptive layer, subnetwork after subnetwork
 
 
@@ -220,15 +227,15 @@ def backpropagation(
     contexts: Sequence[Sequence[Vector]],
     t: Vector,
     k: Vector,
-    counts: Vector | None = None,
+    counts: np.ndarray | None = None,
 ) -> Moves:
     """Eqn. 3.4-9 for one pattern: how every link's weight W would move, dW = f_A(S_A) delta_B."""
     passes = [forward(*item, k) for item in zip(parts, xs, contexts, strict=True)]
     S = outputs_of(passes)
-    errors = [(t[l] - f.f(S[l])) * (1 if counts is None else counts[l]) for l in range(len(S))]
+    errors = [t[l] - f.f(S[l]) for l in range(len(S))]
     moves: Moves = []
-    for part, values, context in zip(parts, passes, contexts, strict=True):
-        arriving = [f.slope(S[l]) * errors[l] for l in range(len(S))]
+    for number, (part, values, context) in enumerate(zip(parts, passes, contexts, strict=True)):
+        arriving = [f.slope(S[l]) * errors[l] * count(counts, number, l) for l in range(len(S))]
         for at in reversed(range(len(part.contexts))):
             back = [0.0] * len(values.passed[at])
             for link in part.contexts[at][1]:
@@ -254,7 +261,7 @@ def peral(
     contexts: Sequence[Sequence[Vector]],
     t: Vector,
     k: Vector,
-    counts: Vector | None = None,
+    counts: np.ndarray | None = None,
     optimum: Vector | None = None,
 ) -> Moves:
     """Eqns. 6.2-1 to 6.2-6 for one pattern: how every link's weight W would move.
@@ -263,9 +270,7 @@ def peral(
     """
     passes = [forward(*item, k) for item in zip(parts, xs, contexts, strict=True)]
     S = outputs_of(passes)
-    dS_B = [
-        eqn_6_2_1(t[l], f.f(S[l]), f) * (1 if counts is None else counts[l]) for l in range(len(S))
-    ]
+    dS_B = [eqn_6_2_1(t[l], f.f(S[l]), f) for l in range(len(S))]
     significant = k if optimum is None else optimum
 
     def adaptive_totals(part: Subnetwork, values: Values) -> list[float]:
@@ -294,8 +299,9 @@ def peral(
         meeting = [a + b for a, b in zip(meeting, local_moves, strict=True)]
 
     moves: Moves = []
-    for part, values, context in zip(parts, passes, contexts, strict=True):
-        dS, total = dS_B, meeting
+    for number, (part, values, context) in enumerate(zip(parts, passes, contexts, strict=True)):
+        dS = [dS_B[l] * count(counts, number, l) for l in range(len(S))]
+        total = meeting
         for at in reversed(range(len(part.contexts))):
             links = part.contexts[at][1]
             wanted = [0.0] * len(values.passed[at])

@@ -165,7 +165,12 @@ def test_targets_at_the_ends_of_the_range_are_wanted() -> None:
         ((5, 2), (5, 2), None, "targets: expected shape (5, 1), one row a pattern and one column"),
         ((2,), (1, 1), None, "targets: expected shape (patterns, 1), one row a pattern"),
         ((5, 3), (5, 1), None, "inputs: expected shape (..., 2), got (5, 3)"),
-        ((5, 2), (5, 1), (4, 1), "counts: expected shape (5, 1), got (4, 1)"),
+        (
+            (5, 2),
+            (5, 1),
+            (4, 1),
+            "counts: expected shape (5, 1), or (1, 5, 1) for masks by subnetwork, got (4, 1)",
+        ),
     ],
 )
 def test_wrong_shapes(x: Any, t: Any, counts: Any, said: str) -> None:

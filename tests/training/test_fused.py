@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,10 +72,22 @@ def patterns(arm: AdaptiveNetwork, rng: np.random.Generator) -> Examples:
     return examples(arm, (q, qd, qdd), rng.normal(size=(PATTERNS, 2)), counts)
 
 
+@pytest.fixture
+def masked(arm: AdaptiveNetwork, patterns: Examples, rng: np.random.Generator) -> Examples:
+    """The same, and some pairs that only some subnetworks learn from."""
+    shape = (len(arm.subnetworks), *patterns.counts.shape)
+    masks = patterns.counts[None] * (rng.random(shape) < 0.7)
+    return eqx.tree_at(lambda e: e.subnetwork_counts, patterns, masks, is_leaf=lambda x: x is None)
+
+
 def statements_of(
-    network: AdaptiveNetwork, rule: AbstractRule, learning: tuple[bool, ...]
+    network: AdaptiveNetwork,
+    rule: AbstractRule,
+    learning: tuple[bool, ...],
+    *,
+    by_subnetwork: bool = False,
 ) -> RuleStatements:
-    statements = rule_statements(network, rule, learning)
+    statements = rule_statements(network, rule, learning, by_subnetwork=by_subnetwork)
     assert statements is not None
     return statements
 
@@ -86,8 +99,8 @@ def changed_by_c(statements: RuleStatements, weights: np.ndarray, patterns: Exam
     ]
     factors = statements.factor_text("weights[{0}]", "sums[{0}] = {1} * sums[{0}];")
     rows = statements.row_text("inputs[{0} * patterns + i]", "row[{0}] = {1};")
-    leaves = jax.tree.leaves((patterns.signals, patterns.targets, patterns.counts))
-    inputs = np.concatenate(leaves).copy()
+    counts = patterns.learning_counts.reshape(-1, PATTERNS)
+    inputs = np.concatenate(jax.tree.leaves((patterns.signals, patterns.targets, counts))).copy()
     source = (
         "#include <math.h>\ntypedef double real;\n"
         "void change(const double* inputs, const double* weights, double* sums, long patterns)\n"
@@ -127,6 +140,38 @@ def test_statements_are_the_rules_own(
     statements = statements_of(arm, rule, learning)
     assert_allclose(changed_by_c(statements, weights, patterns), expected, **ROUNDING)
     assert 0 < statements.operations < 20 * sum(x.links.count for _, x in arm.adaptive_layers)
+
+
+@needs_compiler
+@pytest.mark.parametrize("learning", [(True,) * 5, (True, False, True, True, False)])
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
+def test_statements_with_masks_by_subnetwork(
+    arm: AdaptiveNetwork,
+    masked: Examples,
+    rng: np.random.Generator,
+    rule: AbstractRule,
+    learning: tuple[bool, ...],
+) -> None:
+    weights = rng.normal(size=arm.size)
+    arrays = masked.signals, masked.targets, masked.learning_counts
+    expected = rule.change(arm, jnp.asarray(weights), *arrays, learning)
+    plain = rule.change(arm, jnp.asarray(weights), *arrays[:2], masked.counts, learning)
+    assert np.max(np.abs(expected - plain)) > 0.1
+    statements = statements_of(arm, rule, learning, by_subnetwork=True)
+    assert_allclose(changed_by_c(statements, weights, masked), expected, **ROUNDING)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
+def test_masks_by_subnetwork_cost_others_nothing(arm: AdaptiveNetwork, rule: AbstractRule) -> None:
+    """Masks are inputs of a pattern, one an output without masks by subnetwork; the number of
+    operations on the weights stays."""
+    learning, outputs = (True,) * len(arm.groups), arm.outputs_count
+    plain = statements_of(arm, rule, learning)
+    masked = statements_of(arm, rule, learning, by_subnetwork=True)
+    more = (len(arm.subnetworks) - 1) * outputs
+    assert len(masked.inputs) == len(plain.inputs) + more
+    assert len(plain.rows) <= len(masked.rows) <= len(plain.rows) + more
+    assert plain.operations <= masked.operations
 
 
 @needs_compiler
@@ -295,20 +340,25 @@ def test_batches_of_all_kinds(rng: np.random.Generator, monkeypatch: pytest.Monk
 
 
 @pytest.mark.gpu
+@pytest.mark.parametrize("by_subnetwork", [False, True])
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
 @pytest.mark.parametrize("trainings", [1, 70])
 def test_the_kernel_is_the_rule(
     arm: AdaptiveNetwork,
     patterns: Examples,
+    masked: Examples,
     rng: np.random.Generator,
     rule: AbstractRule,
     trainings: int,
+    *,
+    by_subnetwork: bool,
 ) -> None:
+    chosen = masked if by_subnetwork else patterns
     learning = (True,) * len(arm.groups)
     weights = jnp.asarray(rng.normal(size=(trainings, arm.size)))
     weights = weights.at[:, 0].set(1e-320)  # whose reciprocals are infinite
-    arrays = patterns.signals, patterns.targets, patterns.counts
-    statements = statements_of(arm, rule, learning)
+    arrays = chosen.signals, chosen.targets, chosen.learning_counts
+    statements = statements_of(arm, rule, learning, by_subnetwork=by_subnetwork)
     changes = _change.change_of_many(statements, weights, *arrays)
     expected = jax.vmap(lambda w: rule.change(arm, w, *arrays, learning))(weights)
     assert_allclose(changes, expected, **ROUNDING)
@@ -317,13 +367,14 @@ def test_the_kernel_is_the_rule(
 @pytest.mark.gpu
 @pytest.mark.parametrize("rates", [FixedRates(0.05), AdaptedRates(0.05)])
 def test_trainings_by_the_kernel_are_those_without(
-    arm: AdaptiveNetwork, patterns: Examples, rng: np.random.Generator, rates: Any
+    arm: AdaptiveNetwork, patterns: Examples, masked: Examples, rng: np.random.Generator, rates: Any
 ) -> None:
     starts = rng.normal(size=(5, arm.size))
-    together = train(arm, patterns, starts, Plan(PERAL(), rates), epochs=20)
-    for start, weights in zip(starts, np.asarray(together.weights), strict=True):
-        alone = train(arm, patterns, start, Plan(PERAL(), rates), epochs=20, throw=False)
-        assert_allclose(weights, alone.weights, rtol=1e-9, atol=1e-9)
+    for chosen in (patterns, masked):
+        together = train(arm, chosen, starts, Plan(PERAL(), rates), epochs=20)
+        for start, weights in zip(starts, np.asarray(together.weights), strict=True):
+            alone = train(arm, chosen, start, Plan(PERAL(), rates), epochs=20, throw=False)
+            assert_allclose(weights, alone.weights, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.gpu

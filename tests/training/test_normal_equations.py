@@ -107,8 +107,9 @@ def test_the_gram_matrix_is_the_regressor_s(rng: np.random.Generator) -> None:
 
     hessian, gradient = jax.jit(jax.hessian(cost)), jax.jit(jax.grad(cost))
     assert_allclose(made.gram, hessian(jnp.zeros(3)), **ROUNDING)
-    assert_allclose(jnp.sum(made.moment, axis=0), -gradient(jnp.zeros(3)), **ROUNDING)
-    assert_allclose(jnp.sum(made.layered, axis=0), made.gram, **ROUNDING)
+    assert_allclose(made.moment, -gradient(jnp.zeros(3)), **ROUNDING)
+    assert_allclose(jnp.sum(made.layered_gram, axis=0), made.gram, **ROUNDING)
+    assert_allclose(jnp.sum(made.layered_moment, axis=0), made.moment, **ROUNDING)
 
 
 def test_trained_as_on_the_patterns(rng: np.random.Generator) -> None:
@@ -138,7 +139,7 @@ def test_the_minimum_is_the_direct_solve_s(puma: CSLC, rng: np.random.Generator)
     everything = np.ones(counts.shape, bool)
     recording = jc.Patterns(np.arange(60.0), q, qd, qdd, torque, counts, everything)
     solved = jc.LeastSquares(joint_weights="equal", errors="independent").fit(puma, recording).k
-    minimum = jnp.linalg.solve(made.gram, jnp.sum(made.moment, axis=0))
+    minimum = jnp.linalg.solve(made.gram, made.moment)
     # The Gram matrix squares the condition number.
     assert_allclose(minimum, solved, rtol=1e-6, atol=1e-8)
     move = made.change(network, RULE, solved, (True,) * 5)
@@ -160,7 +161,7 @@ def test_vmap_over_recordings(rng: np.random.Generator) -> None:
     assert made.trainings == 3
     for at, training_set in enumerate(one_set):
         single = normal_equations(network, training_set)
-        for name in ("gram", "layered", "moment", "square"):
+        for name in ("gram", "moment", "square", "layered_gram", "layered_moment"):
             assert_allclose(getattr(made, name)[at], getattr(single, name), **ROUNDING)
 
 

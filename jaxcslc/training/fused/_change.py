@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ...adaptive import AdaptiveNetwork, Signals
 from ...network.straight_line import Kernel, kernels_run
-from .._rules import AbstractRule, Numbers, Weights
+from .._rules import AbstractRule, Counts, Numbers, Weights
 from ._batching import batched_by
 from ._kernel_source import ROW_THREADS, launch_of, row_length, rows_source, source
 from ._statements import RuleStatements, rule_statements
@@ -18,13 +18,20 @@ _FEWEST_PATTERNS = 32
 
 
 def kernel_of(
-    network: AdaptiveNetwork, rule: AbstractRule, learning: tuple[bool, ...]
+    network: AdaptiveNetwork,
+    rule: AbstractRule,
+    learning: tuple[bool, ...],
+    *,
+    by_subnetwork: bool,
 ) -> RuleStatements | None:
     """The statements that a kernel has for a rule; None where there is no kernel for it, or none
-    runs."""
+    runs.
+
+    - `by_subnetwork`: whether subnetworks learn from pairs of their own.
+    """
     if not kernels_run():
         return None
-    statements = rule_statements(network, rule, learning)
+    statements = rule_statements(network, rule, learning, by_subnetwork=by_subnetwork)
     return statements if statements is not None and launch_of(statements, 2**20) else None
 
 
@@ -34,7 +41,7 @@ def summed_change(
     weights: Weights,
     signals: Signals,
     targets: Numbers,
-    counts: Numbers,
+    counts: Counts,
     learning: tuple[bool, ...],
 ) -> Float[Array, "groups weights"]:
     """`rule.change`; of many trainings on the same patterns by one kernel, where there is one.
@@ -43,7 +50,7 @@ def summed_change(
     nodes stay in registers; what is read of a pattern serves all trainings, and weights all
     patterns, so that hardly anything goes through memory.
     """
-    statements = kernel_of(network, rule, learning)
+    statements = kernel_of(network, rule, learning, by_subnetwork=counts.ndim == 3)
 
     def change(weights: Array, signals: Signals, targets: Array, counts: Array) -> Array:
         return rule.change(network, weights, signals, targets, counts, learning)
@@ -59,7 +66,7 @@ def change_of_many(
     weights: Float[Array, "trainings weights"],
     signals: Signals,
     targets: Numbers,
-    counts: Numbers,
+    counts: Counts,
 ) -> Float[Array, "trainings groups weights"]:
     """The changes of all trainings, by the kernel."""
     launch = launch_of(statements, len(weights))
@@ -73,7 +80,8 @@ def change_of_many(
     sizes = jnp.array([trainings, patterns, length, groups])
     shape = jax.ShapeDtypeStruct((pieces, len(statements.sums), trainings), jnp.float64)
     kernel = Kernel("changes", source(statements, launch), launch.threads, launch.shared_bytes)
-    rows = _rows(statements, jnp.concatenate(jax.tree.leaves((signals, targets, counts))))
+    inputs = jax.tree.leaves((signals, targets, counts.reshape(-1, patterns)))
+    rows = _rows(statements, jnp.concatenate(inputs))
     (parts,) = kernel(pieces * groups, [shape], rows, weights.T, sizes)
     flat = jnp.zeros((trainings, int(np.prod(statements.shape))))
     flat = flat.at[:, np.array(statements.entries)].set(jnp.sum(parts, axis=0).T)

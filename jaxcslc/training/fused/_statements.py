@@ -131,11 +131,17 @@ class RuleStatements:
 
 
 def rule_statements(
-    network: AdaptiveNetwork, rule: AbstractRule, learning: tuple[bool, ...]
+    network: AdaptiveNetwork,
+    rule: AbstractRule,
+    learning: tuple[bool, ...],
+    *,
+    by_subnetwork: bool = False,
 ) -> RuleStatements | None:
     """Those of a rule's `change`; None where it cannot be written so, or is too long.
 
     Traced from the rule itself, whatever it is, if it has no numbers of its own.
+
+    - `by_subnetwork`: whether `counts` are of each subnetwork; its inputs are then as many more.
     """
     if jax.tree.leaves(rule) or not network.single_adaptive_layer:
         return None
@@ -145,7 +151,7 @@ def rule_statements(
     bare = AdaptiveNetwork(
         network.subnetworks, _no_preprocessing, network.activation, network.names
     )
-    return _rule_statements(bare, rule, learning)
+    return _rule_statements(bare, rule, learning, by_subnetwork)
 
 
 def _no_preprocessing(patterns: Any) -> Signals:
@@ -154,20 +160,23 @@ def _no_preprocessing(patterns: Any) -> Signals:
 
 @lru_cache(maxsize=16)
 def _rule_statements(
-    network: AdaptiveNetwork, rule: AbstractRule, learning: tuple[bool, ...]
+    network: AdaptiveNetwork, rule: AbstractRule, learning: tuple[bool, ...], by_subnetwork: bool
 ) -> RuleStatements | None:
     graph = Expressions()
     parts, outputs_count = network.subnetworks, network.outputs_count
     sizes = [part.layers[0].inputs for part in parts]
     sizes += [layer.contexts for part in parts for layer in part.contexts]
+    masks = len(parts) if by_subnetwork else 1
     names = [
         [f"{_name(i)} {j}" for j in range(size)]
-        for i, size in enumerate([*sizes, outputs_count, outputs_count])
+        for i, size in enumerate([*sizes, outputs_count, masks * outputs_count])
     ]
     inputs = tuple(name for of_array in names for name in of_array)
+    shapes = [(-1, 1)] * (len(names) - 1)
+    shapes += [(len(parts), outputs_count, 1)] if by_subnetwork else [(-1, 1)]
     arrays = [
-        np.array([graph.input(name) for name in of_array], object).reshape(-1, 1)
-        for of_array in names
+        np.array([graph.input(name) for name in of_array], object).reshape(shape)
+        for of_array, shape in zip(names, shapes, strict=True)
     ]
     weights = np.array([graph.input(f"weight {i}") for i in range(network.size)], object)
 

@@ -109,6 +109,4 @@ def costs_by_step(
 
 def direct_solution(network: AdaptiveNetwork, patterns: Examples) -> Float[np.ndarray, " weights"]:
     """Least squares by the normal equations, for outputs that are linear in the weights."""
-    equations = normal_equations(network, patterns)
-    moment = np.asarray(equations.moment).sum(axis=0)
-    return np.linalg.lstsq(np.asarray(equations.gram), moment, rcond=None)[0]
+    return np.asarray(normal_equations(network, patterns).solution())

@@ -85,9 +85,7 @@ def one_minimum(outcome: Outcome, options: argparse.Namespace, rows: Rows) -> di
     """
     problem = outcome.problem
     equations = normal_equations(problem.network, problem.first)
-    moment = np.asarray(equations.moment).sum(axis=0)
-    direct = np.linalg.lstsq(np.asarray(equations.gram), moment, rcond=None)[0]
-    least = float(equations.costs(problem.network, jnp.asarray(direct), half_square)[0])
+    least = float(equations.costs(problem.network, equations.solution(), half_square)[0])
     missing = [number for number in range(options.starts) if (number,) not in rows]
     with command.progress(
         desc="one minimum",

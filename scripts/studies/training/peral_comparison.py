@@ -297,10 +297,7 @@ def outcome(
 
 def direct_solutions(problem: Problem) -> Float[Array, "seeds weights"]:
     """The least-squares weights of every seed's patterns."""
-    equations = jax.vmap(lambda one: normal_equations(problem.network, one))(problem.examples)
-    moment = np.asarray(equations.moment).sum(axis=1)
-    pairs = zip(np.asarray(equations.gram), moment, strict=True)
-    return jnp.asarray(np.stack([np.linalg.lstsq(a, b, rcond=None)[0] for a, b in pairs]))
+    return jax.vmap(lambda one: normal_equations(problem.network, one).solution())(problem.examples)
 
 
 def moduli(problem: Problem, weights: Float[Array, "seeds weights"]) -> Float[np.ndarray, " seeds"]:
