@@ -16,6 +16,7 @@ from ._history import (
 from ._normal_equations import (
     NormalEquations as NormalEquations,
     normal_equations as normal_equations,
+    with_normal_equations as with_normal_equations,
 )
 from ._peral import PERAL as PERAL, IdealPERAL as IdealPERAL, check_sign_rank as check_sign_rank
 from ._plan import Plan as Plan, Schedule as Schedule

@@ -92,21 +92,27 @@ def epoch(
     stop_set: Examples | None,
     state: State,
     keep_weights: bool,
+    rule: int | None = None,
 ) -> tuple[State, Record]:
-    """One epoch: assess, decide whether to go on and by which rule, and learn."""
+    """One epoch: assess, decide whether to go on and by which rule, and learn.
+
+    - `rule`: of trainings in step, the index of the rule that is to learn.
+    """
     cost, measure = training_set.costs(network, state.weights, plan.cost, plan.measure or plan.cost)
     stop_cost = jnp.asarray(jnp.nan, cost.dtype)
     if stop_set is not None:
         (stop_cost,) = stop_set.costs(network, state.weights, plan.cost)
 
     preference = _preference(network, plan, training_set, state)
-    assessed = _assessed(plan, state, preference, cost, measure, stop_cost, stop_set is not None)
+    assessed = _assessed(
+        plan, state, preference, cost, measure, stop_cost, stop_set is not None, rule
+    )
     # A look has computed the change of the rule that it prefers, of weights as they were.
     known = None
     if preference.change is not None:
         same = jnp.all(assessed.weights == state.weights)
         known = preference.change, preference.looked & same
-    weights, rates = _learnt(network, plan, training_set, assessed, assessed.cost, known)
+    weights, rates = _learnt(network, plan, training_set, assessed, assessed.cost, known, rule)
     moved = eqx.tree_at(
         lambda s: (s.weights, s.rates, s.epoch),
         assessed,
@@ -188,6 +194,7 @@ def _assessed(
     measure: Array,
     stop_cost: Array,
     stop_set: bool,
+    commanded_rule: int | None,
 ) -> State:
     """The state with the cost of its weights known, whose turn it is, and whether it ended."""
     rule, rates = preference.rule, preference.rates
@@ -195,7 +202,9 @@ def _assessed(
     first_cost = jnp.where(first, cost, state.first_cost)
     new_lowest = cost < state.lowest
     since_lowest = jnp.where(new_lowest, 0, state.since_lowest + 1)
-    if plan.schedule.switch is None:
+    if commanded_rule is not None:
+        turn = later = state.turn.in_step(plan.schedule, commanded_rule, cost)
+    elif plan.schedule.switch is None:
         later = state.turn.next(plan.schedule, cost, state.cost - cost)
         turn = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.turn, later)
     else:
@@ -242,6 +251,7 @@ def _learnt(
     state: State,
     cost: Array,
     known: _Known | None,
+    commanded_rule: int | None,
 ) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
     """The weights after the epoch, and the rates that led to them."""
     branches = [
@@ -260,8 +270,8 @@ def _learnt(
         for number in range(len(plan.schedule.rules))
     ]
     present = state.rates[state.turn.rule]
-    if len(branches) == 1:
-        return branches[0](state.weights, present)
+    if len(branches) == 1 or commanded_rule is not None:
+        return branches[commanded_rule or 0](state.weights, present)
     return jax.lax.switch(state.turn.rule, branches, state.weights, present)
 
 

@@ -9,7 +9,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals, Subnetwork
-from ._costs import Cost
+from ._costs import Cost, half_square
+from ._delta_rules import Backpropagation
 from ._rules import AbstractRule, Counts, of_subnetwork
 from .fused import CostKernel, batched_by, cost_kernel, summed_change
 
@@ -88,6 +89,8 @@ class Examples(eqx.Module):
       otherwise none. What an epoch needs to know a cost, in a tenth of the operations.
     - `subnetwork_counts`: (subnetworks, outputs, patterns), of the pairs of `counts`, those that
       each subnetwork learns from (7.2.2); none where all learn from all of them.
+    - `equations`: their `NormalEquations`, which `with_normal_equations` adds. Backpropagation and
+      the cost `half_square` then take p² operations per epoch; other rules and costs are as before.
     """
 
     signals: Signals
@@ -95,6 +98,7 @@ class Examples(eqx.Module):
     counts: Float[Array, "outputs patterns"]
     condensed: tuple[Float[Array, "_ patterns"], ...] | None
     subnetwork_counts: Float[Array, "subnetworks outputs patterns"] | None = None
+    equations: Any = None
 
     @property
     def learning_counts(self) -> Counts:
@@ -126,6 +130,11 @@ class Examples(eqx.Module):
     ) -> tuple[Float[Array, ""], ...]:
         """Each cost of the network with these weights; of many weights at once by a kernel, where
         there is one."""
+        if self.equations is not None and half_square in costs:
+            (by_equations,) = self.equations.costs(network, weights, half_square)
+            others = tuple(cost for cost in costs if cost is not half_square)
+            rest = iter(self.costs(network, weights, *others))
+            return tuple(by_equations if cost is half_square else next(rest) for cost in costs)
         kernels = {cost: self._cost_kernel(network, cost, 0) for cost in costs}
         if any(kernel is None for kernel in kernels.values()):
             errors = self.errors(network, weights)
@@ -150,6 +159,8 @@ class Examples(eqx.Module):
         Sums at the output nodes that are linear in the weights are combined from those of one
         layer's change at a time: five passes for the PUMA 560 and not sixteen.
         """
+        if self.equations is not None and cost is half_square:
+            return self.equations.trial_costs(network, weights, change, trials, cost)
         if not network.linear:
             return jax.lax.map(
                 lambda trial: self.costs(network, weights + trial @ change, cost)[0], trials
@@ -194,6 +205,8 @@ class Examples(eqx.Module):
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
         """A batch's move at a rate of one: the mean over patterns."""
+        if self.equations is not None and isinstance(rule, Backpropagation):
+            return self.equations.change(network, rule, weights, learning)
         patterns = self.signals, self.targets, self.learning_counts
         return summed_change(network, rule, weights, *patterns, learning) / self.patterns
 

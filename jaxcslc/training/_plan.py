@@ -20,33 +20,52 @@ class Schedule(eqx.Module):
     - `rules`: the first alone until the cost falls below `hand_over`, then all by turns.
     - `hand_over`: cost below which turns begin; a number, or one for each of many trainings.
       In 7.5, what the coefficients of direct measurement leave on the same patterns.
-    - `bout`: epochs that a rule has before it is the next one's turn. The next one begins at the
-      weights of the lowest cost so far.
+    - `bout`: epochs that a rule has before it is the next one's turn; one number, or one for each
+      rule. The next one begins at the weights of the lowest cost so far.
     - `least_reduction`: a rule whose epochs gain less, `tolerated` times in a row or all through
       its bout, gives its turn away; when every rule has done so one after the other, the training
       ends. 0.001 N m in 7.5. Not before the hand-over, where rates may still be growing; and
       epochs that move nothing, because rates that are too high are coming down, are not counted.
     - `tolerated`: epochs, so that rates have the time to follow; a shorter bout is all of them.
+    - `in_step`: whether trainings side by side take turns together. The first rule then learns
+      until every training is below `hand_over`. Bouts are never cut short, and a training ends
+      after a round of bouts that gained less than `least_reduction` per epoch. Under `vmap`, an
+      epoch computes what all rules do; in step, it computes one rule, and bouts of a quick rule
+      (backpropagation on `NormalEquations`) cost no more than they do alone.
     - `switch`: in place of hand-over and bouts, an indicator of which rule is to learn, from the
       first epoch on (8.2.2); `least_reduction` then ends the training once the rule that promises
       most gains too little.
 
-    **Raises** `ValueError` if there is no rule, or a bout has no epoch, or none is tolerated, or a
-    switch has one rule only or another number of durations.
+    **Raises** `ValueError` if there is no rule, or a bout has no epoch, or none is tolerated, if
+    bouts or a switch's durations are not one for each rule, or if a switch has one rule only or is
+    to work in step.
     """
 
     rules: tuple[AbstractRule, ...]
     hand_over: Float[Array, "..."] | float = float("inf")
-    bout: int = eqx.field(default=25, static=True)
+    bout: int | tuple[int, ...] = eqx.field(default=25, static=True)
     least_reduction: Float[Array, "..."] | float = -float("inf")
     tolerated: int = eqx.field(default=5, static=True)
     switch: SwitchWhen | None = None
+    in_step: bool = eqx.field(default=False, static=True)
+
+    @property
+    def bouts(self) -> tuple[int, ...]:
+        """Epochs of each rule's bout."""
+        return (self.bout,) * len(self.rules) if isinstance(self.bout, int) else self.bout
 
     def __check_init__(self) -> None:
         if not self.rules:
             raise ValueError("schedule: expected at least one rule")
-        if self.bout < 1:
+        if len(self.bouts) != len(self.rules):
+            raise ValueError(
+                f"schedule: expected one bout, or one for each of {len(self.rules)} rules, got"
+                f" {len(self.bouts)}"
+            )
+        if min(self.bouts) < 1:
             raise ValueError(f"schedule: a bout must have an epoch at least, got {self.bout}")
+        if self.in_step and self.switch is not None:
+            raise ValueError("schedule: turns are taken in step, or by a switch; got both")
         if self.tolerated < 1:
             raise ValueError(f"schedule: tolerated must be an epoch at least, got {self.tolerated}")
         number = len(self.rules)
@@ -97,7 +116,7 @@ class Turn(eqx.Module):
         fruitful = self.fruitful | gained
         further = jnp.where(reduction == 0, self.little, self.little + 1)
         little = jnp.where(gained | ~self.handed_over, 0, further)
-        passed = self.epochs + 1 >= schedule.bout
+        passed = self.epochs + 1 >= jnp.asarray(schedule.bouts)[self.rule]
         exhausted = self.handed_over & ((little >= schedule.tolerated) | (passed & ~fruitful))
         spent = jnp.where(exhausted, self.spent + 1, jnp.where(gained, 0, self.spent))
         # The epoch that brings the hand-over is still the first rule's; turns begin behind it.
@@ -130,6 +149,15 @@ class Turn(eqx.Module):
         wait = jnp.where(looked, interval, self.wait) - 1
         yes = jnp.ones((), bool)
         return Turn(rule, epochs, little, gained & ~over, spent, yes, wait, interval)
+
+    def in_step(self, schedule: Schedule, rule: int, cost: Float[Array, ""]) -> "Turn":
+        """The turn after an epoch that left `cost`, where all trainings are at `rule`."""
+        handed_over = self.handed_over | (cost < schedule.hand_over) | (len(schedule.rules) == 1)
+        return eqx.tree_at(
+            lambda turn: (turn.rule, turn.epochs, turn.handed_over),
+            self,
+            (jnp.full_like(self.rule, rule), self.epochs + 1, handed_over),
+        )
 
     def ended(self, schedule: Schedule) -> Bool[Array, ""]:
         """Whether no rule gains enough any more."""

@@ -15,7 +15,7 @@ from ._epoch import Record, State, epoch
 from ._examples import Examples
 from ._history import OUTCOMES, History, Training
 from ._normal_equations import NormalEquations
-from ._plan import Plan
+from ._plan import Plan, Schedule
 from ._rules import AbstractRule
 from .fused import kernel_of
 
@@ -115,12 +115,17 @@ def train(
         total=epochs, initial=passed, unit="epoch", disable=None if progress else True
     ) as bar:
         while passed < epochs and not bool(jnp.all(state.done)):
-            count = min(chunk, epochs - passed)
+            count, rule = min(chunk, epochs - passed), None
+            if plan.schedule.in_step:
+                rule, left = _turn_in_step(plan.schedule, state, records, passed)
+                count = min(count, left)
             state, record = _many_steps(
-                network, plan, training_set, stop_set, state, count, keep_weights, block, many
+                network, plan, training_set, stop_set, state, count, keep_weights, block, many, rule
             )
             records.append(jax.tree.map(np.asarray, record))
             passed += count
+            if plan.schedule.in_step:
+                state = _ended_in_step(plan.schedule, state, records, passed)
             if saved is not None:
                 saved.save(state, records, passed)
             bar.update(count)
@@ -143,15 +148,18 @@ def training_steps(
     state: State,
     epochs: int,
     keep_weights: bool = False,
+    rule: int | None = None,
 ) -> tuple[State, Record]:
     """So many epochs of one training: a pure function of its state, to be vmapped at will.
 
     A training that has ended waits, its state unchanged. Returns the state and the records,
     with a leading axis of epochs.
+
+    - `rule`: of trainings in step, the index of the rule that learns in all these epochs.
     """
 
     def step(state: State, _: None) -> tuple[State, Record]:
-        return epoch(network, plan, training_set, stop_set, state, keep_weights)
+        return epoch(network, plan, training_set, stop_set, state, keep_weights, rule)
 
     return jax.lax.scan(step, state, None, length=epochs)
 
@@ -167,9 +175,12 @@ def _many_steps(
     keep_weights: bool,
     block: int,
     many: bool,
+    rule: int | None,
 ) -> tuple[State, Record]:
     if not many:
-        return training_steps(network, plan, training_set, stop_set, state, epochs, keep_weights)
+        return training_steps(
+            network, plan, training_set, stop_set, state, epochs, keep_weights, rule
+        )
     # What differs between trainings is mapped over; the rest is shared.
     mapped_set = None if training_set.trainings is None else training_set
     mapped_stop_set = None if stop_set is None or stop_set.trainings is None else stop_set
@@ -192,10 +203,61 @@ def _many_steps(
             state,
             epochs,
             keep_weights,
+            rule,
         )
 
     mapped = (state, mapped_set, mapped_stop_set, mapped_numbers)
     return jax.lax.map(one, mapped, batch_size=block)
+
+
+def _turn_in_step(
+    schedule: Schedule, state: State, records: list[Record], passed: int
+) -> tuple[int, int]:
+    """The rule whose turn it is, and how many epochs of its bout are left."""
+    begun = _rounds_begun(schedule, state, records, passed)
+    if begun is None:
+        return 0, schedule.bouts[0]
+    at = (passed - begun) % sum(schedule.bouts)
+    for rule in (*range(1, len(schedule.rules)), 0):
+        if at < schedule.bouts[rule]:
+            return rule, schedule.bouts[rule] - at
+        at -= schedule.bouts[rule]
+    raise AssertionError("a round is the sum of its bouts")
+
+
+def _rounds_begun(
+    schedule: Schedule, state: State, records: list[Record], passed: int
+) -> int | None:
+    """The epoch in which the second rule learnt first; None before every training is handed over.
+
+    From what a checkpoint holds, so that a resumed run takes the same turns.
+    """
+    if len(schedule.rules) == 1:
+        return 0
+    before = 0
+    for record in records:
+        later_rules = np.asarray(record.rule).reshape(-1, record.rule.shape[-1]) > 0
+        if later_rules.any():
+            return before + int(np.argmax(later_rules.any(axis=0)))
+        before += record.rule.shape[-1]
+    return passed if bool(jnp.all(state.turn.handed_over | state.done)) else None
+
+
+def _ended_in_step(schedule: Schedule, state: State, records: list[Record], passed: int) -> State:
+    """The state after a round of bouts: trainings to which it brought too little have ended."""
+    begun = _rounds_begun(schedule, state, records, passed)
+    length = sum(schedule.bouts)
+    if begun is None or passed == begun or (passed - begun) % length:
+        return state
+    costs = np.concatenate([np.asarray(record.cost) for record in records], axis=-1)
+    before = np.min(costs[..., : max(passed - length, 1)], axis=-1)
+    little = before - state.lowest < jnp.asarray(schedule.least_reduction) * length
+    ended = little & ~state.done
+    over_trainings = jax.vmap if ended.ndim else lambda function: function
+    outcome = over_trainings(
+        lambda end, before: OUTCOMES.where(end, OUTCOMES.no_further_reduction, before)
+    )(ended, state.outcome)
+    return eqx.tree_at(lambda s: s.outcome, state, outcome)
 
 
 def _block(
