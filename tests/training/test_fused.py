@@ -353,11 +353,11 @@ def test_the_kernel_is_the_rule(
     *,
     by_subnetwork: bool,
 ) -> None:
-    chosen = masked if by_subnetwork else patterns
+    training_set = masked if by_subnetwork else patterns
     learning = (True,) * len(arm.groups)
     weights = jnp.asarray(rng.normal(size=(trainings, arm.size)))
     weights = weights.at[:, 0].set(1e-320)  # whose reciprocals are infinite
-    arrays = chosen.signals, chosen.targets, chosen.learning_counts
+    arrays = training_set.signals, training_set.targets, training_set.learning_counts
     statements = statements_of(arm, rule, learning, by_subnetwork=by_subnetwork)
     changes = _change.change_of_many(statements, weights, *arrays)
     expected = jax.vmap(lambda w: rule.change(arm, w, *arrays, learning))(weights)
@@ -370,10 +370,10 @@ def test_trainings_by_the_kernel_are_those_without(
     arm: AdaptiveNetwork, patterns: Examples, masked: Examples, rng: np.random.Generator, rates: Any
 ) -> None:
     starts = rng.normal(size=(5, arm.size))
-    for chosen in (patterns, masked):
-        together = train(arm, chosen, starts, Plan(PERAL(), rates), epochs=20)
+    for training_set in (patterns, masked):
+        together = train(arm, training_set, starts, Plan(PERAL(), rates), epochs=20)
         for start, weights in zip(starts, np.asarray(together.weights), strict=True):
-            alone = train(arm, chosen, start, Plan(PERAL(), rates), epochs=20, throw=False)
+            alone = train(arm, training_set, start, Plan(PERAL(), rates), epochs=20, throw=False)
             assert_allclose(weights, alone.weights, rtol=1e-9, atol=1e-9)
 
 

@@ -191,9 +191,9 @@ def test_change_is_the_thesis_s(rng: np.random.Generator, rule: AbstractRule, na
     masks = random_masks(rng, case)
     groups = len(case.network.groups)
     for learning in ((True,) * groups, (False,) + (True,) * (groups - 1)):
-        found = change(rule, case.network, case.k, case.training_set(masks), learning)
+        changed = change(rule, case.network, case.k, case.training_set(masks), learning)
         expected = case.literally(LITERALLY[rule.name], learning, masks)
-        assert_allclose(found, expected, **ROUNDING)
+        assert_allclose(changed, expected, **ROUNDING)
 
 
 def test_change_of_ideal_peral_is_the_thesis_s(rng: np.random.Generator) -> None:
@@ -207,8 +207,10 @@ def test_change_of_ideal_peral_is_the_thesis_s(rng: np.random.Generator) -> None
     def literally(*arguments: Any) -> thesis.Moves:
         return thesis.peral(*arguments, optimum=optimum)
 
-    found = change(IdealPERAL(jnp.asarray(optimum)), case.network, case.k, case.training_set(masks))
-    assert_allclose(found, case.literally(literally, counts=masks), **ROUNDING)
+    changed = change(
+        IdealPERAL(jnp.asarray(optimum)), case.network, case.k, case.training_set(masks)
+    )
+    assert_allclose(changed, case.literally(literally, counts=masks), **ROUNDING)
 
 
 def test_change_of_the_perceptron_rule(rng: np.random.Generator) -> None:
@@ -218,9 +220,9 @@ def test_change_of_the_perceptron_rule(rng: np.random.Generator) -> None:
     t, mask = rng.random((2, 9, 2)) < 0.6
     one = examples(network, x, t.astype(float), mask)
     masked = examples(network, x, t.astype(float), mask[None])
-    found = change(PerceptronRule(), network, k, masked)
-    assert_array_equal(found, change(PerceptronRule(), network, k, one))
-    assert np.any(found)
+    changed = change(PerceptronRule(), network, k, masked)
+    assert_array_equal(changed, change(PerceptronRule(), network, k, one))
+    assert np.any(changed)
 
 
 def arm_literally(arm: AdaptiveNetwork, training_set: Examples, k: np.ndarray) -> Problem:

@@ -18,6 +18,7 @@ Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from
 
     python -m scripts.studies.training.masks
     python -m scripts.studies.training.masks --seeds 32 --threshold 0.03
+    python -m scripts.studies.training.masks --amplitude 25 13 14 8 10 14
 """
 
 import argparse
@@ -46,12 +47,15 @@ from scripts.studies.truth import true_coefficients
 jax.config.update("jax_enable_x64", True)
 
 MACHINES = {"A": sim.puma_a, "B": sim.puma_b}
-OPTIONS = ("samples", "threshold")
+OPTIONS = ("samples", "threshold", "amplitude")
 # What slow pairs are left out of.
 SLOW = ("everything", "friction only", "nothing")
 # Of both recordings, as in the trainings of `cslc.py`.
 _ALIGNMENT = "mean"
 _COMPARISON = jc.Preparation(jc.AveragedSplines(17), torque_alignment=_ALIGNMENT, thresholds=0.05)
+# Of training torques [N m]. With the 13 N m of 7.4.1 at joint 2, it stands still for half of PUMA
+# A's recording, and a quarter of PUMA B's.
+_AMPLITUDE = (25.0, 20.0, 14.0, 8.0, 10.0, 14.0)
 # Recordings made side by side: few enough to lose little by an interruption.
 _SEEDS_AT_ONCE = 4
 
@@ -233,7 +237,11 @@ def make_rows(
             machine = sim.disturbed(MACHINES[name]())
             # Machines compensate their own gravity: see `sim.training`.
             trajectories = (
-                sim.training(samples=options.samples, robot=machine.robot),
+                sim.training(
+                    samples=options.samples,
+                    robot=machine.robot,
+                    amplitude=tuple(options.amplitude),
+                ),
                 sim.comparison(),
             )
             missing = [seed for seed in seeds if (name, seed) not in rows]
@@ -322,6 +330,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--machines", nargs="+", choices=list(MACHINES), default=list(MACHINES))
     parser.add_argument("--threshold", type=float, default=0.01,
                         help="part of a joint's greatest speed that is slow")  # fmt: skip
+    parser.add_argument("--amplitude", type=float, nargs=6, default=list(_AMPLITUDE),
+                        metavar="TORQUE", help="of each joint in training [N m]")  # fmt: skip
     parser.add_argument("--samples", type=int, default=3300, help="of a training recording")
     options = command.parse(parser, argv, seeds=2, samples=1500)
     command.require_least(parser, options, seeds=1, samples=500)

@@ -28,10 +28,10 @@ def test_cases_are_what_they_say() -> None:
     }
     assert len(masks.CASES) == len(expected)
     for case in masks.CASES:
-        found = dict(zip(network.groups, case.masks(network, patterns), strict=True))
+        learnt = dict(zip(network.groups, case.masks(network, patterns), strict=True))
         rigid, friction = expected[case.backlash, case.slow]
-        assert_array_equal(found["gravity"], rigid)
-        assert_array_equal(found["viscous"], friction)
+        assert_array_equal(learnt["gravity"], rigid)
+        assert_array_equal(learnt["viscous"], friction)
 
 
 def test_the_truth_has_no_errors(rng: np.random.Generator) -> None:
@@ -44,8 +44,8 @@ def test_the_truth_has_no_errors(rng: np.random.Generator) -> None:
     patterns = jc.Patterns(
         np.arange(60.0), q, qd, qdd, torque, rng.random((60, 1)) < 0.8, np.abs(qd) > 0.5
     )
-    for found in masks.coefficients_of(inverse_dynamics(cslc), patterns).values():
-        assert_allclose(found, k, rtol=1e-9)
+    for learnt in masks.coefficients_of(inverse_dynamics(cslc), patterns).values():
+        assert_allclose(learnt, k, rtol=1e-9)
     figures = masks.residual_figures(cslc, patterns, k, qd)
     assert_allclose(figures["all pairs"], 0.0, atol=1e-12)
     assert_allclose(figures["share of slow pairs"], np.mean(np.abs(qd) <= 0.5))
