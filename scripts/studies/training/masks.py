@@ -3,8 +3,9 @@
 PUMA A and B with all disturbances of Section 7.2 make a training and a comparison recording per
 seed. Each set of masks has the weights at which backpropagation ends (`NormalEquations.solution`):
 the direct solve, where all subnetworks learn from the same pairs. Slow pairs are below one
-hundredth of a joint's greatest speed (7.5). Each set is solved with the backlash mask (Eqn. 2.5-7)
-and without it.
+hundredth of a joint's greatest speed (7.5). Each set is solved with the backlash mask (Eqn. 2.5-7),
+without it, and with the same mask shuffled over time. The last loses as many pairs per joint, and
+does not select them by the sign of the torque.
 
 - **ε** (7.5) is on the comparison recording, divided by that of the true coefficients.
 - **Errors of torque** are root mean squares over the comparison's pairs [N m]. They are of the
@@ -48,8 +49,9 @@ jax.config.update("jax_enable_x64", True)
 
 MACHINES = {"A": sim.puma_a, "B": sim.puma_b}
 OPTIONS = ("samples", "threshold", "amplitude")
-# What slow pairs are left out of.
+# What slow pairs are left out of, and whether there is a backlash mask.
 SLOW = ("everything", "friction only", "nothing")
+BACKLASH = ("yes", "no", "shuffled")
 # Of both recordings, as in the trainings of `cslc.py`.
 _ALIGNMENT = "mean"
 _COMPARISON = jc.Preparation(jc.AveragedSplines(17), torque_alignment=_ALIGNMENT, thresholds=0.05)
@@ -68,11 +70,11 @@ class Case:
 
     **Attributes**
 
-    - `backlash`: whether pairs in possible backlash are left out (Eqn. 2.5-7).
+    - `backlash`: whether pairs in possible backlash are left out (Eqn. 2.5-7), one of `BACKLASH`.
     - `slow`: what slow pairs are left out of, one of `SLOW`.
     """
 
-    backlash: bool
+    backlash: str
     slow: str
 
     def masks(
@@ -80,8 +82,10 @@ class Case:
     ) -> Bool[np.ndarray, "subnetworks samples joints"]:
         """Return the pairs that each subnetwork learns from."""
         every = np.ones(patterns.q.shape, bool)
-        if not self.backlash:
-            patterns = eqx.tree_at(lambda p: p.backlash_mask, patterns, every)
+        if self.backlash != "yes":
+            shuffled = np.random.default_rng(0).permuted(patterns.backlash_mask, axis=0)
+            other = shuffled if self.backlash == "shuffled" else every
+            patterns = eqx.tree_at(lambda p: p.backlash_mask, patterns, other)
         if self.slow == "nothing":
             patterns = eqx.tree_at(lambda p: p.friction_mask, patterns, every)
         if self.slow == "friction only":
@@ -91,7 +95,7 @@ class Case:
     @property
     def cells(self) -> list[str]:
         """Return its words in a table."""
-        return [self.slow, "yes" if self.backlash else "no"]
+        return [self.slow, self.backlash]
 
     @property
     def key(self) -> str:
@@ -99,7 +103,7 @@ class Case:
         return "/".join(self.cells)
 
 
-CASES = [Case(*case) for case in product((True, False), SLOW)]
+CASES = [Case(*case) for case in product(BACKLASH, SLOW)]
 
 
 @eqx.filter_jit
