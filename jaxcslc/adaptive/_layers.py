@@ -1,5 +1,11 @@
+"""Layers: links with weights of their own, and links whose weights vary from pattern to pattern.
+
+`_network.py` puts them in a row.
+"""
+
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,17 +44,43 @@ class Layer:
 
 @dataclass(frozen=True)
 class ContextLayer:
-    """A layer whose weights are inputs of the network (thesis 3.3.5, Fig. 6.2-1).
+    """A layer whose weights vary from pattern to pattern (thesis 3.3.5, Figs. 3.3-5 and 6.2-1).
 
     A link carries the value of its source times its context value, so that data are multiplied
-    by other data. Nothing here is trained.
+    by other data. Context values are inputs of the network, or the outputs of adaptive layers of
+    their own, which learn as others do (Fig. 3.3-5; Yeung & Bekey, ICRA 1989).
 
     **Attributes**
 
     - `inputs`, `nodes`, `contexts`: how many sources, nodes and context values there are.
-    - `source`, `node`, `context`: one index a link.
+    - `source`, `node`, `context`: one index per link.
+    - `layers`: adaptive layers that compute the context values from what patterns give; none if
+      patterns give the values themselves.
 
-    **Raises** `ValueError` for an index out of range, or lists of different lengths.
+    **Raises** `ValueError` for an index out of range, lists of different lengths, or layers that
+    do not fit together or do not compute as many values as there are contexts.
+
+    A product of two inputs, where one input computes the weight of the other:
+
+    >>> import jax.numpy as jnp, numpy as np
+    >>> from jaxcslc.adaptive import (
+    ...     AdaptiveNetwork, ContextLayer, Layer, LINEAR_COMBINER, Links, Signals, Subnetwork)
+    >>> from jaxcslc.training import Backpropagation, FixedRates, Plan, examples, half_square, train
+    >>> def signals(x):
+    ...     return Signals((x.T[:1],), ((x.T[1:],),))
+    >>> values = Layer(Links.full(1, 1))
+    >>> weights = Layer(Links.full(2, 1, first=1), bias=True)
+    >>> product = Subnetwork("product", (values,), (ContextLayer.full(1, 1, (weights,)),))
+    >>> names = ("gain", "slope", "bias")
+    >>> network = AdaptiveNetwork((product,), signals, LINEAR_COMBINER, names)
+    >>> network.groups
+    ('product', 'product context')
+    >>> x = jnp.asarray(np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2)))
+    >>> patterns = examples(network, x, x[:, :1] * x[:, 1:])
+    >>> plan = Plan(Backpropagation(), FixedRates(1.0), cost=half_square)
+    >>> training = train(network, patterns, np.array([0.5, 0.0, 0.5]), plan, epochs=300)
+    >>> float(training.cost) < 1e-12
+    True
     """
 
     inputs: int
@@ -57,6 +89,22 @@ class ContextLayer:
     source: tuple[int, ...]
     node: tuple[int, ...]
     context: tuple[int, ...]
+    layers: tuple[Layer, ...] = ()
+
+    @classmethod
+    def full(cls, inputs: int, nodes: int, layers: tuple[Layer, ...] = ()) -> "ContextLayer":
+        """Every source to every node, each link with a context value of its own, node by node."""
+        node, source = np.divmod(np.arange(inputs * nodes), inputs)
+        context = tuple(range(inputs * nodes))
+        return cls(
+            inputs,
+            nodes,
+            len(context),
+            tuple(source.tolist()),
+            tuple(node.tolist()),
+            context,
+            layers,
+        )
 
     def __post_init__(self) -> None:
         if len({len(self.source), len(self.node), len(self.context)}) != 1:
@@ -71,6 +119,22 @@ class ContextLayer:
                     f"context layer: {name} indices must be 0 to {limit - 1}, got"
                     f" {min(indices)} to {max(indices)}"
                 )
+        for at, (before, after) in enumerate(pairwise(self.layers), start=1):
+            if before.links.nodes != after.inputs:
+                raise ValueError(
+                    f"context layer: layer {at} of those that compute its weights has"
+                    f" {before.links.nodes} nodes, layer {at + 1} takes {after.inputs}"
+                )
+        if self.layers and self.layers[-1].links.nodes != self.contexts:
+            raise ValueError(
+                f"context layer: {self.contexts} context values, but the layers that compute them"
+                f" have {self.layers[-1].links.nodes} outputs"
+            )
+
+    @property
+    def context_inputs(self) -> int:
+        """Number of values that a pattern gives for the weights."""
+        return self.layers[0].inputs if self.layers else self.contexts
 
     @property
     def fan_out(self) -> np.ndarray:
@@ -88,6 +152,12 @@ class ContextLayer:
     ) -> Float[Array, "inputs ..."]:
         """Sums at the sources of value times context: the transpose of `forward`."""
         return _gathered(self.source, self.inputs, self.node, values, self.context, context)
+
+    def backward_to_contexts(
+        self, values: Float[Array, "nodes ..."], sources: Float[Array, "inputs ..."]
+    ) -> Float[Array, "contexts ..."]:
+        """Sums at the context values of value times source: what a change of each is worth."""
+        return _gathered(self.context, self.contexts, self.node, values, self.source, sources)
 
 
 def _gathered(

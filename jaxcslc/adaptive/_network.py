@@ -1,4 +1,9 @@
-from collections.abc import Callable
+"""Networks of adaptive and context-sensitive layers, and a pass forward through one.
+
+`_layers.py` has the layers, `_build.py` and `_inverse_dynamics.py` build networks of them.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -22,7 +27,8 @@ class Signals(eqx.Module):
     **Attributes**
 
     - `inputs`: one (inputs, patterns) array a subnetwork.
-    - `contexts`: for every subnetwork, one (contexts, patterns) array a context layer.
+    - `contexts`: for every subnetwork, one (values, patterns) array per context layer: the context
+      values, or the inputs of the layers that compute them.
     """
 
     inputs: tuple[Float[Array, "_ ..."], ...]
@@ -68,6 +74,20 @@ class Subnetwork:
     def outputs(self) -> int:
         return self.contexts[-1].nodes if self.contexts else self.layers[-1].links.nodes
 
+    @property
+    def adaptive_layers(self) -> tuple[tuple[str, Layer], ...]:
+        """Its own layers, then those that compute weights of context layers, each with its name."""
+        computing = [layer.layers for layer in self.contexts if layer.layers]
+        chains = [(self.name, " ", self.layers)] + [
+            (f"{self.name} context" + (f" {at}" if len(computing) > 1 else ""), ", layer ", layers)
+            for at, layers in enumerate(computing, start=1)
+        ]
+        return tuple(
+            (name if len(layers) == 1 else f"{name}{between}{number}", layer)
+            for name, between, layers in chains
+            for number, layer in enumerate(layers, start=1)
+        )
+
 
 class Passage(NamedTuple):
     """All values of one pass forward, kept for the learning rules.
@@ -75,12 +95,14 @@ class Passage(NamedTuple):
     - `layer_inputs`: for every subnetwork, the inputs of each adaptive layer, its bias among them.
     - `sums`: for every subnetwork, each adaptive layer's sums.
     - `values`: for every subnetwork, what each context layer took.
+    - `contexts`: for every subnetwork, each context layer's weights, as given or as computed.
     - `parts`: what every subnetwork brings to the output nodes, (outputs, ...).
     """
 
     layer_inputs: list[list[Float[Array, "_ ..."]]]
     sums: list[list[Float[Array, "_ ..."]]]
     values: list[list[Float[Array, "_ ..."]]]
+    contexts: list[list[Float[Array, "_ ..."]]]
     parts: list[Float[Array, "outputs ..."]]
 
     @property
@@ -140,11 +162,7 @@ class AdaptiveNetwork(eqx.Module):
     @property
     def adaptive_layers(self) -> tuple[tuple[str, Layer], ...]:
         """Every adaptive layer with its name: each has a learning rate of its own."""
-        return tuple(
-            (s.name if len(s.layers) == 1 else f"{s.name} {number}", layer)
-            for s in self.subnetworks
-            for number, layer in enumerate(s.layers, start=1)
-        )
+        return tuple(pair for s in self.subnetworks for pair in s.adaptive_layers)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -153,12 +171,15 @@ class AdaptiveNetwork(eqx.Module):
 
     @property
     def single_adaptive_layer(self) -> bool:
-        """Whether no adaptive layer follows another, as PERAL needs (6.2)."""
-        return all(len(subnetwork.layers) == 1 for subnetwork in self.subnetworks)
+        """Whether every subnetwork has one adaptive layer alone, as PERAL needs (6.2)."""
+        return all(len(subnetwork.adaptive_layers) == 1 for subnetwork in self.subnetworks)
 
     @property
     def linear(self) -> bool:
-        """Whether the sums at the output nodes are linear in the weights, as a CSLC's are."""
+        """Whether the sums at the output nodes are linear in the weights, as a CSLC's are.
+
+        Weights that compute other weights multiply them, so that such a network never is.
+        """
         return self.single_adaptive_layer and all(
             layer.activation == LINEAR_COMBINER for _, layer in self.adaptive_layers
         )
@@ -201,23 +222,37 @@ def _forward(
     subnetworks: tuple[Subnetwork, ...], weights: Float[Array, " weights"], signals: Signals
 ) -> Passage:
     """A pass forward: one program, where a CSLC's context layers would be hundreds."""
-    passage = Passage([], [], [], [])
+    passage = Passage([], [], [], [], [])
     for subnetwork, inputs, contexts in zip(
         subnetworks, signals.inputs, signals.contexts, strict=True
     ):
         layer_inputs: list[Array] = []
         sums: list[Array] = []
         values: list[Array] = []
-        value = inputs
-        for layer in subnetwork.layers:
-            layer_inputs.append(layer.with_bias(value))
-            sums.append(jnp.tensordot(layer.links.matrix(weights), layer_inputs[-1], 1))
-            value = layer.activation.value(sums[-1])
+        factors: list[Array] = []
+        value = _through(subnetwork.layers, weights, inputs, layer_inputs, sums)
         for layer, context in zip(subnetwork.contexts, contexts, strict=True):
             values.append(value)
-            value = layer.forward(value, context)
+            factors.append(_through(layer.layers, weights, context, layer_inputs, sums))
+            value = layer.forward(value, factors[-1])
         passage.layer_inputs.append(layer_inputs)
         passage.sums.append(sums)
         passage.values.append(values)
+        passage.contexts.append(factors)
         passage.parts.append(value)
     return passage
+
+
+def _through(
+    layers: Sequence[Layer],
+    weights: Float[Array, " weights"],
+    value: Float[Array, "_ ..."],
+    layer_inputs: list[Array],
+    sums: list[Array],
+) -> Float[Array, "_ ..."]:
+    """The outputs of adaptive layers in a row; their inputs and sums are appended."""
+    for layer in layers:
+        layer_inputs.append(layer.with_bias(value))
+        sums.append(jnp.tensordot(layer.links.matrix(weights), layer_inputs[-1], 1))
+        value = layer.activation.value(sums[-1])
+    return value

@@ -24,7 +24,16 @@ def order_per_output(network: AdaptiveNetwork) -> tuple[int, ...]:
     have no weights of their own: their nodes count the weights that reach them. Weights that
     are shared count once (5.2.5: joint 2's 28 of a PUMA 560). Activations are taken to be
     strictly increasing or decreasing, and the network to be in its most compact form.
+
+    **Raises** `ValueError` if layers compute context-sensitive weights: values may be scaled
+    against such weights, so that no number of patterns determines both.
     """
+    for subnetwork in network.subnetworks:
+        if any(layer.layers for layer in subnetwork.contexts):
+            raise ValueError(
+                f"network order: subnetwork {subnetwork.name!r} computes weights (3.3.5), which may"
+                " be scaled against what they weigh; no number of patterns determines both"
+            )
     reached = [_reach(subnetwork) for subnetwork in network.subnetworks]
     return tuple(
         len(frozenset[int]().union(*(weights[output] for weights, _ in reached)))

@@ -1,7 +1,9 @@
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals
+from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Layer, Signals
 from ._rules import (
     AbstractRule,
     Counts,
@@ -50,7 +52,8 @@ class PerceptronRule(AbstractRule):
 class Backpropagation(AbstractRule):
     """Gradient descent on half the sum of squared errors (Eqns. 3.4-2 to 3.4-9).
 
-    Through any number of adaptive layers and context-sensitive ones. The change of a shared
+    Through any number of adaptive layers and context-sensitive ones, and through the layers that
+    compute context-sensitive weights (3.3.5). The change of a shared
     weight is its gradient, by the chain rule through every link's multiple, divided by how many
     links share it (5.2.6): at one rate for all layers it vanishes where the gradient does.
 
@@ -90,19 +93,45 @@ class Backpropagation(AbstractRule):
         moves: list[Array] = []
         for at, subnetwork in enumerate(network.subnetworks):
             delta = errors * of_subnetwork(counts, at) * slopes
-            for layer, context in zip(
-                reversed(subnetwork.contexts), reversed(signals.contexts[at]), strict=True
-            ):
-                delta = layer.backward(delta, context)
-            subnetwork_moves: list[Array] = []
-            for number in reversed(range(len(subnetwork.layers))):
-                layer = subnetwork.layers[number]
-                # The linear combiner's slope of one is skipped, as is the output layer's, whose
-                # activation is the network's.
-                if layer.activation.slope not in (None, jnp.ones_like):
-                    delta = delta * layer.activation.slope(passage.sums[at][number])  # pyright: ignore[reportOptionalCall]
-                subnetwork_moves.append(transposed_product(delta, passage.layer_inputs[at][number]))
-                if number > 0:
-                    delta = (layer.links.matrix(weights).T @ delta)[: layer.inputs]
+            inputs, sums = passage.layer_inputs[at], passage.sums[at]
+            end = len(inputs)
+            subnetwork_moves: list[Array] = []  # from the last layer to the first
+            for number in reversed(range(len(subnetwork.contexts))):
+                layer = subnetwork.contexts[number]
+                first = end - len(layer.layers)
+                if layer.layers:
+                    at_weights = layer.backward_to_contexts(delta, passage.values[at][number])
+                    subnetwork_moves += _moves_back(
+                        layer.layers, weights, at_weights, inputs[first:end], sums[first:end]
+                    )
+                delta = layer.backward(delta, passage.contexts[at][number])
+                end = first
+            subnetwork_moves += _moves_back(
+                subnetwork.layers, weights, delta, inputs[:end], sums[:end]
+            )
             moves += reversed(subnetwork_moves)
         return change_of_weights(network, moves, learning)
+
+
+def _moves_back(
+    layers: Sequence[Layer],
+    weights: Weights,
+    delta: Float[Array, "nodes patterns"],
+    inputs: Sequence[Array],
+    sums: Sequence[Array],
+) -> list[Array]:
+    """Moves of the links of adaptive layers in a row, from the last layer to the first.
+
+    - `delta`: errors carried back to the outputs of the last layer.
+    """
+    moves: list[Array] = []
+    for number in reversed(range(len(layers))):
+        layer = layers[number]
+        # The linear combiner's slope of one is skipped, as is the output layer's, whose
+        # activation is the network's.
+        if layer.activation.slope not in (None, jnp.ones_like):
+            delta = delta * layer.activation.slope(sums[number])  # pyright: ignore[reportOptionalCall]
+        moves.append(transposed_product(delta, inputs[number]))
+        if number > 0:
+            delta = (layer.links.matrix(weights).T @ delta)[: layer.inputs]
+    return moves

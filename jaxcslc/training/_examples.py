@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Signals, Subnetwork
+from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Layer, Signals, Subnetwork
 from ._costs import Cost, half_square
 from ._delta_rules import Backpropagation
 from ._rules import AbstractRule, Counts, of_subnetwork
@@ -24,28 +25,36 @@ def reach(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
 def _reach(subnetworks: tuple[Subnetwork, ...]) -> tuple[tuple[int, ...], ...]:
     reaching: list[set[int]] = [set() for _ in range(subnetworks[0].outputs)]
     for subnetwork in subnetworks:
-        at: list[set[int]] = [set() for _ in range(subnetwork.layers[0].links.inputs)]
-        for layer in subnetwork.layers:
-            links = layer.links
-            at += [set()] * layer.bias
-            nodes: list[set[int]] = [set() for _ in range(links.nodes)]
-            for source, node, weight in zip(links.source, links.node, links.weight, strict=True):
-                nodes[node] |= at[source] | {int(weight)}
-            at = nodes
+        at = _reach_through(subnetwork.layers, subnetwork.layers[0].inputs)
         for layer in subnetwork.contexts:
-            nodes = [set() for _ in range(layer.nodes)]
-            for source, node in zip(layer.source, layer.node, strict=True):
-                nodes[node] |= at[source]
+            of_contexts = _reach_through(layer.layers, layer.context_inputs)
+            nodes: list[set[int]] = [set() for _ in range(layer.nodes)]
+            for source, node, context in zip(layer.source, layer.node, layer.context, strict=True):
+                nodes[node] |= at[source] | of_contexts[context]
             at = nodes
         reaching = [old | new for old, new in zip(reaching, at, strict=True)]
     return tuple(tuple(sorted(weights)) for weights in reaching)
+
+
+def _reach_through(layers: Sequence[Layer], inputs: int) -> list[set[int]]:
+    """The weights of adaptive layers in a row that reach each of their outputs."""
+    at: list[set[int]] = [set() for _ in range(inputs)]
+    for layer in layers:
+        links = layer.links
+        at += [set()] * layer.bias
+        nodes: list[set[int]] = [set() for _ in range(links.nodes)]
+        for source, node, weight in zip(links.source, links.node, links.weight, strict=True):
+            nodes[node] |= at[source] | {int(weight)}
+        at = nodes
+    return at
 
 
 def covered(network: AdaptiveNetwork, signals: Signals, counts: Counts) -> Bool[Array, " weights"]:
     """Which weights at least one pair that counts for their subnetwork can tell something of.
 
     Moduli all the way, so that nothing cancels: what counts is carried back to the links of the
-    first layer through whatever is not zero. Hidden nodes are taken to answer something.
+    first layer through whatever is not zero. Hidden nodes are taken to answer something, and so
+    are layers that compute weights.
     """
     return _covered(network.subnetworks, network.size, signals, counts)
 
@@ -62,15 +71,33 @@ def _covered(
         inputs, contexts = signals.inputs[at], signals.contexts[at]
         back = of_subnetwork(counts, at)
         for layer, context in zip(reversed(subnetwork.contexts), reversed(contexts), strict=True):
-            back = layer.backward(back, jnp.abs(context))
-        for number, layer in reversed(list(enumerate(subnetwork.layers))):
-            links = layer.links
-            values = jnp.abs(inputs) if number == 0 else jnp.ones((layer.inputs, back.shape[-1]))
-            sums = links.at_links(back @ layer.with_bias(values).T)
-            total = total + links.to_weights(sums, size)
-            some = links.matrix(jnp.ones(size, counts.dtype), magnitude=True)
-            back = (some.T @ back)[: layer.inputs]
+            moduli = jnp.abs(context)
+            if layer.layers:
+                answers = jnp.ones((layer.inputs, back.shape[-1]), back.dtype)
+                at_weights = layer.backward_to_contexts(back, answers)
+                total = total + _covered_back(layer.layers, size, moduli, at_weights)
+                moduli = jnp.ones((layer.contexts, back.shape[-1]), back.dtype)
+            back = layer.backward(back, moduli)
+        total = total + _covered_back(subnetwork.layers, size, jnp.abs(inputs), back)
     return total > 0
+
+
+def _covered_back(
+    layers: Sequence[Layer],
+    size: int,
+    inputs: Float[Array, "inputs patterns"],
+    back: Float[Array, "nodes patterns"],
+) -> Float[Array, " weights"]:
+    """How much of what is carried back to the last of some layers arrives at each weight."""
+    total = jnp.zeros(size, back.dtype)
+    for number, layer in reversed(list(enumerate(layers))):
+        links = layer.links
+        values = inputs if number == 0 else jnp.ones((layer.inputs, back.shape[-1]))
+        sums = links.at_links(back @ layer.with_bias(values).T)
+        total = total + links.to_weights(sums, size)
+        some = links.matrix(jnp.ones(size, back.dtype), magnitude=True)
+        back = (some.T @ back)[: layer.inputs]
+    return total
 
 
 class Examples(eqx.Module):

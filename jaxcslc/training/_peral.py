@@ -102,6 +102,11 @@ class PERAL(AbstractRule):
 
 def check_layers(network: AdaptiveNetwork) -> str | None:
     """Why a rule of proportional allocation cannot train such a network; none if it can."""
+    if any(layer.layers for subnetwork in network.subnetworks for layer in subnetwork.contexts):
+        return (
+            "PERAL cannot train weights that a subnetwork computes (3.3.5): it allocates errors to"
+            " what context-sensitive links weigh, and none to their weights (6.2)"
+        )
     if not network.single_adaptive_layer:
         return (
             "PERAL trains one adaptive layer only: it has no estimate of the error of a node"

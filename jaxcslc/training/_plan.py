@@ -242,7 +242,7 @@ class Plan(eqx.Module):
                 raise ValueError(
                     f"frozen: expected some of {', '.join(sorted(names))}, got {name!r}"
                 )
-        owners = [s.name for s in network.subnetworks for _ in s.layers]
+        owners = [s.name for s in network.subnetworks for _ in s.adaptive_layers]
         learning = tuple(
             group not in self.frozen and owner not in self.frozen
             for group, owner in zip(network.groups, owners, strict=True)
