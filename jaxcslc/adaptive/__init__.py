@@ -7,9 +7,11 @@ from ._activations import (
     decreasing as decreasing,
 )
 from ._build import Preprocessed as Preprocessed, fully_connected as fully_connected
+from ._compact import compact as compact
 from ._inverse_dynamics import (
     InverseDynamicsInputs as InverseDynamicsInputs,
     inverse_dynamics as inverse_dynamics,
+    signed_start as signed_start,
     subnetwork_masks as subnetwork_masks,
 )
 from ._layers import ContextLayer as ContextLayer, Layer as Layer

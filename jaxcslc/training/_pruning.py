@@ -1,3 +1,5 @@
+"""Pruning: which links of a network its training-set error does not need (thesis 3.6.2)."""
+
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator
@@ -6,6 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+
+from ..adaptive import AdaptiveNetwork, compact
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +67,13 @@ class Pruning:
     nodes: tuple[int, ...]
     passes: int
     finished: bool
+
+    def compact(self, network: AdaptiveNetwork) -> tuple[AdaptiveNetwork, Float[Array, " left"]]:
+        """Return the network without what is removed, and its weights: see `adaptive.compact`.
+
+        **Raises** `ValueError` if the network has another number of weights.
+        """
+        return compact(network, self.weights, self.kept)
 
     def __str__(self) -> str:
         return (
