@@ -50,6 +50,7 @@ from scripts.studies.training.peral_comparison import (
     Problem,
     compare_puma,
     compare_ultrasound,
+    correct,
     costs_of,
     direct_solutions,
     moduli,
@@ -229,6 +230,7 @@ def document(
                 "hand-over [epochs]": outcome.hand_over,
                 "epochs": outcome.epochs,
                 "ended": outcome.ended,
+                "correct": correct(outcome),
                 "seconds an epoch": outcome.seconds,
                 "PERAL's first rate": outcome.rate,
             }

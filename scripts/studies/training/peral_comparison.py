@@ -50,6 +50,7 @@ class Problem:
     """A network and its patterns.
 
     - `examples`: of all seeds, or of each with a leading axis; `first`: of the first seed.
+    - `comparison`: patterns that no training sees (6.3.1), if there are any.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Problem:
     network: AdaptiveNetwork
     examples: Examples
     first: Examples
+    comparison: Examples | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,17 +101,25 @@ def wrong(errors: Float[Array, "kinds patterns"], mask: Float[Array, "kinds patt
 
 
 def ultrasound(patterns: int, *, centred: bool) -> Problem:
-    """The 25+1 to 10 network of Fig. 6.3-2, and equal shares of patterns of each kind."""
-    echoes = sim.ultrasound(seed=0).training
+    """The 25+1 to 10 network of Fig. 6.3-2, and equal shares of patterns of each kind.
+
+    All 1,850 comparison patterns are kept for comparison. Means are those of the training patterns.
+    """
+    scene = sim.ultrasound(seed=0)
+    echoes, others = scene.training, scene.comparison
     by_kind = [np.flatnonzero(echoes.kind == kind) for kind in range(len(echoes.kinds))]
     rows = np.concatenate([rows[: max(1, patterns // len(by_kind))] for rows in by_kind])
-    inputs = echoes.inputs[rows]
-    if centred:
-        inputs = inputs - inputs.mean(axis=0)
-    network = fully_connected([inputs.shape[1], len(by_kind)], "hyperbolic tangent")
-    scene = examples(network, jnp.asarray(inputs), jnp.asarray(echoes.targets[rows]))
+    mean = echoes.inputs[rows].mean(axis=0) if centred else np.zeros(echoes.inputs.shape[1])
+    network = fully_connected([len(mean), len(by_kind)], "hyperbolic tangent")
+    training_set, comparison = (
+        examples(network, jnp.asarray(inputs - mean), jnp.asarray(targets))
+        for inputs, targets in (
+            (echoes.inputs[rows], echoes.targets[rows]),
+            (others.inputs, others.targets),
+        )
+    )
     variant = "inputs centred" if centred else "inputs as they are"
-    return Problem("ultrasound", variant, network, scene, scene)
+    return Problem("ultrasound", variant, network, training_set, training_set, comparison)
 
 
 def puma(patterns: int, noise: float, seeds: int) -> Problem:
@@ -293,6 +303,31 @@ def outcome(
         first.weights,
         {BACKPROPAGATION: on.weights, PERAL_RULE: tuned.weights},
     )
+
+
+def correct(outcome: Outcome) -> list[dict[str, Any]]:
+    """Shares of correct classifications of training and comparison patterns (6.3.1), by seed.
+
+    At the hand-over and at the end of each rule's training, which is at the last goal where the
+    training reached it; NaN for seeds that were not handed over.
+    """
+    problem = outcome.problem
+    if problem.comparison is None:
+        return []
+    handed_over = np.isfinite(outcome.hand_over)
+
+    def shares(patterns: Examples, weights: Array) -> list[float]:
+        missed = jax.vmap(lambda w: patterns.costs(problem.network, w, wrong)[0])(weights)
+        return np.where(handed_over, 1.0 - np.asarray(missed), np.nan).tolist()
+
+    return [
+        {
+            "at": at,
+            "training": shares(problem.examples, weights),
+            "comparison": shares(problem.comparison, weights),
+        }
+        for at, weights in {"hand-over": outcome.at_hand_over, **outcome.at_end}.items()
+    ]
 
 
 def direct_solutions(problem: Problem) -> Float[Array, "seeds weights"]:

@@ -12,6 +12,9 @@ are not known, so that every one of these is varied here:
 Every seed is another start. Otherwise as `scripts/studies/training/peral.py`, which see: rates,
 PERAL's first rate, how epochs and seconds are counted. A row is a condition and a goal: a share of
 correct classifications.
+
+A second table has the shares of correct classifications of the training patterns and of the 1,850
+comparison patterns, which no training sees.
 """
 
 import argparse
@@ -29,9 +32,9 @@ from jaxcslc.training import Cost, half_square, mean_modulus
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.training.learning_pictures import conditions_picture
-from scripts.studies.training.peral_comparison import compare_ultrasound, ultrasound
+from scripts.studies.training.peral_comparison import compare_ultrasound, correct, ultrasound
 from scripts.studies.training.peral_operations import PERAL_RULE
-from scripts.studies.training.peral_tables import epoch_rows, number
+from scripts.studies.training.peral_tables import epoch_rows, number, spread
 
 
 jax.config.update("jax_enable_x64", True)
@@ -75,7 +78,10 @@ def make_rows(options: argparse.Namespace, rows: Rows) -> None:
                 {name: value for name, value in row.items() if name not in ("problem", "variant")}
                 for row in epoch_rows(outcome)
             ]
-            rows.add(dict(zip(KEYS, condition, strict=True)) | {"goals": goals})
+            rows.add(
+                dict(zip(KEYS, condition, strict=True))
+                | {"goals": goals, "correct": correct(outcome)}
+            )
             shutil.rmtree(checkpoints)
             bar.update()
 
@@ -115,6 +121,37 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return text_table(header, lines, left=("inputs", "cost"))
 
 
+def correct_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each condition and stage: medians over starts of the shares that are correct."""
+    return [
+        {name: row[name] for name in KEYS}
+        | {"at": "hand-over" if stage["at"] == "hand-over" else f"end of {stage['at']}"}
+        | {
+            f"{patterns} patterns correct": spread(np.array(stage[patterns]))["median"]
+            for patterns in ("training", "comparison")
+        }
+        for row in rows
+        for stage in row["correct"]
+    ]
+
+
+def correct_table(rows: Sequence[dict[str, Any]]) -> str:
+    """A line for each row of `correct_rows`."""
+    lines = [
+        [
+            str(row["patterns"]),
+            "centred" if row["centred"] else "as they are",
+            row["cost"],
+            f"{row['hand-over']:.0%}",
+            row["at"],
+            *(f"{row[f'{name} patterns correct']:.1%}" for name in ("training", "comparison")),
+        ]
+        for row in rows
+    ]
+    header = ["patterns", "inputs", "cost", "hand-over", "at", "training", "comparison"]
+    return text_table(header, lines, left=("inputs", "cost", "at"))
+
+
 def wins(rows: Sequence[dict[str, Any]]) -> str:
     """In how many conditions and goals which rule takes fewer epochs, and less time."""
     by_rule = [row for row in rows if row["rule"] == PERAL_RULE]
@@ -138,14 +175,18 @@ def study(options: argparse.Namespace) -> int:
     digest = made_of({name: getattr(options, name) for name in OPTIONS}, code)
     finished = Rows(options.output / "rows.jsonl", KEYS, digest)
     make_rows(options, finished)
-    rows = flat([finished[condition] for condition in conditions(options)])
+    of_conditions = [finished[condition] for condition in conditions(options)]
+    rows, shares = flat(of_conditions), correct_rows(of_conditions)
     print(f"epochs from the hand-over on, medians of {options.seeds} starts (starts that arrive)")
     print(table(rows))
     print(wins(rows))
+    print("\nclassified correctly, medians of starts that were handed over")
+    print(correct_table(shares))
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "conditions.csv", rows)
+        write_csv(folder / "correct.csv", shares)
         save_picture(conditions_picture(rows, options.seeds), folder / "conditions.png")
-    print(f"wrote conditions.csv and conditions.png into {options.output}")
+    print(f"wrote conditions.csv, correct.csv and conditions.png into {options.output}")
     return 0
 
 

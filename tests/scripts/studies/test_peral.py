@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
+import sim
 from jaxcslc.adaptive import (
     HYPERBOLIC_TANGENT as TANH,
     AdaptiveNetwork,
@@ -30,6 +32,7 @@ from scripts.studies.training import (
     peral_comparison as comparison,
     peral_operations as operations,
     peral_tables as tables,
+    ultrasound,
 )
 from scripts.studies.training.learning_pictures import Learning, learning_picture
 
@@ -121,6 +124,41 @@ def test_ultrasound_patterns_are_in_equal_shares() -> None:
     problem = comparison.ultrasound(120, centred=True)
     assert_array_equal(np.sum(np.asarray(problem.examples.targets) == 1.0, axis=1), np.full(10, 12))
     assert_allclose(np.asarray(problem.examples.signals.inputs[0]).mean(axis=1), 0.0, atol=1e-12)
+
+
+def test_comparison_patterns_are_classified_too() -> None:
+    """All 1,850 of 6.3.1, less the means of the training patterns; counted by hand."""
+    problem = comparison.ultrasound(120, centred=True)
+    assert problem.comparison is not None
+    assert problem.comparison.targets.shape == (10, 1850)
+    scene = sim.ultrasound(seed=0)
+    shift = scene.comparison.inputs - np.asarray(problem.comparison.signals.inputs[0]).T
+    rows = [np.flatnonzero(scene.training.kind == kind)[:12] for kind in range(10)]
+    mean = scene.training.inputs[np.concatenate(rows)].mean(axis=0)
+    assert_allclose(shift, np.broadcast_to(mean, shift.shape), atol=1e-12)
+
+    weights = comparison.starts(problem, 2)
+    outcome = comparison.Outcome(
+        problem, np.array([3.0, np.nan]), {}, {}, {}, {}, {}, 1.0, weights, {"PERAL": weights + 0.1}
+    )
+    first, last = comparison.correct(outcome)
+    assert (first["at"], last["at"]) == ("hand-over", "PERAL")
+    inputs = np.column_stack([scene.comparison.inputs - mean, np.ones(1850)])
+    winners = (inputs @ np.asarray(weights[0] + 0.1).reshape(10, 26).T).argmax(axis=1)
+    expected = np.mean(winners == scene.comparison.kind)
+    assert_allclose(last["comparison"], [expected, np.nan])
+    assert len(first["training"]) == 2 and np.isnan(first["training"][1])
+    assert comparison.correct(replace(outcome, problem=linear_problem(1))) == []
+
+
+def test_shares_of_correct_classifications() -> None:
+    """Medians over starts that were handed over."""
+    stage = {"at": "PERAL", "training": [0.5, 0.4, np.nan], "comparison": [0.3, 0.2, np.nan]}
+    row = {"patterns": 200, "centred": True, "hand-over": 0.3, "cost": "half square"}
+    (line,) = ultrasound.correct_rows([row | {"correct": [stage]}])
+    assert line["at"] == "end of PERAL"
+    assert line["training patterns correct"] == 0.4 and line["comparison patterns correct"] == 0.2
+    assert "40.0%" in ultrasound.correct_table([line])
 
 
 def test_never_is_longer_than_anything() -> None:
