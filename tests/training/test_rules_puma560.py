@@ -1,6 +1,6 @@
 """Backpropagation and PERAL on the PUMA 560's network, whose links Appendix B prints."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,77 +13,36 @@ from jaxcslc.adaptive import (
 )
 from jaxcslc.training import PERAL, Backpropagation, examples
 from jaxcslc.training._rules import AbstractRule
+from scripts.studies.transcription import network as transcription, training
 
 from . import _transcription as thesis
 from ._problems import Problem, change
 
 
-def appendix_network(appendix_b: dict[str, Any], names: Sequence[str]) -> list[thesis.Subnetwork]:
-    """Figs. 5.1-1 to 5.1-6 with the links that Appendix B prints."""
-    index_of = {name: index for index, name in enumerate(names)}
-    columns = {
-        table: {int(at): [i - 1 for i in joints] for at, joints in appendix_b[table].items()}
-        for table in ("mass_columns", "velocity_columns")
-    }
-
-    def links(table: str, node: str) -> list[thesis.Link]:
-        return [
-            thesis.Link(link["input"] - 1, link[node] - 1, index_of[name], multiple)
-            for link in appendix_b[table]
-            for name, multiple in link["weight"].items()
-        ]
-
-    mass_context: list[thesis.ContextLink] = []
-    for at, (i, j) in columns["mass_columns"].items():
-        mass_context.append(thesis.ContextLink(at - 1, i, j))
-        if i != j:
-            mass_context.append(thesis.ContextLink(at - 1, j, i))
-    inner: list[thesis.ContextLink] = []
-    for at, (i, j, k) in columns["velocity_columns"].items():
-        inner.append(thesis.ContextLink(at - 1, 6 * i + j, k))
-        if j != k:
-            inner.append(thesis.ContextLink(at - 1, 6 * i + k, j))
-    outer = [thesis.ContextLink(6 * i + j, i, j) for i in range(6) for j in range(6)]
-
-    def diagonal(prefix: str) -> list[thesis.Link]:
-        return [thesis.Link(i, i, index_of[f"{prefix}{i + 1}"]) for i in range(6)]
-
-    identity = thesis.IDENTITY
-    return [
-        thesis.Subnetwork([(21, links("mass_links", "column"), identity)], [(6, mass_context)]),
-        thesis.Subnetwork(
-            [(105, links("velocity_links", "column"), identity)], [(36, inner), (6, outer)]
-        ),
-        thesis.Subnetwork([(6, links("gravity_links", "joint"), identity)]),
-        thesis.Subnetwork([(6, diagonal("kv"), identity)]),
-        thesis.Subnetwork([(6, diagonal("kd"), identity)]),
-    ]
-
-
-def appendix_inputs(appendix_b: dict[str, Any], table: str, q: np.ndarray) -> np.ndarray:
-    """Products of sines and cosines, (patterns, inputs)."""
-    angles = {"2": q[:, 1], "23": q[:, 1] + q[:, 2], "4": q[:, 3], "5": q[:, 4]}
-    columns: list[np.ndarray] = []
-    for at in sorted(appendix_b[table], key=int):
-        value = np.ones(len(q))
-        for factor, power in appendix_b[table][at].items():
-            function = np.cos if factor[0] == "c" else np.sin
-            value = value * function(angles[factor[1:]]) ** power
-        columns.append(value)
-    return np.column_stack(columns)
+def literal(part: transcription.Subnetwork) -> thesis.Subnetwork:
+    """The same subnetwork for the equations letter by letter."""
+    layer = (part.nodes, [thesis.Link(*link) for link in part.links], thesis.IDENTITY)
+    return thesis.Subnetwork(
+        [layer],
+        [
+            (context.nodes, [thesis.ContextLink(*link) for link in context.links])
+            for context in part.contexts
+        ],
+    )
 
 
 @pytest.fixture
 def puma_problem(puma: CSLC, appendix_b: dict[str, Any], rng: np.random.Generator) -> Problem:
     q, qd, qdd = rng.uniform(-2, 2, (3, 4, 6))
     qd[1, 2] = 0.0  # a joint at rest
+    parts = transcription.appendix_network(appendix_b, puma.names)
+    signals = transcription.appendix_signals(appendix_b, q, qd, qdd)
     return Problem(
         inverse_dynamics(puma),
-        appendix_network(appendix_b, puma.names),
+        [literal(part) for part in parts],
         thesis.IDENTITY,
-        [appendix_inputs(appendix_b, f"{t}_inputs", q) for t in ("mass", "velocity", "gravity")]
-        + [qd, np.sign(qd)],
-        [[qdd], [qd, qd], [], [], []],
+        [part.x.T for part in signals],
+        [[context.T for context in part.contexts] for part in signals],
         rng.normal(scale=10, size=(4, 6)),
         rng.normal(size=puma.size),
         (q, qd, qdd),
@@ -96,10 +55,10 @@ def test_the_whole_cslc(puma_problem: Problem, rule: AbstractRule, velocity: boo
     """All five subnetworks, the network as the library derives it, the literal one as printed."""
     case = puma_problem
     learning = (True, velocity, True, True, True)
-    literal = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
+    equations = thesis.peral if isinstance(rule, PERAL) else thesis.backpropagation
     training_set = examples(case.network, case.patterns, case.t)
     result = change(rule, case.network, case.k, training_set, learning)
-    expected = case.literally(literal, learning)
+    expected = case.literally(equations, learning)
     assert_allclose(result, expected, rtol=1e-10, atol=1e-11)
     assert velocity == bool(np.any(result[1]))
 
@@ -110,4 +69,33 @@ def test_the_whole_cslc_with_masks(puma_problem: Problem, rng: np.random.Generat
     training_set = examples(case.network, case.patterns, case.t, counts > 0)
     result = change(PERAL(), case.network, case.k, training_set)
     expected = case.literally(thesis.peral, counts=counts)
+    assert_allclose(result, expected, rtol=1e-10, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("equations", "link_by_link"),
+    [
+        (thesis.backpropagation, training.backpropagation),
+        (thesis.peral, training.peral),
+    ],
+    ids=["backpropagation", "PERAL"],
+)
+def test_the_transcription_of_all_patterns_at_once(
+    puma_problem: Problem,
+    appendix_b: dict[str, Any],
+    rng: np.random.Generator,
+    equations: Callable[..., thesis.Moves],
+    link_by_link: Callable[[training.Problem, np.ndarray, np.ndarray], np.ndarray],
+) -> None:
+    """With masks by subnetwork: as with each mask for all, the row of its subnetwork (7.2.2)."""
+    case = puma_problem
+    counts = (rng.uniform(size=(5, *case.t.shape)) < 0.7).astype(float)
+    counts[:, :, 0] = 1.0  # every pattern has a pair that counts
+    parts = transcription.appendix_network(appendix_b, transcription.appendix_names())
+    signals = transcription.appendix_signals(appendix_b, *case.patterns)
+    t = case.t.T
+    problem = training.Problem(parts, signals, t, np.swapaxes(counts, 1, 2))
+    errors = t - transcription.outputs(parts, signals, case.k)
+    expected = [case.literally(equations, counts=mask)[row] for row, mask in enumerate(counts)]
+    result = link_by_link(problem, case.k, errors)
     assert_allclose(result, expected, rtol=1e-10, atol=1e-11)
