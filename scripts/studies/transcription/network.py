@@ -176,15 +176,21 @@ def outputs(
     """Return the torques y, the sums over the superimposed output nodes (5.1.5) [N m]."""
     y = np.zeros((JOINTS, signals[0].x.shape[1]))
     for part, entering in zip(parts, signals, strict=True):
-        y += forward(part, entering, k)[-1]
+        if np.any(k[[link.k for link in part.links]]):  # otherwise its torques are zero
+            y += forward(part, entering, k)[-1]
     return y
 
 
 def possible_backlash(
     qd: Motion, qdd: Motion, torque: Motion
 ) -> Bool[np.ndarray, "patterns joints"]:
-    """Return where sgn(torque) = sgn(velocity) and sgn(torque) = sgn(acceleration) (2.5-7)."""
-    return (np.sign(torque) == np.sign(qd)) & (np.sign(torque) == np.sign(qdd))
+    """Return where torque, velocity and acceleration have the same sign (2.5-7).
+
+    A zero, whose true sign is not known, agrees with any sign, as the docstring of
+    `jaxcslc.motion.possible_backlash` promises. To the letter, Eqn. 2.5-7 is false there.
+    """
+    signs = np.sign([torque, qd, qdd])
+    return ~(np.any(signs > 0, axis=0) & np.any(signs < 0, axis=0))
 
 
 def slow(qd: Motion, fraction: float = 0.01) -> Bool[np.ndarray, "patterns joints"]:

@@ -80,11 +80,12 @@ def test_masks_by_subnetwork(rng: np.random.Generator, appendix_b: dict[str, Any
 
 
 def test_eqn_2_5_7_and_slow_pairs() -> None:
-    torque = np.array([[1.0], [1.0], [-1.0], [1.0]])
-    qd = np.array([[0.5], [-100.0], [-1.0], [1.1]])
-    qdd = np.array([[2.0], [-2.0], [-2.0], [-2.0]])
-    assert network.possible_backlash(qd, qdd, torque).ravel().tolist() == [True, False, True, False]
-    assert network.slow(qd).ravel().tolist() == [True, False, True, False]
+    torque = np.array([[1.0, 1.0, -1.0, 1.0, 1.0, 0.0]]).T
+    qd = np.array([[0.5, -100.0, -1.0, 1.1, 0.0, 2.0]]).T
+    qdd = np.array([[2.0, -2.0, -2.0, -2.0, 3.0, -1.0]]).T
+    possible = [True, False, True, False, True, False]
+    assert network.possible_backlash(qd, qdd, torque).ravel().tolist() == possible
+    assert network.slow(qd).ravel().tolist() == [True, False, True, False, True, False]
 
 
 def test_half_rms_is_of_pairs_that_count() -> None:
