@@ -251,7 +251,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="the subnetworks that do not learn from slow pairs")  # fmt: skip
     options = command.parse(parser, argv, samples=800, least=1e-2, epochs=400)
     command.require_least(parser, options, samples=500, epochs=1, bout=1)
-    # A trial run compiles for most of its time. The full run takes 40 ms an epoch.
+    # A trial run compiles for most of its time.
     seconds = 60.0 if options.quick else 600.0
     return command.run(parser, lambda: study(options), seconds=seconds)
 
