@@ -4,9 +4,15 @@ from ._network import AdaptiveNetwork, Subnetwork
 
 
 def network_order(network: AdaptiveNetwork) -> int:
-    """The order of a network: how many independent patterns it takes, at the least, to fix it.
+    """The order of a network (thesis 4.2): the largest order of any output.
 
-    The largest order of any output; see `order_per_output`.
+    The thesis takes it for the least number of independent patterns that determine the weights.
+    It is that number for one adaptive layer whose outputs share no weights. Where outputs share
+    weights, each pattern says something of a weight several times, and fewer patterns are enough:
+    a PUMA 560's CSLC has order 28, which is what joint 2's weights need from joint 2's torque
+    alone, and 8 patterns of all joints determine its 43 weights
+    (`AbstractLinearNetwork.least_patterns`). Behind several adaptive layers, orders multiply and
+    can exceed the number of weights.
 
     >>> import jaxcslc as jc
     >>> from jaxcslc.adaptive import inverse_dynamics, network_order
@@ -18,6 +24,9 @@ def network_order(network: AdaptiveNetwork) -> int:
 
 def order_per_output(network: AdaptiveNetwork) -> tuple[int, ...]:
     """Each output's order (thesis 4.2): its number of weights times the order of what they weigh.
+
+    For one adaptive layer, as many independent patterns determine the output's weights from this
+    output alone; see `network_order`.
 
     Every node counts the independently weighted links that feed it; an output's order is the
     highest product of these counts along a route from inputs to it. Context-sensitive layers

@@ -341,7 +341,12 @@ class CSLC(AbstractTermSum):
 
     @property
     def order(self) -> int:
-        """Network order (4.2): independent patterns needed, at the least, to determine `k`."""
+        """Network order (thesis 4.2): the coefficients of the joint that depends on most of them.
+
+        As many independent patterns determine the coefficients of any joint from its own torque
+        alone. Joints share coefficients, so that all joints together need fewer:
+        `least_patterns`. (The thesis takes the order for that number, 5.2.5.)
+        """
         return max(self.order_per_joint)
 
     def __repr__(self) -> str:

@@ -10,9 +10,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._environment import array_namespace
+from .._environment import array_namespace, require_float64
 from ..derivation import Coefficient
 from ._layout import Layout, layout_of
+from ._least_patterns import least_patterns
 from .terms import AbstractTerm
 
 
@@ -134,6 +135,29 @@ class AbstractLinearNetwork(eqx.Module):
             )
             for joint in range(self.joint_count)
         )
+
+    @cached_property
+    def least_patterns(self) -> int:
+        """Number of patterns that determine `k`, at the least: N.
+
+        N patterns give N rows per output, and one coefficient may occur in several outputs. So N
+        is at least p divided by n, and at least what the coefficients of any one output alone
+        need. It is computed: the least N at which the stacked regressor of N random patterns
+        reaches the rank that any number of patterns has. For coefficients that occur in one
+        output each, it is the thesis's network order (4.2); for others it is smaller, since the
+        order is what one output alone needs. Noise and poor motion need more patterns.
+
+        **Raises** `ValueError` for a network without `has_host_columns` unless JAX computes in
+        float64.
+
+        >>> import jaxcslc as jc
+        >>> network = jc.derive(jc.puma560())
+        >>> network.size, network.order, network.least_patterns  # thesis 5.2.5 has the order
+        (43, 28, 8)
+        """
+        if not self.has_host_columns:
+            require_float64()
+        return least_patterns(self.columns, self.support, self.motion_count)
 
     @property
     def has_host_columns(self) -> bool:

@@ -287,7 +287,11 @@ class SystemNetwork(AbstractLinearNetwork):
 
     @property
     def order(self) -> int:
-        """Network order (4.2): independent patterns needed, at the least, to determine `k`."""
+        """Network order (thesis 4.2): the combinations of coefficients of the equation with most.
+
+        As many independent patterns determine these from that equation alone. Where equations
+        share coefficients, all together need fewer patterns: `least_patterns`.
+        """
         return max(self.order_per_joint)
 
     def __repr__(self) -> str:

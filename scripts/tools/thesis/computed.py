@@ -98,6 +98,11 @@ def order() -> int:
     return network().order
 
 
+def least_patterns() -> int:
+    """That determine all coefficients."""
+    return network().least_patterns
+
+
 def order_of_joint_2() -> list[int]:
     """Mass and velocity, gravity, and friction coefficients that its torque depends on."""
     algebra, joint = network().algebra, 1
