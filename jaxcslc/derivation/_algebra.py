@@ -202,8 +202,9 @@ def _with_symbols(
         return expression(addends(form))
 
     # Symbolic constants are in every form's key, so elements of M and G never share one.
-    mass_basis = Basis(_forms(mass), label)
-    gravity_basis = Basis(_forms(weight), label)
+    known = {index for index, term in enumerate(terms) if term.known is not None}
+    mass_basis = Basis(_forms(mass), label, known)
+    gravity_basis = Basis(_forms(weight), label, known)
     numbering = robot.numbering if lengths == "symbolic" else None  # published for symbols
     forms = mass_basis.forms + gravity_basis.forms
     if lengths == "symbolic":

@@ -183,6 +183,8 @@ def _fraction(residue: int, prime: int) -> tuple[int, int]:
 
 
 def _preference(term: InertialTerm, index: int) -> tuple[int, int]:
+    if term.known is not None:
+        return 4, index  # so that coefficients of known terms alone are apart from others
     if term.factors == ("motor",):
         return 0, index + 10_000  # after every inertia, before what is regrouped
     last = max((_REGROUPED_LAST.get(entry, 0) for entry, _ in term.body), default=0)
@@ -240,7 +242,12 @@ def _forms_at_random_position(
                 factors = cache.setdefault(term.link, {}) or factors_of(twists[term.link])
                 cache[term.link] = factors
                 total = sum(
-                    (multiple * factors.get(entry, 0) for entry, multiple in term.body), zero
+                    (
+                        (multiple if isinstance(multiple, int) else number(multiple))
+                        * factors.get(entry, 0)
+                        for entry, multiple in term.body
+                    ),
+                    zero,
                 )
                 entries[columns[index]] = total
         return entries

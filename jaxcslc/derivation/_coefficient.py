@@ -1,4 +1,5 @@
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -46,6 +47,22 @@ class Coefficient:
     unit: str
     positive: bool
     addends: tuple[Addend, ...] = ()
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is made of known masses alone (thesis C.1.2)."""
+        return bool(self.addends) and all(x.term.known is not None for x in self.addends)
+
+    def known_value(self, constants: Mapping[str, float]) -> float:
+        """The number that it is if it `is_known`.
+
+        - `constants`: values of lengths and gravity, by name.
+        """
+        return sum(
+            float(x.factor * (x.term.known or 0))
+            * math.prod(constants[name] ** power for name, power in x.constants)
+            for x in self.addends
+        )
 
 
 def expression(addends: Sequence[Addend]) -> str:

@@ -1,5 +1,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 from ..manipulator import Manipulator
@@ -12,6 +13,7 @@ from ._vectors import add, cross, dot, minus
 BODY = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "hx", "hy", "hz", "m")
 _AXES = ("x", "y", "z")
 _FIRST_MOMENTS = BODY[6:9]
+_CENTRE = ("rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
@@ -23,14 +25,17 @@ class InertialTerm:
     - `link`: counted from 0.
     - `factors`: `("Ixx",)`, `("m", "rx", "ry")`, `("motor",)`, to be multiplied.
     - `body`: entries of `BODY` that contain the product, with their multiples of it (Eqns. 2.3-17,
-      2.3-20).
+      2.3-20). Where the centre of gravity is known, the mass is in first moments too, multiplied
+      by its coordinates (C.1.2).
     - `central`: whether it is a moment about the centre of gravity instead of the frame's origin.
+    - `known`: its value, where that is a number in the algebra; else None.
     """
 
     link: int
     factors: tuple[str, ...]
-    body: tuple[tuple[str, int], ...]
+    body: tuple[tuple[str, int | Fraction], ...]
     central: bool = False
+    known: Fraction | None = None
 
     @property
     def label(self) -> str:
@@ -53,14 +58,15 @@ class UnitInertia(NamedTuple):
     """
 
     link: int
-    body: tuple[int, ...]
+    body: tuple[int | float, ...]
     motor: int
 
 
 def unit_inertia(term: InertialTerm) -> UnitInertia:
     """The inertia of a link of which one term is 1 and all others are zero."""
     multiples = dict(term.body)
-    body = tuple(multiples.get(entry, 0) for entry in BODY)
+    numbers = (multiples.get(entry, 0) for entry in BODY)
+    body = tuple(float(x) if isinstance(x, Fraction) else x for x in numbers)
     return UnitInertia(term.link, body, int(term.factors == ("motor",)))
 
 
@@ -73,15 +79,22 @@ def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
             one = min(same[first], same[second])
             joined = {same[first], same[second]}
             same = {moment: one if name in joined else name for moment, name in same.items()}
-        body: dict[tuple[str, ...], dict[str, int]] = {}
+        body: dict[tuple[str, ...], dict[str, int | Fraction]] = {}
+        centre: dict[str, Fraction] = dict(
+            zip(_CENTRE, map(_fraction, inertia.centre or ()), strict=False)
+        )
 
         def put(
             factors: tuple[str, ...],
-            entries: Mapping[str, int],
-            body: dict[tuple[str, ...], dict[str, int]] = body,
+            entries: Mapping[str, int | Fraction],
+            body: dict[tuple[str, ...], dict[str, int | Fraction]] = body,
             zero: set[str] = zero,
+            centre: Mapping[str, Fraction] = centre,
         ) -> None:
-            if not zero & set(factors):
+            for factor in factors[1:] if centre else ():
+                entries = {name: multiple * centre[factor] for name, multiple in entries.items()}
+            factors = factors[:1] if centre else factors
+            if not zero & set(factors) and any(entries.values()):
                 entries_of_term = body.setdefault(factors, {})
                 for entry, multiple in entries.items():
                     entries_of_term[entry] = entries_of_term.get(entry, 0) + multiple
@@ -106,7 +119,11 @@ def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
         central = inertia.form == "principal"
         terms += [
             InertialTerm(
-                link, factors, tuple(entries_of_term.items()), central and factors[0][0] == "I"
+                link,
+                factors,
+                tuple(entries_of_term.items()),
+                central and factors[0][0] == "I",
+                None if inertia.mass is None or factors != ("m",) else _fraction(inertia.mass),
             )
             for factors, entries_of_term in body.items()
         ]
@@ -116,6 +133,11 @@ def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:
         if inertia.motor
     ]
     return tuple(terms)
+
+
+def _fraction(value: float) -> Fraction:
+    """The rational that the shortest decimal of a float says, as `exact_number`."""
+    return Fraction(repr(float(value)))
 
 
 def kinetic_factors(twists: LinkTwists, j: int, k: int, needed: set[str]) -> dict[str, Any]:

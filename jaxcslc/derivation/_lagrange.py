@@ -115,13 +115,14 @@ def _collect(
     for index, term in terms:
         for entry, multiple in term.body:
             polynomial = normal.get(entry, 0)
+            exact = fmpq(multiple.numerator, multiple.denominator)
             if not isinstance(polynomial, SparsePolynomial):  # a plain number
                 constant = (0,) * (split + len(ring.constants))
                 polynomial = {constant: fmpq(polynomial)} if polynomial else {}
             for exponents, value in polynomial.items():
                 form = element.setdefault(exponents[:split], {})
                 key = (index, exponents[split:])
-                total = form.get(key, 0) + multiple * value
+                total = form.get(key, 0) + exact * value
                 if total:
                     form[key] = total
                 else:

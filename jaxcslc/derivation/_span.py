@@ -1,8 +1,8 @@
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from math import gcd, lcm
 from typing import Any
 
-from flint import fmpq
+from flint import fmpq, fmpq_mat
 
 from ._lagrange import Form
 
@@ -24,17 +24,35 @@ class Basis:
     Forms that differ by a multiple are one. Of those that remain, the simplest that are
     linearly independent are kept, fewest terms first; the others are rational combinations of
     them. Multiples are made integers without a common divisor, and the first is positive.
+
+    - `forms`: to be written in the basis.
+    - `label`: what sorts forms of as many terms.
+    - `known`: indices of terms that are numbers (C.1.2). Combinations of the forms that contain
+      no other terms are kept first, so that as much of the basis as possible is known.
     """
 
-    def __init__(self, forms: Iterable[Form], label: Callable[[Form], str]) -> None:
+    def __init__(
+        self,
+        forms: Iterable[Form],
+        label: Callable[[Form], str],
+        known: Collection[int] = (),
+    ) -> None:
         multiples: dict[Direction, list[Any]] = {}
         for form in forms:
             key, multiple = direction(form)
             multiples.setdefault(key, []).append(multiple)
+        for form in _known_combinations([dict(key) for key in multiples], known):
+            multiples.setdefault(direction(form)[0], [fmpq(1)])
         candidates: list[tuple[Direction, Any]] = [
             (key, _unit(factors)) for key, factors in multiples.items()
         ]
-        candidates.sort(key=lambda item: (len(item[0]), label(_scaled(*item))))
+        candidates.sort(
+            key=lambda item: (
+                not all(index in known for (index, _), _ in item[0]),
+                len(item[0]),
+                label(_scaled(*item)),
+            )
+        )
         self.forms: list[Form] = []
         # Echelon rows: leading key -> (row, the same row as a combination of basis forms).
         self._rows: dict[Any, tuple[Form, dict[int, Any]]] = {}
@@ -74,6 +92,20 @@ class Basis:
                     total = used.get(index, 0) + factor * value
                     used[index] = total
         return remainder, {index: value for index, value in used.items() if value}
+
+
+def _known_combinations(forms: list[Form], known: Collection[int]) -> list[Form]:
+    """A basis of the combinations of forms that contain known terms alone, in echelon form."""
+    keys = sorted({key for form in forms for key in form}, key=lambda key: (key[0] in known, key))
+    if not any(key[0] in known for key in keys):
+        return []
+    rows = [[form.get(key, fmpq(0)) for key in keys] for form in forms]
+    echelon, rank = fmpq_mat(rows).rref()
+    combinations = [
+        {key: value for key, value in zip(keys, row, strict=True) if value}
+        for row in echelon.tolist()[:rank]
+    ]
+    return [form for form in combinations if all(index in known for index, _ in form)]
 
 
 def _scaled(key: Direction, unit: Any) -> Form:

@@ -219,7 +219,7 @@ def payload_bodies(
     return bodies
 
 
-def _payload_units(network: CSLC) -> list[tuple[int, tuple[int, ...]]]:
+def _payload_units(network: CSLC) -> list[tuple[int, tuple[int | float, ...]]]:
     """For each of the payload's coefficients, the link that carries it and ten numbers."""
     if network.carrying_link is None:
         return []
@@ -233,7 +233,8 @@ def bodies_of_coefficients(network: CSLC, k: Float[np.ndarray, " coefficients"])
     """Links and motors that have these coefficients, most of their numbers zero.
 
     They need not be possible bodies: what is regrouped into a base parameter is zero. None if no
-    numbers have them: symbolic coefficients that were identified one by one are rarely consistent.
+    numbers have them: symbolic coefficients that were identified one by one are rarely consistent,
+    and bodies of known masses (C.1.2) are not looked for.
     """
     n, algebra = network.robot.joint_count, network.algebra
     inertial = k[network.layout.inertial]
@@ -243,6 +244,8 @@ def bodies_of_coefficients(network: CSLC, k: Float[np.ndarray, " coefficients"])
             links[unit.link] += value * np.array(unit.body)
             motors[unit.link] += value * unit.motor
         return Bodies(links, motors, payload_bodies(network, k))
+    if any(inertia.has_known for inertia in network.robot.inertia):
+        return None
     from scipy.linalg import qr
 
     of_bodies, of_motors = body_map(algebra)

@@ -312,6 +312,11 @@ def _check_arguments(
     friction: Literal["auto"] | None,
 ) -> None:
     """**Raises** `ValueError` for arguments that exclude each other or are not the network's."""
+    if any(inertia.has_known for inertia in network.robot.inertia):
+        raise ValueError(
+            f"identify: {network.name!r} has known masses or centres of gravity in its algebra,"
+            " which LeastSquares.fit takes; here say them as links of the prior"
+        )
     if (previous is None) != (groups is None):
         raise ValueError("identify: got one of previous and groups; expected both or neither")
     if friction not in ("auto", None):

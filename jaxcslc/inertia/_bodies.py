@@ -86,7 +86,14 @@ def body_map(
 
     - What multiplies each body's ten numbers.
     - What multiplies each motor's inertia.
+
+    **Raises** `ValueError` for masses and centres of gravity that are numbers in the algebra.
     """
+    if any(inertia.has_known for inertia in algebra.robot.inertia):
+        raise ValueError(
+            f"bodies of {algebra.robot.name!r}: masses or centres of gravity are numbers in its"
+            " algebra; expected a robot without `with_known`, and what is known as a prior"
+        )
     n = algebra.robot.joint_count
     constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}
     columns = [

@@ -1,3 +1,4 @@
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -28,6 +29,9 @@ class LinkInertia:
       full tensor, `Ixy Ixz Iyz`; `rx ry rz` are the coordinates of the centre of gravity.
     - `equal`: pairs of moments that are equal by symmetry; the second is written as the first.
     - `motor`: whether the joint has an effective motor inertia (Eqn. 2.5-6).
+    - `mass`, `centre`: the link's mass [kg] and centre of gravity, three coordinates in the
+      link's frame [m], where they are known. They are numbers in the algebra instead of symbols
+      (C.1.2).
 
     Off-diagonal entries are elements of the inertia tensor, `Ixy = -∫ x y dm`: the sign of
     URDF, MJCF and most of the field, opposite to Eqn. 2.3-15.
@@ -40,6 +44,13 @@ class LinkInertia:
     zero: tuple[str, ...] = ()
     equal: tuple[tuple[str, str], ...] = ()
     motor: bool = True
+    mass: float | None = None
+    centre: tuple[float, ...] | None = None
+
+    @property
+    def has_known(self) -> bool:
+        """Whether the mass or the centre of gravity is a number in the algebra."""
+        return self.mass is not None or self.centre is not None
 
     def __post_init__(self) -> None:
         if self.form not in _ENTRIES:
@@ -61,3 +72,18 @@ class LinkInertia:
                 raise RobotError(f"entries {pair!r} cannot be both equal and zero")
         if self.form == "principal" and "m" in self.zero and len(self.zero) < 2:
             raise RobotError("a link of zero mass has no centre of gravity: make rx ry rz zero too")
+        self._check_known()
+
+    def _check_known(self) -> None:
+        """**Raises** `RobotError` for known values that no body has, or that `zero` excludes."""
+        if self.mass is not None and not 0.0 < self.mass < math.inf:
+            raise RobotError(f"known mass: expected more than 0 kg, got {self.mass}")
+        if self.centre is not None and not (
+            len(self.centre) == 3 and all(map(math.isfinite, self.centre))
+        ):
+            raise RobotError(f"known centre: expected three finite numbers in m, got {self.centre}")
+        if self.has_known and "m" in self.zero:
+            raise RobotError("a link whose mass is listed as zero has no known mass or centre")
+        for axis, value in zip("xyz", self.centre or (0.0, 0.0, 0.0), strict=True):
+            if value != 0.0 and f"r{axis}" in self.zero:
+                raise RobotError(f"known centre: r{axis} is listed as zero, got {value}")

@@ -231,3 +231,14 @@ def modified_dh_joints(
         )
     unused_lengths(values, joints, f"{where}, lengths")
     return tuple(joints)
+
+
+def gravity_vector(gravity: Sequence[float | int], name: str) -> tuple[float, float, float]:
+    """Return gravity as three numbers, or raise `RobotError` with the robot's name."""
+    numbers = [isinstance(g, int | float) and not isinstance(g, bool) for g in gravity]
+    if numbers != [True] * 3:
+        raise RobotError(f"robot {name!r}: gravity must be three numbers in m/s², got {gravity!r}")
+    x, y, z = (float(g) for g in gravity)
+    if not abs(x) + abs(y) + abs(z) < float("inf"):
+        raise RobotError(f"robot {name!r}: gravity must be finite, got {gravity!r}")
+    return x, y, z

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from .._environment import require
+import numpy as np
+from jaxtyping import Array, Float
+
 from ._errors import RobotError
 from ._friction import (
     FRICTION_TERMS,
@@ -15,7 +17,8 @@ from ._friction import (
     couplings,
 )
 from ._inertia import InertiaForm, LinkInertia
-from ._joint import Joint, Length, modified_dh_joints
+from ._joint import Joint, Length, gravity_vector, modified_dh_joints
+from ._joint_table import joint_table
 from ._link_parameters import LinkParameters
 from ._numbering import Numbering, Subnumbering
 from ._source import JointLimits, Source
@@ -220,7 +223,7 @@ class Manipulator:
                 entry if isinstance(entry, LinkInertia) else LinkInertia(entry, motor=motor_inertia)
                 for entry in inertias
             ),
-            gravity=_gravity(gravity, name),
+            gravity=gravity_vector(gravity, name),
             friction=tuple(friction),
         )
 
@@ -230,7 +233,7 @@ class Manipulator:
         A published numbering of gravity coefficients holds along the axis that it was made for;
         for gravity along others it is dropped.
         """
-        vector = _gravity(gravity, self.name)
+        vector = gravity_vector(gravity, self.name)
         numbering = self.numbering
         if numbering and [g != 0 for g in vector] != [g != 0 for g in self.gravity]:
             numbering = dataclasses.replace(numbering, gravity=Subnumbering(()))
@@ -306,6 +309,48 @@ class Manipulator:
             numbering=None,
         )
 
+    def with_known(
+        self,
+        link: int,
+        *,
+        mass: float | None = None,
+        centre_of_gravity: Sequence[float] | Float[Array | np.ndarray, " axes"] | None = None,
+    ) -> "Manipulator":
+        """The same robot with numbers for a link's mass, or centre of gravity, in the algebra.
+
+        What is accurately known replaces symbols (thesis C.1.2). Coefficients that are made of known
+        masses alone are numbers (`CSLC.known`). A known centre of gravity makes first moments
+        multiples of the mass: there are fewer coefficients. A published numbering is dropped.
+
+        **Arguments**
+
+        - `link`: counted from 1.
+        - `mass`: [kg]; unknown if None.
+        - `centre_of_gravity`: three coordinates in the link's frame [m]; unknown if None.
+
+        **Raises** `RobotError` for a link that does not exist, and for values that no link has.
+
+        >>> import jaxcslc as jc
+        >>> rows = [(0, 0, 0, 0), (0, 0.5, 0, 0)]
+        >>> arm = jc.Manipulator.from_modified_dh(rows, gravity=(0, -9.81, 0))
+        >>> known = arm.with_known(2, centre_of_gravity=(0.2, 0.0, 0.0))
+        >>> [c.expression for c in jc.derive(known, lengths="numeric").coefficients[3:5]]
+        ['Izz2', 'm2']
+        """
+        if not 1 <= link <= self.joint_count:
+            raise RobotError(
+                f"robot {self.name!r}: there is no link {link}; expected 1 to {self.joint_count}"
+            )
+        inertia = list(self.inertia)
+        centre = None if centre_of_gravity is None else tuple(map(float, centre_of_gravity))
+        try:
+            inertia[link - 1] = dataclasses.replace(
+                inertia[link - 1], mass=None if mass is None else float(mass), centre=centre
+            )
+        except RobotError as error:
+            raise RobotError(f"robot {self.name!r}, link {link}: {error}") from None
+        return dataclasses.replace(self, inertia=tuple(inertia), numbering=None)
+
     def to_pandas(self) -> Any:
         """A pandas table, one row a joint: parent, modified Denavit-Hartenberg row, parameters.
 
@@ -315,31 +360,7 @@ class Manipulator:
         >>> jc.puma560().to_pandas()[["alpha", "a", "mass"]].loc[3].tolist()
         [0.0, 0.4318, 4.8]
         """
-        pandas = require("pandas", "tables")
-
-        rows: list[dict[str, Any]] = []
-        for i, joint in enumerate(self.joints):
-            row: dict[str, Any] = {"kind": joint.kind, "parent": self.parents[i] + 1}
-            row |= {name: getattr(joint, name) for name in ("alpha", "theta", "gamma")}
-            row |= {letter: length.value for letter, _, length in joint.lengths}
-            if self.source is not None:
-                row |= {"joint of file": self.source.joints[i], "body": self.source.links[i]}
-            if self.links is not None:
-                link = self.links[i]
-                row |= {"mass": float(link.mass), "motor inertia": float(link.motor_inertia)}
-                row |= {
-                    f"r{axis}": float(link.centre_of_gravity[a]) for a, axis in enumerate("xyz")
-                }
-                row |= {
-                    f"I{'xyz'[a]}{'xyz'[b]}": float(link.inertia[a, b])
-                    for a in range(3)
-                    for b in range(a, 3)
-                }
-            for term in ("viscous", "dry"):
-                values = getattr(self, term)
-                row |= {} if values is None else {term: values[i]}
-            rows.append(row)
-        return pandas.DataFrame(rows, index=range(1, self.joint_count + 1)).rename_axis("joint")
+        return joint_table(self)
 
     def __repr__(self) -> str:
         links = "known links" if self.links is not None else "unknown links"
@@ -377,13 +398,3 @@ class Manipulator:
                 if not length.is_zero:
                     named[length.symbol or f"{letter}{i + shift}"] = length
         return named
-
-
-def _gravity(gravity: Sequence[float | int], name: str) -> tuple[float, float, float]:
-    numbers = [isinstance(g, int | float) and not isinstance(g, bool) for g in gravity]
-    if numbers != [True] * 3:
-        raise RobotError(f"robot {name!r}: gravity must be three numbers in m/s², got {gravity!r}")
-    x, y, z = (float(g) for g in gravity)
-    if not abs(x) + abs(y) + abs(z) < float("inf"):
-        raise RobotError(f"robot {name!r}: gravity must be finite, got {gravity!r}")
-    return x, y, z

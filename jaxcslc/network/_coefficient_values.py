@@ -36,6 +36,7 @@ def coefficient_values(
     if len(links) != n:
         raise ValueError(f"links: expected {n} entries, one a joint, got {len(links)}")
     links, payload = _as_numpy(list(links)), _as_numpy(payload)
+    _check_known(algebra, links)
     _check_keywords([term for term in terms if isinstance(term, AbstractInputTerm)], friction)
     parts: list[Any] = []
     for term in terms:
@@ -49,6 +50,20 @@ def coefficient_values(
     if any(isinstance(part, Tracer) for part in parts):
         return jnp.concatenate([jnp.asarray(part, jnp.result_type(float)) for part in parts])
     return jnp.asarray(np.concatenate(parts), jnp.result_type(float))
+
+
+def _check_known(algebra: Algebra, links: Sequence[LinkParameters]) -> None:
+    """**Raises** `ValueError` for links that differ from what the algebra has as numbers."""
+    for number, (link, inertia) in enumerate(zip(links, algebra.robot.inertia, strict=True), 1):
+        pairs = ((link.mass, inertia.mass), (link.centre_of_gravity, inertia.centre))
+        for name, (value, known) in zip(("mass", "centre of gravity"), pairs, strict=True):
+            if known is None or isinstance(value, Tracer):
+                continue
+            if not np.allclose(value, known, rtol=1e-9, atol=1e-12):
+                raise ValueError(
+                    f"links: link {number} has {name} {np.asarray(value).tolist()}; the network has"
+                    f" the known number {np.asarray(known).tolist()}"
+                )
 
 
 def _as_numpy(values: Any) -> Any:

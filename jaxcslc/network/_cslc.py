@@ -1,11 +1,11 @@
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..derivation import Algebra
+from ..derivation import Algebra, constant_values
 from ..manipulator import LinkParameters, Manipulator
 from ._coefficient_values import coefficient_values
 from ._counts import counts_of, order_per_joint
@@ -61,6 +61,25 @@ class CSLC(AbstractTermSum):
     def robot(self) -> Manipulator:
         """What it was derived from: with all joints, those that follow others too."""
         return self.algebra.robot
+
+    @property
+    def known(self) -> Mapping[str, float]:
+        """Values of the coefficients that are made of known masses alone, by name (C.1.2).
+
+        See `Manipulator.with_known`. `LeastSquares` keeps them, without standard errors; learning
+        rules adapt all coefficients.
+
+        **Raises** `RobotError` if a length that multiplies one of them has no value.
+
+        >>> import jaxcslc as jc
+        >>> arm = jc.puma560().with_known(6, mass=0.09, centre_of_gravity=(0.0, 0.0, 0.032))
+        >>> jc.derive(arm, lengths="numeric").known
+        {'kB24': 0.09}
+        """
+        known = [x for x in self.algebra.coefficients if x.is_known]
+        symbolic = any(addend.constants for x in known for addend in x.addends)
+        constants = constant_values(self.robot) if symbolic else {}
+        return {x.name: x.known_value(constants) for x in known}
 
     @property
     def rigid_body(self) -> RigidBodyTables | RigidBodyRecursion:

@@ -50,12 +50,12 @@ def least_patterns(columns: Columns, support: Support, motion_count: int) -> int
     rng = np.random.default_rng(_SEED)
     motions = [_regressor(columns, support, motion_count, enough, rng) for _ in range(_MOTIONS)]
     rank = max(map(_rank, motions))
-    found = (
+    counts = (
         1 + bisect.bisect_left(range(1, enough), rank, key=lambda n, rows=rows: _rank(rows[:n]))
         for rows in motions
         if _rank(rows) == rank
     )
-    return min(found)
+    return min(counts)
 
 
 def _rank(rows: Float[np.ndarray, "patterns outputs coefficients"]) -> int:

@@ -1,5 +1,5 @@
 import abc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -100,6 +100,11 @@ class AbstractLinearNetwork(eqx.Module):
     def size(self) -> int:
         """Number of coefficients, p."""
         return self.layout.size
+
+    @property
+    def known(self) -> Mapping[str, float]:
+        """Values of the coefficients that are numbers, by name; `LeastSquares` keeps them."""
+        return {}
 
     def torque(self, k: Vector, q: Motion, qd: Motion, qdd: Motion) -> Float[Array, "..."]:
         """The output of the whole network, (..., n): of a robot, every joint's torque [N m].

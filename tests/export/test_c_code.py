@@ -113,6 +113,21 @@ def test_a_tree(
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)
 
 
+@pytest.mark.parametrize("lengths", ["symbolic", "numeric"])
+def test_known_masses(lengths: Any, compiled: Compiled, rng: np.random.Generator) -> None:
+    """Numbers of the algebra (thesis C.1.2), in closed form and by recursion."""
+    robot = (
+        _tree()
+        .with_known(2, mass=1.5, centre_of_gravity=(0.1, -0.2, 0.05))
+        .with_known(3, centre_of_gravity=(0.3, 0.0, 0.1))
+    )
+    network = jc.derive(robot, lengths=lengths)
+    k = rng.normal(size=network.size)
+    for name, value in network.known.items():
+        k[network.names.index(name)] = value
+    _agrees(network, k, compiled(jc.c_code(network, k)), rng)
+
+
 @pytest.mark.parametrize("kind", ["load", "directional_load"])
 def test_friction_that_follows_the_load(
     kind: str, compiled: Compiled, rng: np.random.Generator

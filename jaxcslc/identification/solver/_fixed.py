@@ -44,7 +44,7 @@ class Fixed(eqx.Module):
 
         **Raises** `ValueError` for names that are none, and for another network's `previous`.
         """
-        free = _indices(network, groups)
+        free = tuple(i for i in _indices(network, groups) if network.names[i] not in network.known)
         # Sizes are the robot's: padded by JAX, each would be compiled.
         traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(previous))
         xp: Any = jnp if traced else np
@@ -74,10 +74,29 @@ class Fixed(eqx.Module):
             degrees_of_freedom=jnp.asarray(degrees_of_freedom, float),
         )
 
+    @classmethod
+    def of_known(cls, network: AbstractLinearNetwork) -> "Fixed | None":
+        """The coefficients that are numbers (`network.known`), without errors; None if none is."""
+        if not (known := network.known):
+            return None
+        free = tuple(i for i, name in enumerate(network.names) if name not in known)
+        k = np.array([known.get(name, 0.0) for name in network.names])
+        none = jnp.zeros((len(k), len(k)))
+        return cls(free, jnp.asarray(k), none, none, jnp.ones(len(k), bool), jnp.asarray(jnp.inf))
+
     @property
     def remaining(self) -> Int[np.ndarray, " fixed"]:
         """Indices of those that are not fitted."""
         return np.setdiff1d(np.arange(len(self.k)), self.free)
+
+
+def check_nothing_known(network: AbstractLinearNetwork, what: str) -> None:
+    """**Raises** `ValueError` if coefficients are numbers, which `what` would fit."""
+    if known := network.known:
+        raise ValueError(
+            f"{what}: {', '.join(known)} of {network.name!r} are numbers, by known masses, which"
+            " LeastSquares.fit keeps; elsewhere say them as a prior"
+        )
 
 
 def _indices(network: AbstractLinearNetwork, groups: Sequence[str]) -> tuple[int, ...]:

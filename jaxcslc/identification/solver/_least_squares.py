@@ -21,7 +21,7 @@ from ._compiled import (
 from ._equations import Equations, equations_of, pattern_factors, samples_of
 from ._factors import JointFactors, Unknowns
 from ._factors_fit import fit_of_factors, ordinary_minimum
-from ._fixed import Fixed
+from ._fixed import Fixed, check_nothing_known
 from ._fold_products import FoldProducts
 from ._identification import Identification
 from ._losses import LOSSES, Loss
@@ -128,7 +128,8 @@ class LeastSquares:
 
         - `network`: n joints, p coefficients.
         - `patterns`: motion and torque (samples, n); pairs outside of the mask are left out.
-        - `fixed`: coefficients that keep their values; all are fitted if None.
+        - `fixed`: coefficients that keep their values; if None, all are fitted but those that
+          are numbers in the network (`network.known`).
         - `throw`: raise on NaN and on too few equations instead of returning the result code. A
           rank-deficient fit never raises: it returns the solution of least norm and names what is
           missing.
@@ -141,6 +142,7 @@ class LeastSquares:
         - `ValueError`: if patterns and network differ in joints, or are not in float64.
         - `RuntimeError`: with `throw`, if patterns are not finite or too few.
         """
+        fixed = fixed or Fixed.of_known(network)
         return checked(self._fit_patterns(network, patterns, fixed), throw)
 
     def fit_stream(
@@ -197,7 +199,7 @@ class LeastSquares:
         throw: bool = True,
     ) -> Identification:
         """The ordinary fit of factorised patterns, its errors for independent noise."""
-        unknowns = Unknowns.of(network)
+        unknowns, fixed = Unknowns.of(network), fixed or Fixed.of_known(network)
         return checked(self._fit_rows(unknowns, factors, None, fixed), throw)
 
     def fit_equations(
@@ -222,6 +224,7 @@ class LeastSquares:
         """The equations that `fit` solves, one for each pair of the mask, or those that the
         parallel filter makes of them; on the host."""
         check_patterns(network, patterns)
+        check_nothing_known(network, "equations")
         return equations_of(network, patterns, self.cutoff)
 
     def fit_folds(
@@ -235,6 +238,7 @@ class LeastSquares:
 
         - `fold`, `columns`: as of `held_out_errors`.
         """
+        check_nothing_known(network, "folds")
         if columns is None:
             check_patterns(network, patterns)
             columns = columns_of(network, patterns)
@@ -265,6 +269,7 @@ class LeastSquares:
 
         - `fold`, `columns`: as of `held_out_errors`.
         """
+        check_nothing_known(network, "folds")
         equations = equations_of(network, patterns, self.cutoff, columns)
         if self.loss == "squared":
             factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)

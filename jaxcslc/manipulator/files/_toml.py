@@ -35,8 +35,9 @@ _JOINT_KEYS = {
     *("kind", "alpha", "a", "d", "theta", "gamma", "b", "parent", "link", "viscous", "dry"),
     *("name", "friction", "static_slope"),
 }
+_KNOWN_KEYS = ("mass", "centre_of_gravity")
 _LINK_KEYS = {
-    *("inertia", "motor", "zero", "equal"),
+    *("inertia", "motor", "zero", "equal", "known"),
     *("mass", "centre_of_gravity", "inertia_tensor", "motor_inertia"),
 }
 
@@ -189,9 +190,20 @@ def _inertia(link: Mapping[str, Any], defaults: Mapping[str, Any], at: str) -> L
     equal = link.get("equal", [])
     if not isinstance(equal, list) or not all(isinstance(pair, list) for pair in equal):
         raise RobotError(f"{at}, equal: expected a list of pairs, got {equal!r}")
+    known = _strings(link.get("known", []), f"{at}, known")
+    for name in known:
+        if name not in _KNOWN_KEYS:
+            raise RobotError(f"{at}, known: expected {' or '.join(_KNOWN_KEYS)}, got {name!r}")
+        if name not in link:
+            raise RobotError(f"{at}: {name} is listed as known and has no value")
+    mass, centre = (link[name] if name in known else None for name in _KNOWN_KEYS)
+    if centre is not None:
+        centre = tuple(_array(centre, (3,), f"{at}, centre_of_gravity").tolist())
     try:
         return LinkInertia(
             form=form,
+            mass=None if mass is None else _number(mass, f"{at}, mass"),
+            centre=centre,
             zero=tuple(_strings(link.get("zero", []), f"{at}, zero")),
             equal=tuple(tuple(pair) for pair in equal),  # type: ignore[misc]
             motor=motor,
@@ -203,8 +215,8 @@ def _inertia(link: Mapping[str, Any], defaults: Mapping[str, Any], at: str) -> L
 def _parameters(link: Mapping[str, Any], inertia: LinkInertia, at: str) -> LinkParameters | None:
     keys = {"mass", "centre_of_gravity", "inertia_tensor"}
     present = sorted((keys | {"motor_inertia"}) & set(link))
-    if not present:
-        return None
+    if set(present) <= set(link.get("known", [])):
+        return None  # numbers of the algebra alone
     if missing := sorted(keys - set(link), reverse=True):
         raise RobotError(f"{at}: has {', '.join(present)} but no {missing[0]}")
     mass = _number(link["mass"], f"{at}, mass")
