@@ -9,6 +9,7 @@ from ._joint import Joint as Joint, Length as Length
 from ._link_parameters import (
     LinkParameters as LinkParameters,
     fixed_together as fixed_together,
+    motor_inertia as motor_inertia,
     seen_from as seen_from,
 )
 from ._manipulator import Manipulator as Manipulator

@@ -1,8 +1,11 @@
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
+
+from ._errors import RobotError
 
 
 class LinkParameters(eqx.Module):
@@ -40,6 +43,33 @@ class LinkParameters(eqx.Module):
         """Inertia tensor about the origin of the link's frame (Eqns. 2.3-18, 2.3-19) [kg m²]."""
         r = self.centre_of_gravity
         return self.inertia + self.mass * (r @ r * np.eye(3) - r[:, None] * r[None, :])
+
+
+def motor_inertia(rotor_inertia: float, gear_ratio: float) -> float:
+    """Return the effective inertia of a motor at the joint that it drives (Eqn. 2.5-5).
+
+    The thesis writes I / r², where r is the joint's speed over the motor's. Here the gear ratio is
+    its inverse N = 1 / r, as data sheets and MuJoCo's `gear` have it, so that inertia grows to
+    I N². For a prismatic joint N is in rad/m, and the result is a mass.
+
+    **Arguments**
+
+    - `rotor_inertia`: about the motor's axis, of all that turns with it [kg m²].
+    - `gear_ratio`: turns of the motor per turn of the joint; either sign.
+
+    **Returns** what `LinkParameters.motor_inertia` holds [kg m², or kg].
+
+    **Raises** `RobotError` for a negative inertia, a ratio of zero, and what is not finite.
+
+    >>> from jaxcslc.manipulator import motor_inertia
+    >>> motor_inertia(2e-4, 100.0)
+    2.0
+    """
+    if not 0.0 <= rotor_inertia < math.inf:
+        raise RobotError(f"rotor_inertia: expected 0 or more kg m², got {rotor_inertia}")
+    if gear_ratio == 0.0 or not math.isfinite(gear_ratio):
+        raise RobotError(f"gear_ratio: expected a finite number other than 0, got {gear_ratio}")
+    return rotor_inertia * gear_ratio**2
 
 
 def seen_from(link: LinkParameters, pose: Float[Array | np.ndarray, "4 4"]) -> LinkParameters:

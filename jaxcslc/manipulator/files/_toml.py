@@ -12,7 +12,7 @@ from .._errors import RobotError
 from .._friction import STATIC_SLOPE, Coupling, couplings
 from .._inertia import LinkInertia
 from .._joint import Joint, finite_number, length_table, parse_angle, parse_length, unused_lengths
-from .._link_parameters import LinkParameters
+from .._link_parameters import LinkParameters, motor_inertia
 from .._manipulator import Manipulator
 from .._numbering import Numbering, Subnumbering
 from .._source import Source
@@ -20,25 +20,18 @@ from .._source import Source
 
 _ROUNDING = 1e-12
 _ROBOT_KEYS = {
-    "name",
-    "about",
-    "gravity",
-    "friction",
-    "coupled",
-    "lengths",
-    "links",
-    "joint",
-    "numbering",
+    *("name", "about", "gravity", "friction", "coupled", "lengths", "links", "joint", "numbering")
 }
 _DEFAULT_KEYS = {"inertia", "motor_inertia"}
 _JOINT_KEYS = {
     *("kind", "alpha", "a", "d", "theta", "gamma", "b", "parent", "link", "viscous", "dry"),
     *("name", "friction", "static_slope"),
 }
+_GEARED_KEYS = ("rotor_inertia", "gear_ratio")
 _KNOWN_KEYS = ("mass", "centre_of_gravity")
 _LINK_KEYS = {
     *("inertia", "motor", "zero", "equal", "known"),
-    *("mass", "centre_of_gravity", "inertia_tensor", "motor_inertia"),
+    *("mass", "centre_of_gravity", "inertia_tensor", "motor_inertia", *_GEARED_KEYS),
 }
 
 
@@ -214,7 +207,7 @@ def _inertia(link: Mapping[str, Any], defaults: Mapping[str, Any], at: str) -> L
 
 def _parameters(link: Mapping[str, Any], inertia: LinkInertia, at: str) -> LinkParameters | None:
     keys = {"mass", "centre_of_gravity", "inertia_tensor"}
-    present = sorted((keys | {"motor_inertia"}) & set(link))
+    present = sorted((keys | {"motor_inertia", *_GEARED_KEYS}) & set(link))
     if set(present) <= set(link.get("known", [])):
         return None  # numbers of the algebra alone
     if missing := sorted(keys - set(link), reverse=True):
@@ -234,7 +227,7 @@ def _parameters(link: Mapping[str, Any], inertia: LinkInertia, at: str) -> LinkP
         raise RobotError(
             f"{at}, inertia_tensor: expected moments of zero or more in kg m², got {entry!r}"
         )
-    motor = _number(link.get("motor_inertia", 0.0), f"{at}, motor_inertia")
+    motor = _motor_inertia(link, at)
     if motor < 0 or (motor and not inertia.motor):
         raise RobotError(
             f"{at}, motor_inertia: expected {'0 or more' if inertia.motor else 'none'}, got {motor}"
@@ -243,6 +236,18 @@ def _parameters(link: Mapping[str, Any], inertia: LinkInertia, at: str) -> LinkP
     parameters = LinkParameters(mass, centre, tensor, motor)
     _agrees(parameters, inertia, at)
     return parameters
+
+
+def _motor_inertia(link: Mapping[str, Any], at: str) -> float:
+    if not (geared := [key for key in _GEARED_KEYS if key in link]):
+        return _number(link.get("motor_inertia", 0.0), f"{at}, motor_inertia")
+    if len(geared) == 1 or "motor_inertia" in link:
+        raise RobotError(f"{at}: expected motor_inertia, or rotor_inertia and gear_ratio")
+    rotor, ratio = (_number(link[key], f"{at}, {key}") for key in geared)
+    try:
+        return motor_inertia(rotor, ratio)
+    except RobotError as error:
+        raise RobotError(f"{at}, {error}") from None
 
 
 def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
