@@ -1,18 +1,24 @@
-import numpy as np
-from jaxtyping import Float
+from typing import Any
 
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._environment import array_namespace
 from ...manipulator import Manipulator
 
 
+Numbers = Array | np.ndarray
+
+
 def link_poses(
-    robot: Manipulator, q: Float[np.ndarray, " joints"]
-) -> Float[np.ndarray, "joints 4 4"]:
+    robot: Manipulator, q: Float[Numbers, "*batch joints"]
+) -> Float[Numbers, "*batch joints 4 4"]:
     """The pose of each link's frame in the base frame (modified Denavit-Hartenberg, Eqn. 2.6-1).
 
     **Arguments**
 
     - `robot`: n joints, every length with a value.
-    - `q`: (n,) positions [rad or m].
+    - `q`: (..., n) positions [rad or m]; NumPy's, or JAX's, which can be traced.
 
     **Raises**
 
@@ -24,19 +30,23 @@ def link_poses(
     [0.0, 0.5, 0.0]
     """
     robot.length_values()  # says which has none
-    poses: list[np.ndarray] = []
-    for joint, parent, position in zip(robot.joints, robot.parents, q, strict=True):
+    xp = array_namespace(q)
+    poses: list[Any] = []
+    for i, (joint, parent) in enumerate(zip(robot.joints, robot.parents, strict=True)):
         a, d, b = (float(length.value or 0.0) for _, _, length in joint.lengths)
-        revolute = joint.kind == "R"
-        step = (
-            _screw_z(joint.gamma, b)
-            @ _screw_x(joint.alpha, a)
-            @ _screw_z(
-                joint.theta + (position if revolute else 0.0), d + (0.0 if revolute else position)
-            )
-        )
+        turn, slide = (q[..., i], 0.0) if joint.kind == "R" else (0.0 * q[..., i], q[..., i])
+        fixed = _screw_z(joint.gamma, b) @ _screw_x(joint.alpha, a)
+        step = xp.asarray(fixed, q.dtype) @ _screws_z(xp, joint.theta + turn, d + slide)
         poses.append(step if parent < 0 else poses[parent] @ step)
-    return np.stack(poses)
+    return xp.stack(poses, axis=-3)
+
+
+def _screws_z(xp: Any, angle: Any, along: Any) -> Any:
+    """Screws about z by arrays of angles."""
+    c, s = xp.cos(angle), xp.sin(angle)
+    zero, one = xp.zeros_like(c), xp.ones_like(c)
+    rows = ((c, -s, zero, zero), (s, c, zero, zero), (zero, zero, one, along + zero))
+    return xp.stack([xp.stack(row, axis=-1) for row in (*rows, (zero, zero, zero, one))], axis=-2)
 
 
 def _screw_z(angle: float, along: float) -> Float[np.ndarray, "4 4"]:

@@ -105,6 +105,13 @@ def fitted(
     return settings, patterns, settings.fit(network, patterns)
 
 
+def judged_patterns(recording: jc.Recording) -> jc.Patterns:
+    """A comparison recording as the thesis judges: `IdentifiedMachine.comparison_patterns`."""
+    return jc.prepare(
+        recording, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=MOVING
+    )
+
+
 def identified(
     network: jc.CSLC,
     name: str,
@@ -141,12 +148,6 @@ def identified(
         "CSLC": fit.k,
         "true": true_coefficients(network, machine),
     }
-    judged = jc.prepare(
-        comparison.recording,
-        smoothing=jc.AveragedSplines(17),
-        torque_alignment="mean",
-        thresholds=MOVING,
-    )
     return IdentifiedMachine(
         name,
         machine,
@@ -154,7 +155,7 @@ def identified(
         comparison,
         settings,
         patterns,
-        judged,
+        judged_patterns(comparison.recording),
         settings.patterns(comparison.recording),
         fit,
         systematic_error(network, training.recording, settings, fit),
