@@ -203,8 +203,8 @@ def _with_symbols(
 
     # Symbolic constants are in every form's key, so elements of M and G never share one.
     known = {index for index, term in enumerate(terms) if term.known is not None}
-    mass_basis = Basis(_forms(mass), label, known)
-    gravity_basis = Basis(_forms(weight), label, known)
+    mass_basis = Basis(_forms(mass), label, lambda key: key[0] in known)
+    gravity_basis = Basis(_forms(weight), label, lambda key: key[0] in known)
     numbering = robot.numbering if lengths == "symbolic" else None  # published for symbols
     forms = mass_basis.forms + gravity_basis.forms
     if lengths == "symbolic":

@@ -1,4 +1,4 @@
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from math import gcd, lcm
 from typing import Any
 
@@ -27,15 +27,16 @@ class Basis:
 
     - `forms`: to be written in the basis.
     - `label`: what sorts forms of as many terms.
-    - `known`: indices of terms that are numbers (C.1.2). Combinations of the forms that contain
-      no other terms are kept first, so that as much of the basis as possible is known.
+    - `known`: whether a key of the forms is of a number (C.1.2); none is by default. Combinations
+      of the forms that contain no other keys are kept first, so that as much of the basis as
+      possible is known.
     """
 
     def __init__(
         self,
         forms: Iterable[Form],
         label: Callable[[Form], str],
-        known: Collection[int] = (),
+        known: Callable[[Any], bool] = lambda key: False,
     ) -> None:
         multiples: dict[Direction, list[Any]] = {}
         for form in forms:
@@ -48,7 +49,7 @@ class Basis:
         ]
         candidates.sort(
             key=lambda item: (
-                not all(index in known for (index, _), _ in item[0]),
+                not all(known(key) for key, _ in item[0]),
                 len(item[0]),
                 label(_scaled(*item)),
             )
@@ -94,10 +95,10 @@ class Basis:
         return remainder, {index: value for index, value in used.items() if value}
 
 
-def _known_combinations(forms: list[Form], known: Collection[int]) -> list[Form]:
-    """A basis of the combinations of forms that contain known terms alone, in echelon form."""
-    keys = sorted({key for form in forms for key in form}, key=lambda key: (key[0] in known, key))
-    if not any(key[0] in known for key in keys):
+def _known_combinations(forms: list[Form], known: Callable[[Any], bool]) -> list[Form]:
+    """A basis of the combinations of forms that contain known keys alone, in echelon form."""
+    keys = sorted({key for form in forms for key in form}, key=lambda key: (known(key), key))
+    if not any(map(known, keys)):
         return []
     rows = [[form.get(key, fmpq(0)) for key in keys] for form in forms]
     echelon, rank = fmpq_mat(rows).rref()
@@ -105,7 +106,7 @@ def _known_combinations(forms: list[Form], known: Collection[int]) -> list[Form]
         {key: value for key, value in zip(keys, row, strict=True) if value}
         for row in echelon.tolist()[:rank]
     ]
-    return [form for form in combinations if all(index in known for index, _ in form)]
+    return [form for form in combinations if all(map(known, form))]
 
 
 def _scaled(key: Direction, unit: Any) -> Form:
