@@ -1,12 +1,22 @@
+"""Torque equations whose columns of static friction follow from slopes."""
+
 import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..._rank import rank_tolerance
 from ...motion import Patterns
 from ...network import CSLC
-from ..solver import Equations, JointFactors, LeastSquares, Unknowns, triangle_of
+from ..solver import (
+    Equations,
+    JointFactors,
+    LeastSquares,
+    Unknowns,
+    minimum_coefficients,
+    triangle_of,
+)
 
 
 # One pair in a hundred is slower than what counts as the slowest observed speed: fewer cannot
@@ -87,10 +97,13 @@ class SlopeEquations:
 
     def within_bounds(self, slopes: Float[np.ndarray, " slopes"]) -> Float[np.ndarray, " slopes"]:
         """The nearest slopes whose characteristic speed 1 / slope was observed."""
+        return np.where(self.fastest > 0.0, np.clip(slopes, *self.bounds()), slopes)
+
+    def bounds(self) -> tuple[Float[np.ndarray, " slopes"], Float[np.ndarray, " slopes"]]:
+        """Compute the least and the greatest slopes; 0 and 1 of joints that never move."""
         some = self.fastest > 0.0
         low = 1.0 / np.where(some, self.fastest, np.inf)
-        high = 1.0 / np.where(some, self.slowest, 1.0)
-        return np.where(some, np.clip(slopes, low, high), slopes)
+        return low, 1.0 / np.where(some, self.slowest, 1.0)
 
     def at_bound(self, i: int, slope: float) -> bool:
         """Whether a slope has reached the end of what was observed."""
@@ -160,28 +173,34 @@ class SlopeEquations:
             triangles[joint][:, -2] *= heights[i]
         return JointFactors(tuple(triangles), np.array([float(len(x)) for x in self.base.rows]))
 
-    def damped(
+    def projected(
         self,
         slopes: Float[np.ndarray, " slopes"],
-        heights: Float[np.ndarray, " slopes"],
         weights: Float[np.ndarray, " joints"],
-        damping: float,
-    ) -> tuple[Unknowns, JointFactors, Float[np.ndarray, " more"]]:
-        """Unknowns, factors and weights of `factors` with further rows that keep slopes near.
+        rcond: float | None,
+    ) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, "rows slopes"]]:
+        """Compute what the best coefficients leave, and its derivatives by logarithms of slopes.
 
-        - `damping`: squared length of a slope's further row over that of its column.
+        Derivatives after Kaufman (BIT 15, 1975). Both are in a basis that turns with the slopes:
+        lengths and products count.
         """
-        factors = self.factors(slopes, heights)
-        columns = (factors.triangles[joint][:, -2] for joint in self.joints)
-        lengths = weights[list(self.joints)] * [np.linalg.norm(column) for column in columns]
         count, p = len(self.joints), self.unknowns.size - len(self.joints)
-        more = np.zeros((count + 1, count + 1))
-        more[:count, :count] = np.sqrt(damping) * np.diag(lengths)
-        support = (*self.unknowns.support, tuple(range(p, p + count)))
+        factors = self.factors(slopes, np.ones(count))
+        k = minimum_coefficients(
+            self.unknowns, self.factors(slopes, np.zeros(count)), weights, rcond
+        ).k
+        rows = factors.stacked(self.unknowns, weights)
+        columns, torque = np.asarray(rows[:, :p]), np.asarray(rows[:, -1])
+        changes = np.asarray(rows[:, p:-1]) * k[list(self.columns)]
+        scale = np.linalg.norm(columns, axis=0)
+        basis, singular, _ = np.linalg.svd(
+            columns / np.where(scale > 0.0, scale, 1.0), full_matrices=False
+        )
+        equations = float(np.sum(factors.counts))
+        basis = basis[:, singular > rank_tolerance(p, equations, rcond) * singular[0]]
         return (
-            Unknowns(self.unknowns.names, support),
-            JointFactors((*factors.triangles, more), np.append(factors.counts, 0.0)),
-            np.append(weights, 1.0),
+            torque - basis @ (basis.T @ torque),
+            basis @ (basis.T @ changes) - changes,
         )
 
     def _rows(self, joint: int, slopes: Sequence[float] | np.ndarray) -> np.ndarray:
