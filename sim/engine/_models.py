@@ -30,7 +30,7 @@ def model_of(machine: Machine, step: float) -> mujoco.MjModel:
     friction, links = friction_of(machine), machine.links
     check_gravity(machine, links)
     sticks = tuple((friction.static > 0).tolist())
-    model = copy.copy(_structure(machine.robot, machine.flexible, sticks, step))
+    model = copy.copy(structure_of(machine.robot, machine.flexible, sticks, step))
     n, soft = machine.joint_count, np.flatnonzero(machine.flexible)
     for i, body in enumerate(rigid_bodies(machine.robot, links), start=1):
         model.body_mass[i], model.body_ipos[i] = body.mass, body.centre
@@ -50,7 +50,7 @@ def model_of(machine: Machine, step: float) -> mujoco.MjModel:
 
 
 @functools.lru_cache(maxsize=16)
-def _structure(
+def structure_of(
     robot: Manipulator, flexible: tuple[bool, ...], sticks: tuple[bool, ...], step: float
 ) -> mujoco.MjModel:
     """A model of machines that differ in numbers alone: to fill in takes a fourth of the time of
