@@ -60,6 +60,7 @@ class Mechanics(eqx.Module):
     - `slack`: half of each transmission's dead band, (machines, rotors) [rad or m].
     - `spring`, `damping`: of each transmission, (machines, rotors).
     - `soft`: the joints that have a transmission; static.
+    - `sliding`: which joints are prismatic; static.
     - `step_length`: of the integrator [s]; static.
 
     The arrays of `of` have another leading axis: one for each list of models.
@@ -77,6 +78,7 @@ class Mechanics(eqx.Module):
     spring: Float[Array, "*loads machines rotors"]
     damping: Float[Array, "*loads machines rotors"]
     soft: tuple[int, ...] = eqx.field(static=True)
+    sliding: tuple[bool, ...] = eqx.field(static=True)
     step_length: float = eqx.field(static=True)
 
     @classmethod
@@ -115,6 +117,7 @@ class Mechanics(eqx.Module):
             *np.moveaxis(constraints, 2, 0),
             *np.moveaxis(soft, 2, 0),
             tuple(np.flatnonzero(machine.flexible).tolist()),
+            tuple(joint.kind == "P" for joint in machine.robot.joints),
             float(step),
         )
 
@@ -195,10 +198,61 @@ class Mechanics(eqx.Module):
 
     def _links_dynamics(self, model: mjx.Model, q: Any, qd: Any) -> tuple[Any, Any]:
         """Mass matrix and bias forces of one machine's links."""
-        data = self.data.replace(qpos=q, qvel=qd)
-        for part in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
+        data = self.data.replace(qpos=q, qvel=qd, **_placed(model, q, self.sliding))
+        for part in (mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
             data = part(model, data)
         return mjx.full_m(model, data), data.qfrc_bias
+
+
+def _placed(model: mjx.Model, q: Any, sliding: tuple[bool, ...]) -> dict[str, Any]:
+    """Poses of a chain's links, by the names of MJX's data: as `mjx.kinematics` has them.
+
+    What each link hands to the next is kept from being fused with it: XLA computed a component of
+    the last pose from four of the pose before, each of those from four again, which took most of
+    the time of an evaluation.
+    """
+    position, rotation = jnp.zeros(3), jnp.eye(3)
+    positions, rotations, anchors, axes = [position], [rotation], [], []
+    turns = _rotations(model.body_quat)
+    for i, slides in enumerate(sliding):
+        position = position + _product(rotation, model.body_pos[i + 1][:, None])[:, 0]
+        rotation = _product(rotation, turns[i + 1])
+        anchors.append(position)
+        axes.append(rotation[:, 2])
+        if slides:
+            position = position + rotation[:, 2] * q[i]
+        else:
+            c, s = jnp.cos(q[i]), jnp.sin(q[i])
+            x, y, z = rotation.T
+            rotation = jnp.stack([c * x + s * y, c * y - s * x, z], axis=1)
+        position, rotation = jax.lax.optimization_barrier((position, rotation))
+        positions.append(position)
+        rotations.append(rotation)
+    xpos, xmat = jnp.stack(positions), jnp.stack(rotations)
+    return {
+        "xpos": xpos,
+        "xmat": xmat,
+        "xanchor": jnp.stack(anchors),
+        "xaxis": jnp.stack(axes),
+        "xipos": xpos + _product(xmat, model.body_ipos[:, :, None])[:, :, 0],
+        "ximat": _product(xmat, _rotations(model.body_iquat)),
+    }
+
+
+def _product(a: Any, b: Any) -> Any:
+    """Products of small matrices, elementwise: a GPU's library takes longer to start."""
+    return jnp.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
+
+
+def _rotations(quaternions: Float[Array, "bodies 4"]) -> Float[Array, "bodies 3 3"]:
+    """Rotation matrices of unit quaternions (w, x, y, z)."""
+    w, x, y, z = quaternions.T
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 _ARRAYS = ("viscous", "loss", "stiffness", "decay", "inertia", "slack", "spring", "damping")
