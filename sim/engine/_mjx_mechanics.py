@@ -105,15 +105,15 @@ class Mechanics(eqx.Module):
             lambda m: (
                 m.dof_M0[n:],
                 m.tendon_lengthspring[:, 1],
-                m.tendon_stiffness.reshape(m.ntendon, -1)[:, 0],
-                m.tendon_damping.reshape(m.ntendon, -1)[:, 0],
+                m.tendon_stiffness,
+                m.tendon_damping,
             )
         )
         return cls(
             links,
             differing,
             mjx.make_data(template),
-            stacked(lambda m: m.dof_damping.reshape(m.nv, -1)[:, 0]),
+            stacked(lambda m: m.dof_damping),
             *np.moveaxis(constraints, 2, 0),
             *np.moveaxis(soft, 2, 0),
             tuple(np.flatnonzero(machine.flexible).tolist()),
