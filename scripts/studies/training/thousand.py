@@ -351,9 +351,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--bout", type=int, default=100, help="epochs of a rule before it turns")
     parser.add_argument("--epochs", type=int, default=6000, help="at most")
     parser.add_argument("--rigid", action="store_true", help="without compliance and backlash")
-    options = command.parse(
-        parser, argv, machines=4, seconds=[1.2, 0.8], rigid=True, epochs=300, least=1e-3
-    )
+    options = command.parse(parser, argv, machines=4, rigid=True, every=3, epochs=1000, least=1e-4)
     command.require_least(
         parser, options, machines=1, together=1, every=1, bout=1, epochs=1, first=0
     )
