@@ -359,12 +359,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"--seconds is {options.seconds}; expected 0.2 or more of each recording")
     if options.quick:
         command.compile_quickly()
-    samples = sum(options.seconds) / _INTERVAL
+    patterns = options.seconds[0] / _INTERVAL / options.every
+    a_machine = 1.0 + 4e-6 * options.epochs * patterns
     return command.run(
         parser,
         lambda: study(options),
         options.output / "rows.jsonl",
-        seconds=60.0 + (0.05 if options.rigid else 0.13) * samples * max(options.machines / 64, 1),
+        seconds=60.0 + a_machine * options.machines,
     )
 
 
