@@ -35,10 +35,6 @@ BACKPROPAGATION, PERAL_RULE = "backpropagation", "PERAL"
 DIRECT, PERCEPTRON = "direct solve", "perceptron rule"
 # Error beyond the least, root mean square, in parts of the targets' standard deviation.
 GOALS = (0.3, 0.1, 0.03)
-STEPS = {
-    alternatives.LIMITED_MEMORY: 0.25,  # of the epochs of backpropagation
-    alternatives.LEVENBERG_MARQUARDT: 0.1,
-}
 
 
 def least_costs(problem: Problem) -> Float[np.ndarray, " seeds"]:
@@ -124,12 +120,11 @@ def alternative_row(problem: Problem, epochs: int) -> dict[str, Any]:
     """Steps of other methods to the goals, seconds a step, and the best learning rates."""
     network, goals = problem.network, goals_of(problem)
     row: dict[str, Any] = {"steps": {}, "seconds": {}, "rates": {}}
-    kinds = [*alternatives.LEARNING_RATES, *STEPS]
     one = jax.tree.map(lambda x: x[:1], problem.examples)
     calls: dict[str, Callable[[], object]] = {}
     count: dict[str, int] = {}
-    for kind in kinds:
-        steps = count[kind] = max(2, round(STEPS.get(kind, 1.0) * epochs))
+    for kind, share in alternatives.STEPS.items():
+        steps = count[kind] = max(2, round(share * epochs))
         rates = alternatives.LEARNING_RATES.get(kind, (0.0,))
         by_rate = {
             rate: np.asarray(

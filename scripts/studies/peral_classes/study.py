@@ -13,8 +13,10 @@ and another start.
   quickest for a seed.
 - **Indicator**: `SwitchWhen`, whose settings were selected by `--tune` on the classes marked with a
   star, on other seeds than the results'.
-- **Alternatives**: momentum and Adam with the best of five learning rates in hindsight, L-BFGS
-  (optax), Levenberg-Marquardt (optimistix), and the direct solve where there is one.
+- **Alternatives**: momentum, Adam, RPROP and quickprop with the best of four or five learning rates
+  in hindsight; the one-step secant, conjugate gradients, scaled conjugate gradients, BFGS, L-BFGS
+  and Levenberg-Marquardt; the direct solve where there is one. A step of conjugate gradients or
+  BFGS is one evaluation of the cost: their line searches take several.
 - **Goals**: a root mean square error that exceeds the least by so much of the targets' standard
   deviation, in quadrature. The least is that of the direct solve, or of Levenberg-Marquardt from
   the true weights.
@@ -96,7 +98,7 @@ def study(options: argparse.Namespace) -> int:
     """Makes what is missing, prints the tables and writes the files."""
     code = [
         Path(__file__).with_name(f"{name}.py")
-        for name in ("alternatives", "classes", "results", "spectra", "switches")
+        for name in ("alternatives", "classes", "classic_rules", "results", "spectra", "switches")
     ]
     digest = made_of({name: getattr(options, name) for name in OPTIONS}, code)
     finished = Rows(options.output / "rows.jsonl", KEYS, digest)

@@ -12,7 +12,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxcslc.adaptive import fully_connected
 from jaxcslc.training import Backpropagation
-from scripts.studies.peral_classes import alternatives, classes, results, study, switches, tables
+from scripts.studies.peral_classes import (
+    alternatives,
+    classes,
+    classic_rules,
+    results,
+    study,
+    switches,
+    tables,
+)
 from scripts.studies.peral_classes.pictures import pictures
 from scripts.studies.peral_classes.spectra import eigenvalues
 
@@ -80,13 +88,128 @@ def test_alternatives_go_where_the_direct_solve_is(linear: classes.Problem) -> N
         expected = np.linalg.lstsq(x, targets, rcond=None)[0].T.ravel()
         assert_allclose(weights, expected, atol=1e-9)
     least = results.least_costs(linear)
-    for kind, steps in ((alternatives.LEVENBERG_MARQUARDT, 25), (alternatives.LIMITED_MEMORY, 40)):
+    for kind, steps in (
+        (alternatives.LEVENBERG_MARQUARDT, 25),
+        (alternatives.LIMITED_MEMORY, 40),
+        (alternatives.ONE_STEP_SECANT, 60),
+        (alternatives.CONJUGATE, 200),
+        (alternatives.SCALED_CONJUGATE, 40),
+        (alternatives.BFGS, 100),
+    ):
         cost, weights = alternatives.costs_by_step(
             kind, jnp.zeros(()), linear.network, linear.examples, linear.starts, steps
         )
-        assert np.all(np.diff(np.asarray(cost), axis=1) <= 1e-12)
-        assert_allclose(np.asarray(cost)[:, -1], least, rtol=1e-6)
-        assert_allclose(weights, best, atol=1e-3)
+        assert np.all(np.diff(np.asarray(cost), axis=1) <= 1e-12), kind
+        assert_allclose(np.asarray(cost)[:, -1], least, rtol=1e-6, err_msg=kind)
+        assert_allclose(weights, best, atol=1e-3, err_msg=kind)
+
+
+def test_rprop_s_steps(linear: classes.Problem) -> None:
+    """Riedmiller & Braun 1993 by hand: each weight's step by signs of its own slope alone."""
+    x, targets = regressor(linear, 0)
+    weights, step, before, costs = np.asarray(linear.starts[0]), np.full(8, 0.1), np.zeros(8), []
+    for _ in range(12):
+        errors = targets - x @ weights.reshape(2, 4).T
+        costs.append(0.5 * np.sum(errors**2) / len(x))
+        slope = -(errors.T @ x).ravel() / len(x)
+        step = step * np.where(slope * before > 0, 1.2, np.where(slope * before < 0, 0.5, 1.0))
+        slope = np.where(slope * before < 0, 0.0, slope)
+        weights, before = weights - np.sign(slope) * step, slope
+    cost, _ = alternatives.costs_by_step(
+        alternatives.RPROP, jnp.asarray(0.1), linear.network, linear.examples, linear.starts, 12
+    )
+    assert_allclose(np.asarray(cost)[0], costs, rtol=1e-9)
+
+
+def test_quickprop_finds_a_parabola_s_vertex() -> None:
+    """From its third step on, a weight within the limit of growth is at the minimum."""
+    minimum, curvature = np.array([1.0, -2.0]), np.array([0.5, 2.0])
+    rule, weights = classic_rules.quickprop(0.5, growth=1e6), jnp.zeros(2)
+    state = rule.init(weights)
+    for _ in range(2):
+        step, state = rule.update(jnp.asarray(curvature * (np.asarray(weights) - minimum)), state)
+        weights = weights + step
+    # The second is the parabola's, with the gradient's own step while it points the same way.
+    ahead = 0.5 * curvature * (minimum - 0.5 * curvature * minimum)
+    assert_allclose(weights, minimum + np.where(0.5 * curvature < 1.0, ahead, 0.0), atol=1e-5)
+
+
+def test_one_step_secant_goes_battiti_s_way(linear: classes.Problem) -> None:
+    """Battiti 1992: -g + A p + B y, from the last step p and the change y of the gradient."""
+    x, targets = regressor(linear, 0)
+
+    def gradient(weights: np.ndarray) -> np.ndarray:
+        return -((targets - x @ weights.reshape(2, 4).T).T @ x).ravel() / len(x)
+
+    at = [np.asarray(linear.starts[0])]
+    for steps in (1, 2):
+        _, weights = alternatives.costs_by_step(
+            alternatives.ONE_STEP_SECANT, jnp.zeros(()), linear.network, linear.examples,
+            linear.starts, steps,
+        )  # fmt: skip
+        at.append(np.asarray(weights)[0])
+    p, g = at[1] - at[0], gradient(at[1])
+    y = g - gradient(at[0])
+    by_step = -(1 + y @ y / (p @ y)) * (p @ g) / (p @ y) + (y @ g) / (p @ y)
+    way = -g + by_step * p + (p @ g) / (p @ y) * y
+    went = at[2] - at[1]
+    assert_allclose(went / np.linalg.norm(went), way / np.linalg.norm(way), atol=1e-9)
+
+
+def rosenbrock(w: Any) -> Any:
+    """A valley that bends; its Hessian is indefinite at the start of the test."""
+    return (1.0 - w[0]) ** 2 + 10.0 * (w[1] - w[0] ** 2) ** 2
+
+
+def moller(weights: np.ndarray, steps: int) -> list[float]:
+    """Costs by Møller's printed steps, with the curvature by a difference of two gradients."""
+
+    def gradient(w: np.ndarray) -> np.ndarray:
+        inner = w[1] - w[0] ** 2
+        return np.array([-2.0 * (1.0 - w[0]) - 40.0 * w[0] * inner, 20.0 * inner])
+
+    scale, lifted, success, taken, costs = 1e-6, 0.0, True, 0, [rosenbrock(weights)]
+    r = p = -gradient(weights)
+    curvature = 0.0
+    for _ in range(steps):
+        square = p @ p
+        if success:
+            far = 1e-7 / np.sqrt(square)
+            curvature = p @ (gradient(weights + far * p) - gradient(weights)) / far
+        curvature += (scale - lifted) * square
+        if curvature <= 0.0:
+            lifted = 2.0 * (scale - curvature / square)
+            curvature = -curvature + scale * square
+            scale = lifted
+        down = p @ r
+        trial = weights + down / curvature * p
+        comparison = 2.0 * curvature * (rosenbrock(weights) - rosenbrock(trial)) / down**2
+        success = bool(comparison >= 0.0)
+        if success:
+            weights, lifted, taken, old = trial, 0.0, taken + 1, r
+            r = -gradient(weights)
+            p = r if taken % 2 == 0 else r + (r @ r - r @ old) / down * p
+            scale = scale / 4.0 if comparison >= 0.75 else scale
+        else:
+            lifted = scale
+        if comparison < 0.25:
+            scale += curvature * (1.0 - comparison) / square
+        costs.append(rosenbrock(weights))
+    return costs
+
+
+def test_scaled_conjugate_gradients_are_moller_s() -> None:
+    start = np.array([0.0, 2.0])
+    method = classic_rules.ScaledConjugateGradient(rosenbrock)
+    state, costs = method.first(jnp.asarray(start)), []
+    for _ in range(30):
+        costs.append(float(state.cost))
+        state = method.step(state)
+    # The difference of gradients, of steps of 1e-7, is what limits the agreement.
+    assert_allclose(costs[:15], moller(start, 14), rtol=1e-3)
+    assert costs[-1] < 1e-8
+    still = method.first(jnp.ones(2))
+    assert_array_equal(method.step(still).weights, still.weights)
 
 
 def test_momentum_s_steps(linear: classes.Problem) -> None:
