@@ -83,6 +83,10 @@ def test_below_the_shrinking_rate_errors_shrink(jacobian: np.ndarray, expected: 
     assert radius[0] <= 1.0 < radius[1]
 
 
+def test_directions_that_lead_away_are_counted() -> None:
+    assert largest_rates.leading_away(np.diag([-2.0, 0.5, 0.0, 0.1])) == 2
+
+
 def test_peral_of_one_node_is_stable_below_a_rate_of_two() -> None:
     """In parts of the weights its pull is a mean of matrices whose rows' moduli sum to one."""
     problem, _, _, truth = linear_problem(noise=0.0)
