@@ -56,6 +56,7 @@ from .trajectory import (
     SampledPath as SampledPath,
     Trajectory as Trajectory,
     ViaPoints as ViaPoints,
+    adjusted_training as adjusted_training,
     circle as circle,
     comparison as comparison,
     go_to as go_to,

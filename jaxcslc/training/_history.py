@@ -86,6 +86,12 @@ class Training(eqx.Module):
         }
         return {name: number for name, number in numbers.items() if number}
 
+    def endings(self) -> tuple[str, ...]:
+        """Return how each training ended, in the words of `ENDINGS`."""
+        ended = {name: np.ravel(self.outcome == member) for name, member in ENDINGS.items()}
+        names = np.select(list(ended.values()), list(ended), next(iter(ended)))
+        return tuple(names.tolist())
+
     def __repr__(self) -> str:
         number = int(np.prod(jnp.shape(self.cost)))
         ended = ", ".join(f"{count} {name}" for name, count in self.outcomes().items())

@@ -2,7 +2,7 @@
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -67,7 +67,7 @@ class Mechanics(eqx.Module):
     """
 
     links: mjx.Model
-    differing: dict[str, Array]
+    differing: Mapping[str, Array | np.ndarray]
     data: mjx.Data
     viscous: Float[Array, "*loads machines dofs"]
     loss: Float[Array, "*loads machines dofs"]
@@ -109,16 +109,23 @@ class Mechanics(eqx.Module):
                 m.tendon_damping,
             )
         )
+        loss, stiffness, decay = np.moveaxis(constraints, 2, 0)
+        inertia, slack, spring, damping = np.moveaxis(soft, 2, 0)
         return cls(
-            links,
-            differing,
-            mjx.make_data(template),
-            stacked(lambda m: m.dof_damping),
-            *np.moveaxis(constraints, 2, 0),
-            *np.moveaxis(soft, 2, 0),
-            tuple(np.flatnonzero(machine.flexible).tolist()),
-            tuple(joint.kind == "P" for joint in machine.robot.joints),
-            float(step),
+            links=links,
+            differing=differing,
+            data=mjx.make_data(template),
+            viscous=stacked(lambda m: m.dof_damping),
+            loss=loss,
+            stiffness=stiffness,
+            decay=decay,
+            inertia=inertia,
+            slack=slack,
+            spring=spring,
+            damping=damping,
+            soft=tuple(np.flatnonzero(machine.flexible).tolist()),
+            sliding=tuple(joint.kind == "P" for joint in machine.robot.joints),
+            step_length=float(step),
         )
 
     def loaded(self, which: Int[Array, ""]) -> "Mechanics":

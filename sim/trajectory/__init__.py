@@ -12,6 +12,7 @@ from ._repulsion import HandRepulsion as HandRepulsion, Repulsion as Repulsion
 from ._trajectories import (
     FLANGE as FLANGE,
     Trajectory as Trajectory,
+    adjusted_training as adjusted_training,
     comparison as comparison,
     training as training,
 )

@@ -21,6 +21,9 @@ _FLOOR = -0.6718
 FLANGE = 0.05625
 _TRUNK_RADIUS = 0.25
 _TRUNK_TOP = 0.2
+# Results of `scripts/studies/puma560/trials.py`.
+_ADJUSTED_AMPLITUDE = (-30.7, -20.0, 23.3, -10.2, 13.4, -10.9)  # N m
+_ADJUSTED_START = (0.32, -1.46, 1.05, 0.72, 0.22, -0.02)  # rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +74,7 @@ def training(
     samples: int = 3300,
     amplitude: tuple[float, ...] = (25.0, 13.0, 14.0, 8.0, 10.0, 14.0),
     period: tuple[float, ...] = (4.1, 2.7, 1.7, 1.1, 0.7, 0.5),
+    start: tuple[float, ...] = (0.4, -1.2, 0.3, 0.0, 0.0, 0.0),
     robot: Manipulator | None = None,
 ) -> Trajectory:
     """The PUMA 560's training trajectory of 7.4.1: sinusoidal torques, open loop.
@@ -88,6 +92,7 @@ def training(
     - `amplitude`: of each joint's torque [N m]. The thesis changes these between trials.
     - `period`: of each joint's torque [s]. Different prime multiples of 0.1 s keep
         configurations from being repeated.
+    - `start`: joint positions at rest [rad].
     - `robot`: whose gravity is compensated; Armstrong's PUMA 560 if omitted, as in the thesis. That
         of PUMA A (`puma_a`) differs enough to let joint 3 run into the end of its range after two
         seconds.
@@ -100,7 +105,7 @@ def training(
     machine = puma560()
     return Trajectory(
         "training",
-        np.array([0.4, -1.2, 0.3, 0.0, 0.0, 0.0]),
+        np.array(start),
         SinusoidalTorque(
             np.array(amplitude),
             np.array(period),
@@ -114,6 +119,34 @@ def training(
             ),
         ),
         samples,
+    )
+
+
+def adjusted_training(*, samples: int = 3300) -> Trajectory:
+    """The training trajectory of 7.4.1 after trials, in which joints sweep most of their ranges.
+
+    The thesis adjusts the amplitudes between trials until each joint sweeps the majority of its
+    range. It does not say which amplitudes its trials began with, and those that it prints move
+    joints 2 and 6 of the simulated machines through a seventh of their ranges or less. These are
+    the result of trials on the simulated PUMA A and B, with Armstrong's gravity, by
+    `python -m scripts.studies.puma560.trials`. Start and signs of the amplitudes were adjusted too.
+    Joint 6 has a period of 1.3 s: at the thesis's 0.5 s, the torque at which its motor is no longer
+    linear sweeps a fifth of its range. No joint comes near an end of its range, and no demand near
+    a limit of linearity.
+
+    **Arguments**
+
+    - `samples`: how many, 2 ms apart; 6.6 s as in the thesis.
+
+    >>> import sim
+    >>> sim.adjusted_training().start.round(2)
+    array([])
+    """
+    return training(
+        samples=samples,
+        amplitude=_ADJUSTED_AMPLITUDE,
+        period=(4.1, 2.7, 1.7, 1.1, 0.7, 1.3),
+        start=_ADJUSTED_START,
     )
 
 

@@ -1,10 +1,11 @@
 """The thesis's experiment: two PUMA 560s identified, judged and drawn as in Chapter 7.
 
 Each of PUMA A and PUMA B, simulated with every disturbance of Section 7.2, performs the training
-and the comparison trajectory within its motors' limits of linearity. Coefficients are fitted to the
-first and judged on the second, beside direct measurement (Ar+LS, Ar+Rg), networks trained as in
-7.5, the truth and the thesis. Tables, figures and an index page go into one folder. A quick run has
-short recordings, settings that are not selected, and no trained network.
+and the comparison trajectory within its motors' limits of linearity, once per seed. Networks are
+trained on the first and judged on the second, all seeds side by side: by backpropagation, and by
+backpropagation and PERAL in turns. Next to them are the direct solve, direct measurement (Ar+LS,
+Ar+Rg), the truth and the thesis. Tables, figures and an index page go into one folder. A quick run
+has short recordings of one seed, settings that are not selected, and no trained network.
 
 Recordings and trainings are kept until the run ends; an interrupted one goes on from there.
 """
@@ -33,10 +34,12 @@ from scripts.studies.puma560.figures import (
     reversal_figure,
     spline_figures,
     torque_figure,
+    training_figure,
 )
 from scripts.studies.puma560.machines import (
     TWIN,
     WEAK,
+    WITHIN,
     IdentifiedMachine,
     fitted,
     identified,
@@ -49,7 +52,9 @@ from scripts.studies.puma560.tables import (
     agreement_rows,
     coefficient_table_rows,
     error_rows,
+    hand_rows,
     interval_rows,
+    letter_rows,
     mask_rows,
     peak_rows,
     training_rows,
@@ -63,13 +68,14 @@ from scripts.studies.truth import true_coefficients
 jax.config.update("jax_enable_x64", True)
 
 Tables = dict[str, tuple[str, list[dict[str, Any]]]]
-Recordings = dict[str, list[sim.SimulatedRecording]]
+# By machine: of each seed, the training recording and the comparison recording, if there is one.
+Recordings = dict[str, list[list[sim.SimulatedRecording]]]
 _QUICK_SAMPLES = 1500
 
 
 def store_of(options: argparse.Namespace) -> Path:
     """Where recordings and trainings are kept until the run ends."""
-    numbers = {name: getattr(options, name) for name in ("seed", "samples", "quick")}
+    numbers = {name: getattr(options, name) for name in ("seed", "seeds", "samples", "quick")}
     digest = made_of(numbers, sorted(Path(__file__).parent.glob("*.py")))
     return options.output / f"unfinished-{digest[:12]}"
 
@@ -79,32 +85,31 @@ def recorded(
     simulated: Mapping[str, sim.Machine],
     others: Mapping[str, sim.Machine],
 ) -> Recordings:
-    """Training and comparison recording of every machine, and training recordings of others.
+    """Training and comparison recordings of every machine, and training recordings of others.
 
     Those that `store_of(options)` holds are not simulated again.
     """
-    samples = options.samples
-
-    # See `sim.training` for why each compensates its own gravity. Machines that share a trajectory
-    # are simulated side by side.
-    compared = sim.comparison()
-    training = {
-        machine.robot.name: sim.training(samples=samples, robot=machine.robot)
-        for machine in simulated.values()
-    }
-
-    def jobs_of(machine: sim.Machine) -> list[sim.Job]:
-        trajectories = (training[machine.robot.name], compared)
-        return [
-            sim.Job(machine, trajectory, options.seed + offset)
-            for offset, trajectory in enumerate(trajectories)
+    # Machines that share a trajectory are simulated side by side.
+    training, compared = sim.adjusted_training(samples=options.samples), sim.comparison()
+    seeds = range(options.seed, options.seed + options.seeds)
+    jobs = {
+        name: [
+            [sim.Job(machine, training, seed), sim.Job(machine, compared, seed + 1)]
+            for seed in seeds
         ]
-
-    jobs = {name: jobs_of(machine) for name, machine in simulated.items()}
-    jobs |= {name: jobs_of(machine)[:1] for name, machine in others.items()}
-    in_order = [job for part in jobs.values() for job in part]
+        for name, machine in simulated.items()
+    }
+    # Motors that saturate cannot follow the adjusted trajectory within the joints' ranges.
+    smaller = sim.training(samples=options.samples, robot=simulated["PUMA A"].robot)
+    jobs |= {
+        name: [[sim.Job(machine, training if name == TWIN else smaller, options.seed)]]
+        for name, machine in others.items()
+    }
+    in_order = [job for part in jobs.values() for pair in part for job in pair]
     recordings = iter(sim.record(in_order, store=store_of(options), progress=True))
-    return {name: [next(recordings) for _ in part] for name, part in jobs.items()}
+    return {
+        name: [[next(recordings) for _ in pair] for pair in part] for name, part in jobs.items()
+    }
 
 
 def machine_tables(network: jc.CSLC, puma: IdentifiedMachine) -> Tables:
@@ -116,20 +121,16 @@ def machine_tables(network: jc.CSLC, puma: IdentifiedMachine) -> Tables:
             f"Comparison trajectory of {puma.name}: mean error moduli and ε [N m]",
             error_rows(network, puma),
         ),
+        f"hand_{letter}": (
+            f"{puma.name}: mean acceleration errors of the flange, of the true machine, that the"
+            " torque errors of each joint and of all joints would cause [m/s²]",
+            hand_rows(network, puma),
+        ),
         f"coefficients_{letter}": (
             f"Coefficients of {puma.name}",
             coefficient_table_rows(network, puma),
         ),
-        **(
-            {
-                f"training_{letter}": (
-                    f"{puma.name}: networks trained as in 7.5, by what their masks leave out",
-                    training_rows(network, puma),
-                )
-            }
-            if puma.routes
-            else {}
-        ),
+        **trained_tables(network, puma, letter),
         f"thresholds_{letter}": (
             f"{puma.name}: speeds from which static friction is insignificant",
             threshold_rows(puma, refined),
@@ -145,6 +146,23 @@ def machine_tables(network: jc.CSLC, puma: IdentifiedMachine) -> Tables:
     }
 
 
+def trained_tables(network: jc.CSLC, puma: IdentifiedMachine, letter: str) -> Tables:
+    """Captions and rows of the trainings of one machine; none of a quick run."""
+    if puma.side_by_side is None:
+        return {}
+    return {
+        f"training_{letter}": (
+            f"{puma.name}: networks trained on {puma.side_by_side.seeds} recordings side by side."
+            " Medians over recordings; ε as in the thesis",
+            training_rows(puma),
+        ),
+        f"letter_{letter}": (
+            f"{puma.name}: the training of 7.5 with the thesis's masks and end",
+            letter_rows(network, puma),
+        ),
+    }
+
+
 def all_figures(
     network: jc.CSLC, both: Sequence[IdentifiedMachine], response: sim.MotorLinearity
 ) -> dict[str, Figure]:
@@ -154,6 +172,7 @@ def all_figures(
         "7.6-1": torque_figure(network, first),
         "7.6-2": torque_figure(network, second),
         "7.6-4": reversal_figure(network, first),
+        **training_figure(both),
         **spline_figures(first),
         **plant_figures(first, response),
     }
@@ -192,7 +211,7 @@ def experiment(options: argparse.Namespace) -> int:
         lambda masses: tqdm(masses, desc="linearity", unit="mass", disable=None),
         quick=options.quick,
     )
-    twin, weak = (recordings[name][0].recording for name in (TWIN, WEAK))
+    twin, within, weak = (recordings[name][0][0].recording for name in (TWIN, WITHIN, WEAK))
     _, _, twin_fit = fitted(network, twin, quick=options.quick)
     agreement, agreement_text = agreement_rows(
         network, first, twin_fit, true_coefficients(network, others[TWIN])
@@ -214,7 +233,7 @@ def experiment(options: argparse.Namespace) -> int:
     tables["weak_motors"] = (
         "PUMA A: what it costs if training demands exceed the limits of linearity. Mean error"
         " moduli and ε on the same comparison recording [N m]",
-        violation_rows(network, first, others[WEAK], weak),
+        violation_rows(network, first, others[WEAK], (within, weak)),
     )
     tables["one_design"] = ("PUMA A and its twin: variation and sensitivity", agreement)
     figures = all_figures(network, both, response)
@@ -227,7 +246,7 @@ def experiment(options: argparse.Namespace) -> int:
             write_csv(folder / f"{name}.csv", rows)
         for number, figure in figures.items():
             save_picture(figure, folder / f"figure_{number}.png")
-        page = index_page(tables, CAPTIONS, notes)
+        page = index_page(tables, {name: CAPTIONS[name] for name in figures}, notes)
         (folder / "index.html").write_text(page, encoding="utf-8")
     shutil.rmtree(store_of(options))
     for name, (caption, rows) in tables.items():
@@ -241,9 +260,11 @@ def experiment(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "demo")
     parser.add_argument("--seed", type=int, default=1, help="of encoders, starts and timing")
+    parser.add_argument("--seeds", type=int, default=32, help="recordings to train on, of seeds"
+                        " from --seed on; tables and figures are of the first")  # fmt: skip
     parser.add_argument("--samples", type=int, default=3300, help="of the training trajectory")
-    options = command.parse(parser, argv, samples=_QUICK_SAMPLES)
-    command.require_least(parser, options, seed=0, samples=600)
+    options = command.parse(parser, argv, samples=_QUICK_SAMPLES, seeds=1)
+    command.require_least(parser, options, seed=0, seeds=1, samples=600)
     seconds = 60.0 if options.quick else 240.0
     return command.run(parser, lambda: experiment(options), store_of(options), seconds=seconds)
 

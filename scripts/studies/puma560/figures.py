@@ -1,6 +1,7 @@
 """Figures of the experiment."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from jaxcslc.plotting import torque_picture
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
 from scripts.studies.puma560.applied_torque import applied_torque, applied_torque_picture
 from scripts.studies.puma560.machine_pictures import friction_picture, hysteresis_picture
-from scripts.studies.puma560.machines import IdentifiedMachine
+from scripts.studies.puma560.machines import CHOSEN, TRAINED, IdentifiedMachine
 from scripts.studies.puma560.motion_pictures import (
     averaged_spline_picture,
     motion_picture,
@@ -22,6 +23,8 @@ from scripts.studies.puma560.motion_pictures import (
     spline_subsets_picture,
 )
 from scripts.studies.puma560.reversals import clean_turn, clearest_ramps
+from scripts.studies.puma560.tables import curves
+from scripts.studies.training.learning_pictures import training_curves_picture
 
 
 CAPTIONS = {
@@ -37,6 +40,8 @@ CAPTIONS = {
     " arrives behind the compliant gears: the rotor's inertia and friction take their part, and"
     " nothing is left of the steps. Encoders are read where the demand is updated.",
     "7.4-2": "Motion of PUMA A's joint 5 in the training trajectory.",
+    "7.5": "Half the summed squared errors of the training patterns, epoch by epoch. A bout of"
+    " PERAL is ten epochs, after two hundred of backpropagation. Dotted: the direct solve.",
     "7.6-1": "Measured and predicted torques of the comparison trajectory, PUMA A.",
     "7.6-2": "The same, PUMA B.",
     "7.6-4": "A reversal of PUMA A in the training trajectory: of all joints' reversals, the one"
@@ -60,12 +65,24 @@ def torque_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
             model: np.asarray(
                 predicted_torque(network, puma.comparison_patterns, puma.vectors[model])
             )
-            for model in ("Ar+LS", "Ar+Rg", "CSLC")
+            for model in ("Ar+LS", "Ar+Rg", TRAINED if TRAINED in puma.vectors else CHOSEN)
         },
         title=f"{puma.name}: torques of the comparison trajectory",
         units=("N m",) * 6,
         mask=puma.comparison_patterns.mask,
     )
+
+
+def training_figure(machines: Sequence[IdentifiedMachine]) -> dict[str, Figure]:
+    """Training curves of both machines; none of a quick run."""
+    trained = {puma.name: puma.side_by_side for puma in machines if puma.side_by_side is not None}
+    if not trained:
+        return {}
+    figure = training_curves_picture(
+        {name: curves(part) for name, part in trained.items()},
+        {name: float(part.solved_cost[0]) for name, part in trained.items()},
+    )
+    return {"7.5": figure}
 
 
 # Samples about a reversal: those that splines are laid through, and the few that are drawn, where

@@ -40,7 +40,10 @@ def demand_rows(machines: Sequence[IdentifiedMachine], measured: sim.MotorLinear
 
 
 def violation_rows(
-    network: jc.CSLC, puma: IdentifiedMachine, limited: sim.Machine, training: jc.Recording
+    network: jc.CSLC,
+    puma: IdentifiedMachine,
+    limited: sim.Machine,
+    recordings: tuple[jc.Recording, jc.Recording],
 ) -> Rows:
     """What it costs if the training trajectory leaves the motors' range of linearity.
 
@@ -49,8 +52,10 @@ def violation_rows(
 
     **Arguments**
 
-    - `limited`: the machine with lower limits, and `training`: its training recording.
+    - `limited`: the machine with lower limits.
+    - `recordings`: of one training trajectory, by the machine within its limits and by `limited`.
     """
+    unlimited, training = recordings
     patterns = puma.settings.patterns(training)
     mean = puma.settings.preparation.torque_alignment == "mean"
     within = linear_pairs(training, limited.linear_torque, mean)
@@ -60,7 +65,7 @@ def violation_rows(
         patterns, backlash_mask=np.asarray(patterns.backlash_mask) & within
     )
     vectors = {
-        "within the limits": puma.fit.k,
+        "within the limits": puma.settings.fit(network, puma.settings.patterns(unlimited)).k,
         "beyond them": puma.settings.fit(network, patterns).k,
         "beyond them, such pairs left out": puma.settings.fit(network, without).k,
     }

@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import agreement, mask_quality, output_sensitivity
+from jaxcslc.assessment import agreement, hand_errors, mask_quality, output_sensitivity
 from jaxcslc.identification import coefficient_rows, uncertainty_interval
-from scripts.studies.puma560.machines import TRAINED, IdentifiedMachine
+from scripts.studies.puma560.machines import SOLVED, TRAINED, IdentifiedMachine, SeedTrainings
 from scripts.studies.truth import truth_within_intervals
 
 
@@ -23,57 +23,100 @@ _THESIS_EPSILON = {
     "PUMA B": {"Ar+LS": 1.105, "Ar+Rg": 0.979, TRAINED: 0.3085},
 }
 _THESIS_PEAKS = (13.6, 42.8, 8.59, 1.44, 1.77, 1.76)  # N m
+# The flange in the last link's frame, whose origin is the wrist centre [m].
+_FLANGE = (0.0, 0.0, sim.FLANGE)
+MEAN_ROW = "mean ε, mean of two demands"
 VALIDATION_ROW = "mean ε, as jaxcslc identify judges"
-_UNWEIGHTED = jc.LeastSquares(joint_weights="equal", errors="independent")
 
 
 def error_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
-    """Fig. 7.6-3 (or its twin for B), ε as `jaxcslc identify` judges, and the thesis's ε.
+    """Fig. 7.6-3 (or its twin for B) judged as in the thesis, then ε judged in two other ways.
 
-    Both are the same mean of half a root mean square; what differs is how positions are smoothed,
-    which demand belongs to a sample, and from which speed on a joint counts.
+    All are the same mean of half a root mean square. What differs is which demand belongs to a
+    sample, how positions are smoothed, and which samples count.
     """
-    rows: Rows = list(jc.compare(network, puma.comparison_patterns, puma.vectors).rows())
-    validation = jc.compare(network, puma.validation_patterns, puma.vectors)
-    epsilon = dict(zip(validation.names, np.asarray(validation.epsilon).tolist(), strict=True))
+    rows: Rows = list(jc.compare(network, puma.thesis_patterns, puma.vectors).rows())
+    others: Rows = []
+    for name, patterns in (
+        (MEAN_ROW, puma.comparison_patterns),
+        (VALIDATION_ROW, puma.validation_patterns),
+    ):
+        errors = jc.compare(network, patterns, puma.vectors)
+        others.append(
+            {"": name, **dict(zip(errors.names, np.asarray(errors.epsilon).tolist(), strict=True))}
+        )
     reported = _THESIS_EPSILON[puma.name]
-    return [
-        *rows,
-        {"": VALIDATION_ROW, **epsilon},
-        {"": "mean ε, thesis", **{name: reported.get(name, float("nan")) for name in puma.vectors}},
-    ]
+    thesis = {name: reported.get(name, float("nan")) for name in puma.vectors}
+    return [*rows, *others, {"": "mean ε, thesis", **thesis}]
 
 
-def training_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
-    """The trainings of 7.5: epochs, ε in training and comparison, and the direct solve's."""
+def training_rows(puma: IdentifiedMachine) -> Rows:
+    """The trainings of every seed by route, the direct solve, and measured coefficients."""
+    every = puma.side_by_side
+    assert every is not None, "a quick run trains nothing"
+    solved = every.comparison_error[SOLVED]
+    others = (every.comparison_error["Ar+LS"], every.comparison_error["Ar+Rg"])
     rows: Rows = []
-    for masks, route in puma.routes.items():
-        for thresholds, stage in (
-            ("a hundredth of top speed", route.first),
-            ("from the residuals", route.second),
-        ):
-            k = stage.training.weights
-            # What training would end at if it went on: squares in place of ε, no joint weighted.
-            direct = _UNWEIGHTED.fit(network, stage.patterns).k
-            vectors = {"trained": k, "direct": direct}
-            trained, solved = np.asarray(
-                jc.compare(network, puma.comparison_patterns, vectors).epsilon
-            ).tolist()
-            backpropagation, peral = stage.epochs
-            rows.append(
-                {
-                    "left out": masks,
-                    "thresholds": thresholds,
-                    "training ε when PERAL begins [N m]": stage.hand_over,
-                    "epochs of backpropagation": backpropagation,
-                    "epochs of PERAL": peral,
-                    "ended": next(iter(stage.training.outcomes())),
-                    "training ε [N m]": float(stage.training.cost),
-                    "comparison ε [N m]": trained,
-                    "comparison ε, direct solve [N m]": solved,
-                }
-            )
+    for name, errors in every.comparison_error.items():
+        training = every.trainings.get(name)
+        epochs = ("", "") if training is None else [float(np.median(x)) for x in training.epochs()]
+        rows.append(
+            {
+                "coefficients": name,
+                "epochs of backpropagation": epochs[0],
+                "epochs of PERAL": epochs[1],
+                "all seeds [s]": "" if training is None else training.seconds,
+                "training ε [N m]": float(np.median(every.training_error[name])),
+                "comparison ε [N m]": float(np.median(errors)),
+                "over the direct solve": float(np.median(errors / solved)),
+                "worst seed": float(np.max(errors / solved)),
+                "seeds below Ar+LS and Ar+Rg": int(np.sum(errors < np.minimum(*others))),
+            }
+        )
     return rows
+
+
+def letter_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
+    """The training of 7.5 to the letter, on the first seed's recording."""
+    route = puma.to_the_letter
+    assert route is not None, "a quick run trains nothing"
+    rows: Rows = []
+    for thresholds, stage in (
+        ("a hundredth of top speed", route.first),
+        ("from the residuals", route.second),
+    ):
+        vectors = {"": stage.training.weights}
+        (error,) = np.asarray(jc.compare(network, puma.thesis_patterns, vectors).epsilon).tolist()
+        backpropagation, peral = stage.epochs
+        rows.append(
+            {
+                "thresholds": thresholds,
+                "training ε when PERAL begins [N m]": stage.hand_over,
+                "epochs of backpropagation": backpropagation,
+                "epochs of PERAL": peral,
+                "ended": next(iter(stage.training.outcomes())),
+                "training ε [N m]": float(stage.training.cost),
+                "comparison ε [N m]": error,
+            }
+        )
+    return rows
+
+
+def curves(every: SeedTrainings) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Cost before every epoch of the first seed's trainings, and the rule that learnt, by route."""
+    result: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for name, part in every.trainings.items():
+        history = part.training.history
+        learnt = np.asarray(history.rule[0]) >= 0
+        result[name] = (np.asarray(history.cost[0])[learnt], np.asarray(history.rule[0])[learnt])
+    return result
+
+
+def hand_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
+    """What each model's torque errors do at the hand (7.5): mean acceleration errors [m/s²]."""
+    vectors = puma.vectors
+    errors = hand_errors(network, puma.thesis_patterns, vectors, vectors["true"], point=_FLANGE)
+    return list(errors.rows())
 
 
 def peak_rows(machines: Sequence[IdentifiedMachine]) -> Rows:

@@ -1,147 +1,147 @@
-"""Train the PUMA 560's CSLC as the thesis does (7.5), beside the direct solve on the same patterns.
+"""Train the PUMA 560's CSLC on many recordings side by side, next to the direct solve (7.5).
 
-From zero weights at small rates by backpropagation, until the error cost on the training patterns
-falls below that of the coefficients from direct measurement (Ar+LS); then bouts of PERAL and
-backpropagation by turns, one adapted rate for each of the five subnetworks (6.3.1), until no rule
-reaches the least reduction in an epoch any more. The thesis ends at 0.001 N m; smaller ends show
-what is left to gain. Judged on the comparison recordings of the simulated PUMA A and B.
+Both simulated machines of the experiment perform the training and the comparison trajectory once
+per seed. From zero weights, one network per recording is trained by each route of `side_by_side`:
+backpropagation alone, backpropagation and PERAL in turns, and PERAL in most epochs. The table has
+epochs, seconds and ε next to the direct solve of the same patterns, and the seconds of one training
+alone. `--letter` adds the training with the thesis's own masks, rates and end.
 
     python -m scripts.studies.training.cslc
-    python -m scripts.studies.training.cslc --least 1e-3 1e-6 --without-velocity
+    python -m scripts.studies.training.cslc --seeds 8 --routes backpropagation --letter 1
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv, write_json
-from jaxcslc.training import Examples, examples, half_rms, train
+from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
 from scripts.studies import command
+from scripts.studies.puma560.machines import (
+    SOLVED,
+    TO_THE_LETTER,
+    SeedTrainings,
+    as_in_the_thesis,
+    machines,
+    trained_side_by_side,
+)
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.tables import number_text
-from scripts.studies.training.thesis_route import plan_of
-from scripts.studies.truth import published_coefficients
+from scripts.studies.tables import rows_table
+from scripts.studies.training.side_by_side import ROUTES
+from scripts.studies.training.thesis_route import thesis_route
+from scripts.studies.truth import published_coefficients, true_coefficients
 
 
 jax.config.update("jax_enable_x64", True)
 
-OPTIONS = ("bout", "epochs", "seed", "samples", "without_velocity")
-CHUNK = 500  # epochs between looks at progress
-# Joints that move, as in the experiment of Chapter 7.
-_MOVING = 0.05  # rad/s
-
-CODE = [Path(__file__), Path(__file__).with_name("thesis_route.py")]
-
-
-def prepared(
-    network: AdaptiveNetwork, training: jc.Recording, comparison: jc.Recording
-) -> tuple[jc.Patterns, Examples, Examples]:
-    """Training patterns, with thresholds of a hundredth (7.5), and examples of both recordings."""
-    patterns = jc.prepare(training, torque_alignment="mean", threshold_fraction=0.01)
-    judged = jc.prepare(
-        comparison, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=_MOVING
-    )
-    of_training, of_comparison = (
-        examples(network, part, part.torque, part.mask) for part in (patterns, judged)
-    )
-    return patterns, of_training, of_comparison
+LETTER = "7.5 to the letter"
+OPTIONS = ("seeds", "first", "samples", "letter", "untimed")
+CODE = [Path(__file__)] + [
+    Path(__file__).with_name(f"{name}.py") for name in ("side_by_side", "thesis_route")
+]
 
 
-def error(network: AdaptiveNetwork, of: Examples, weights: jax.Array) -> float:
-    """The thesis's ε [N m]."""
-    return float(of.costs(network, weights, half_rms)[0])
+def route_row(name: str, route: str, every: SeedTrainings, alone: float) -> dict[str, Any]:
+    """Return epochs, seconds and errors of one route's trainings; medians over seeds."""
+    solved = every.comparison_error[SOLVED]
+    errors, training = every.comparison_error[route], every.trainings.get(route)
+    epochs = [float("nan")] * 2
+    if training is not None:
+        epochs = [float(np.median(numbers)) for numbers in training.epochs()]
+    others = np.minimum(every.comparison_error["Ar+LS"], every.comparison_error["Ar+Rg"])
+    return {
+        "machine": name,
+        "coefficients": route,
+        "epochs of backpropagation": epochs[0],
+        "epochs of PERAL": epochs[1],
+        "all seeds [s]": float("nan") if training is None else training.seconds,
+        "one seed alone [s]": alone,
+        "training ε [N m]": float(np.median(every.training_error[route])),
+        "comparison ε [N m]": float(np.median(errors)),
+        "over the direct solve": float(np.median(errors / solved)),
+        "worst seed": float(np.max(errors / solved)),
+        "seeds below Ar+LS and Ar+Rg": int(np.sum(errors < others)),
+    }
 
 
-def method_of(least: float) -> str:
-    """The name of a training that ends at a least reduction of an epoch [N m]."""
-    return f"trained to {least:g} N m"
-
-
-def rows_of(
-    name: str,
-    machine: sim.Machine,
-    network: AdaptiveNetwork,
-    cslc: jc.CSLC,
-    options: argparse.Namespace,
-    finished: Rows,
-) -> Iterator[dict[str, Any]]:
-    """A row for each method of identification that has none."""
-    recordings = [
-        sim.simulate(machine, trajectory, seed=options.seed).recording
-        for trajectory in (sim.training(samples=options.samples), sim.comparison())
+def machine_rows(
+    name: str, machine: sim.Machine, options: argparse.Namespace, finished: Rows
+) -> None:
+    """Add the rows of one machine that are missing, each as soon as it is there."""
+    cslc = jc.derive(jc.puma560())
+    seeds = command.seeds_of(options)
+    trajectories = sim.adjusted_training(samples=options.samples), sim.comparison()
+    jobs = [
+        sim.Job(machine, trajectory, seed + offset)
+        for offset, trajectory in enumerate(trajectories)
+        for seed in seeds
     ]
-    patterns, training_examples, comparison_examples = prepared(network, *recordings)
-    published = published_coefficients(cslc)
-    direct = jc.LeastSquares(joint_weights="equal", errors="independent").fit(cslc, patterns).k
-    floor = error(network, comparison_examples, direct)
-    hand_over = error(network, training_examples, published)
-
-    def row(method: str, k: jax.Array, epochs: Any = "", outcome: str = "") -> dict[str, Any]:
-        compared_error = error(network, comparison_examples, k)
-        return {
-            "machine": name,
-            "method": method,
-            "epochs": epochs,
-            "training ε [N m]": error(network, training_examples, k),
-            "comparison ε [N m]": compared_error,
-            "over direct": compared_error / floor,
-            "ended": outcome,
-        }
-
-    yield row("Ar+LS", published)
-    yield row("direct solve", direct)
-    for least in options.least:
-        if (name, method_of(least)) in finished:
+    recordings = [each.recording for each in sim.record(jobs, progress=True)]
+    training, comparison = recordings[: len(seeds)], recordings[len(seeds) :]
+    truth = true_coefficients(cslc, machine)
+    timed = not options.untimed
+    for route in options.routes:
+        if (name, route) in finished:
             continue
-        plan = plan_of(
-            hand_over,
-            least,
-            bout=options.bout,
-            frozen=("velocity",) if options.without_velocity else (),
-        )
-        training = train(
-            network,
-            training_examples,
-            jnp.zeros(network.size),
-            plan,
-            epochs=options.epochs,
-            checkpoint=finished.path.with_name(f"{name} {least:g} {finished.digest[:12]}.npz"),
-            chunk=CHUNK,
-            keep_weights=False,
-            progress=True,
-            throw=False,
-        )
-        (outcome,) = training.outcomes()
-        rule = np.asarray(training.history.rule)
-        passed = f"{int((rule == 0).sum())} + {int((rule == 1).sum())}"
-        yield row(method_of(least), training.weights, passed, outcome)
+        every = trained_side_by_side(cslc, training, comparison, truth, (route,), timed=timed)
+        alone = float("nan")
+        if timed:
+            first = trained_side_by_side(
+                cslc, training[:1], comparison[:1], truth, (route,), timed=True
+            )
+            alone = first.trainings[route].seconds
+        finished.add(route_row(name, route, every, alone))
+        if (name, SOLVED) not in finished:
+            others = (other for other in every.comparison_error if other not in ROUTES)
+            finished.add(*(route_row(name, other, every, float("nan")) for other in others))
+    if options.letter and (name, LETTER) not in finished:
+        finished.add(letter_row(name, cslc, training, comparison, options.letter))
+
+
+def letter_row(
+    name: str,
+    cslc: jc.CSLC,
+    training: Sequence[jc.Recording],
+    comparison: Sequence[jc.Recording],
+    count: int,
+) -> dict[str, Any]:
+    """Return the row of trainings to the letter on the first `count` recordings."""
+    published = published_coefficients(cslc)
+    errors: list[float] = []
+    epochs: list[tuple[int, int]] = []
+    for learnt, judged in zip(training[:count], comparison[:count], strict=True):
+        route = thesis_route(cslc, learnt, TO_THE_LETTER, published)
+        table = jc.compare(cslc, as_in_the_thesis(judged), {"": route.k})
+        errors += np.asarray(table.epsilon).tolist()
+        parts = (route.first.epochs, route.second.epochs)
+        epochs.append((parts[0][0] + parts[1][0], parts[0][1] + parts[1][1]))
+    backpropagation, peral = np.median(epochs, axis=0).tolist()
+    return {
+        "machine": name,
+        "coefficients": LETTER,
+        "epochs of backpropagation": backpropagation,
+        "epochs of PERAL": peral,
+        "comparison ε [N m]": float(np.median(errors)),
+    }
 
 
 def study(options: argparse.Namespace) -> int:
-    """Trains on every machine, prints the table and writes the files."""
-    cslc = jc.derive(jc.puma560())
-    network = inverse_dynamics(cslc)
-    machines = {"A": sim.puma_a, "B": sim.puma_b}
+    """Train on every machine, print the table and write the files."""
     digest = made_of({name: getattr(options, name) for name in OPTIONS}, CODE)
-    finished = Rows(options.output / "rows.jsonl", ("machine", "method"), digest)
-    methods = ["Ar+LS", "direct solve", *map(method_of, options.least)]
-    keys = [(f"PUMA {name}", method) for name in options.machines for method in methods]
-    for name in options.machines:
-        if any(key not in finished for key in keys if key[0] == f"PUMA {name}"):
-            for row in rows_of(f"PUMA {name}", machines[name](), network, cslc, options, finished):
-                finished.add(row)
-                print(", ".join(number_text(value) for value in row.values()), flush=True)
-    rows = [finished[key] for key in keys]
-    print(text_table(list(rows[0]), [[number_text(x) for x in row.values()] for row in rows]))
-    print("epochs: of backpropagation + of PERAL")
+    finished = Rows(options.output / "rows.jsonl", ("machine", "coefficients"), digest)
+    for name, machine in machines().items():
+        if name[-1] in options.machines:
+            machine_rows(name, machine, options, finished)
+    rows = [row for row in finished.by_key.values() if row["machine"][-1] in options.machines]
+    columns = list(max(rows, key=len))
+    rows = [{column: row.get(column, float("nan")) for column in columns} for row in rows]
+    print(rows_table(rows))
+    print(f"on {jax.devices()[0].device_kind}")
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "training.csv", rows)
         arguments = vars(options) | {"output": str(options.output)}
@@ -152,25 +152,26 @@ def study(options: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "cslc_training")
-    parser.add_argument("--least", type=float, nargs="+", default=[1e-3, 1e-5, 1e-7],
-                        help="reductions of an epoch that end a training [N m]")  # fmt: skip
-    parser.add_argument("--bout", type=int, default=100, help="epochs of a rule before it turns")
-    parser.add_argument("--epochs", type=int, default=60_000, help="at most")
-    parser.add_argument("--seed", type=int, default=1, help="of the recordings")
-    parser.add_argument("--samples", type=int, default=3300, help="of the training recording")
+    command.add_seeds(parser, 32)
+    parser.add_argument("--samples", type=int, default=3300, help="of the training recordings")
     parser.add_argument("--machines", nargs="+", choices=["A", "B"], default=["A", "B"])
-    parser.add_argument("--without-velocity", action="store_true", help="as 5.2.6 allows")
-    options = command.parse(parser, argv, samples=1500, least=[1e-2], machines=["A"], epochs=300)
-    command.require_least(parser, options, samples=500, epochs=1, bout=1)
-    if options.quick:  # 42 in place of 63 s of processor time, nothing compiled before
+    parser.add_argument("--routes", nargs="+", choices=list(ROUTES), default=list(ROUTES)[:2])
+    parser.add_argument("--letter", type=int, default=0,
+                        help="trainings with the thesis's masks, rates and end")  # fmt: skip
+    parser.add_argument("--untimed", action="store_true",
+                        help="train once only: seconds then contain compiling")  # fmt: skip
+    options = command.parse(
+        parser, argv, samples=1500, seeds=2, machines=["A"], routes=["backpropagation"],
+        untimed=True,
+    )  # fmt: skip
+    command.require_least(parser, options, samples=500, letter=0)
+    if options.quick:
         command.compile_quickly()
-    trainings = len(options.machines) * len(options.least)
     return command.run(
         parser,
         lambda: study(options),
         options.output / "rows.jsonl",
-        seconds=(45.0 if options.quick else 60.0)
-        + 4e-6 * trainings * options.samples * options.epochs,
+        seconds=40.0 if options.quick else 60.0 + 8.0 * options.seeds * len(options.machines),
     )
 
 

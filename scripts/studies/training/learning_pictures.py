@@ -138,3 +138,37 @@ def conditions_picture(rows: Sequence[Mapping[str, Any]], starts: int) -> Figure
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(f"Ultrasound scene, from the hand-over on: medians of {starts} starts")
     return figure
+
+
+def training_curves_picture(
+    curves: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], solved: Mapping[str, float]
+) -> Figure:
+    """Costs of trainings epoch by epoch, a panel per machine and a line per route.
+
+    **Arguments**
+
+    - `curves`: by machine and route, the cost before every epoch and the rule that learnt.
+    - `solved`: the direct solve's cost, by machine.
+
+    **Returns** a matplotlib figure.
+    """
+    figure = new_figure(10.0, 4.2)
+    for axes, (machine, routes) in zip(
+        figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True
+    ):
+        for i, (route, (cost, rule)) in enumerate(routes.items()):
+            epochs = np.arange(1, len(cost) + 1)
+            axes.plot(epochs, cost, color=COLOURS[i], ls=STYLES[i], lw=1.6, label=route)
+            peral = rule == 1
+            if peral.any():
+                label = "epochs of PERAL"
+                axes.plot(epochs[peral], cost[peral], ".", color=COLOURS[2], ms=2.5, label=label)
+        axes.axhline(solved[machine], color=QUIET, ls=":", lw=1.2, label="direct solve")
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("epochs")
+        axes.set_title(machine)
+        axes.grid(alpha=0.25)
+    figure.axes[0].set_ylabel("half the summed squared errors [(N m)²]")
+    figure.axes[0].legend(frameon=False)
+    return figure

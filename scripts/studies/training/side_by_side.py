@@ -60,9 +60,7 @@ ROUTES: Mapping[str, Route] = {
     "backpropagation and PERAL": Route(
         (Backpropagation(), PERAL()), (200, 10), (_DESCENT, _ALLOCATION)
     ),
-    "PERAL in most epochs": Route(
-        (Backpropagation(), PERAL()), (20, 25), (_DESCENT, _ALLOCATION)
-    ),
+    "PERAL in most epochs": Route((Backpropagation(), PERAL()), (20, 25), (_DESCENT, _ALLOCATION)),
 }
 
 
@@ -115,7 +113,9 @@ def _examples(network: AdaptiveNetwork, arrays: tuple[Array, ...], equations: bo
 
 
 def epsilon(
-    network: AdaptiveNetwork, of: Examples, weights: Float[Array, "*recordings coefficients"]
+    network: AdaptiveNetwork,
+    of: Examples,
+    weights: Float[Array | np.ndarray, "*recordings coefficients"],
 ) -> Float[np.ndarray, " recordings"]:
     """Return the thesis's ε of each recording [N m].
 
@@ -123,6 +123,16 @@ def epsilon(
     """
     every = jnp.broadcast_to(weights, (of.targets.shape[0], network.size))
     return np.asarray(_costs(network, of, every, root=True))
+
+
+def half_squares(
+    network: AdaptiveNetwork,
+    of: Examples,
+    weights: Float[Array | np.ndarray, "*recordings coefficients"],
+) -> Float[np.ndarray, " recordings"]:
+    """Return the cost of Eqn. 3.4-2 of each recording, as `epsilon` does [(N m)²]."""
+    every = jnp.broadcast_to(weights, (of.targets.shape[0], network.size))
+    return np.asarray(_costs(network, of, every, root=False))
 
 
 @eqx.filter_jit
@@ -156,8 +166,7 @@ def train_side_by_side(
     """
     network = inverse_dynamics(cslc)
     count = training_set.targets.shape[0]
-    every = jnp.broadcast_to(jnp.asarray(measured), (count, network.size))
-    hand_over = _costs(network, training_set, every, root=False)
+    hand_over = half_squares(network, training_set, jnp.asarray(measured))
     if workers is None:
         workers = 1 if jax.default_backend() != "cpu" else len(os.sched_getaffinity(0))
     parts = np.array_split(np.arange(count), min(workers, count))
@@ -165,7 +174,7 @@ def train_side_by_side(
     def one(part: np.ndarray) -> Training:
         schedule = Schedule(
             route.rules,
-            hand_over=hand_over[part],
+            hand_over=jnp.asarray(hand_over[part]),
             bout=route.bouts,
             least_reduction=least_reduction,
             in_step=True,

@@ -1,15 +1,18 @@
-"""The training of Section 7.5: backpropagation, then bouts with PERAL, then better thresholds."""
+"""The training of Section 7.5 to the letter: masks, rules, rates and end as in the thesis.
+
+Backpropagation, then bouts with PERAL, then the same with better thresholds. `side_by_side` has the
+settings that bring training to where the direct solve ends.
+"""
 
 import dataclasses
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 import jaxcslc as jc
-from jaxcslc.adaptive import inverse_dynamics
+from jaxcslc.adaptive import inverse_dynamics, subnetwork_masks
 from jaxcslc.identification import predicted_torque
 from jaxcslc.motion import StaticFriction, friction_thresholds, thresholds_from_residuals
 from jaxcslc.training import (
@@ -20,6 +23,7 @@ from jaxcslc.training import (
     Schedule,
     Training,
     examples,
+    half_rms,
     train,
 )
 
@@ -97,7 +101,6 @@ def thesis_route(
     preparation: jc.Preparation,
     measured: Float[Array | np.ndarray, " coefficients"],
     *,
-    every: int = 1,
     least_reduction: float = 1e-3,
     epochs: int = 5000,
     progress: bool = False,
@@ -107,8 +110,8 @@ def thesis_route(
 
     Static friction's thresholds are one hundredth of each joint's greatest speed until the first
     training ends. Its residuals then show where static friction ends (Fig. 7.6-4), and training
-    goes on with these thresholds. (The thesis leaves slow pairs out of the friction subnetworks'
-    training alone; here, as in the direct solve, out of all of it.)
+    goes on with these thresholds. Slow pairs are left out of the friction subnetworks alone
+    (7.2.2), and pairs in possible backlash out of all.
 
     **Arguments**
 
@@ -117,7 +120,6 @@ def thesis_route(
     - `preparation`: smoothing, torque alignment and the mask of backlash; its thresholds are not
         used.
     - `measured`: coefficients by direct measurement, whose cost is that of the hand-over.
-    - `every`: so many patterns become one: the first of them.
     - `least_reduction`: an epoch's, at which training ends [N m]; 0.001 in the thesis.
     - `epochs`: of a training at most.
     - `checkpoints`: a folder to save both trainings in, from which an interrupted run goes on.
@@ -128,9 +130,8 @@ def thesis_route(
     )
 
     def stage(name: str, patterns: jc.Patterns, thresholds: np.ndarray, start: Array) -> Stage:
-        part = jax.tree.map(lambda values: np.asarray(values)[::every], patterns)
-        training_set = examples(arm, part, part.torque, part.mask)
-        (hand_over,) = np.asarray(jc.compare(network, part, {"": measured}).epsilon).tolist()
+        training_set = examples(arm, patterns, patterns.torque, subnetwork_masks(arm, patterns))
+        hand_over = float(training_set.costs(arm, jnp.asarray(measured), half_rms)[0])
         training = train(
             arm,
             training_set,

@@ -6,15 +6,15 @@ comparison recording of 7.4.2 of all of them at once, on a GPU where there is on
 prepared on the CPU's cores (averaged splines, masks of slow pairs). Then each machine's network is
 identified twice from its training recording:
 
-- **trained** from zero weights by the thesis's schedule (7.5): backpropagation until the error cost
-  falls below that of the published coefficients (Ar+LS), then bouts with PERAL;
-- **solved** by least squares.
+- **trained** from zero weights by backpropagation until the error cost falls below that of the
+  published coefficients (Ar+LS), then by backpropagation and PERAL in turns (`side_by_side`);
+- **solved** by least squares on the same patterns.
 
 Both are judged by ε on the comparison recording, beside the published and the true coefficients.
 Machines whose joints leave their ranges, as a real arm's could not, are counted and left out.
 
     python -m scripts.studies.training.thousand
-    python -m scripts.studies.training.thousand --machines 64 --least 1e-4 --every 3
+    python -m scripts.studies.training.thousand --machines 64 --route backpropagation
 
 Each group of machines is written to `rows.jsonl` when it is finished; an interrupted run goes on
 from there.
@@ -23,39 +23,43 @@ from there.
 import argparse
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
 from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
 from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
 from jaxcslc.plotting import save_picture
-from jaxcslc.training import Examples, examples, half_rms, train
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table
-from scripts.studies.training.thesis_route import plan_of
+from scripts.studies.training.side_by_side import (
+    EPOCHS,
+    LEAST_REDUCTION,
+    ROUTES,
+    epsilon,
+    stacked,
+    train_side_by_side,
+)
 from scripts.studies.training.thousand_picture import errors_picture
 from scripts.studies.truth import published_coefficients, true_coefficients
 
 
 jax.config.update("jax_enable_x64", True)
 
-OPTIONS = ("first", "seconds", "every", "least", "bout", "epochs", "rigid")
+OPTIONS = ("first", "seconds", "route", "least", "epochs", "rigid")
 TRAINED, SOLVED, PUBLISHED, TRUE = "trained", "solved", "Ar+LS", "true coefficients"
 METHODS = (TRAINED, SOLVED, TRUE, PUBLISHED)
 QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
-CODE = [Path(__file__), Path(__file__).with_name("thesis_route.py")]
+CODE = [Path(__file__), Path(__file__).with_name("side_by_side.py")]
 
 # Factors of a machine's encoder resolutions, drawn as powers of two: half to four times that of
 # Section 7.1. Factors of its backlashes are drawn from none to twice that of `sim.DISTURBANCES`.
@@ -63,17 +67,15 @@ _RESOLUTION_OCTAVES = (-1.0, 2.0)
 _LARGEST_BACKLASH = 2.0
 _ELASTIC = ("compliance", "backlash")
 _DISTURBANCES = ("quantisation", "static friction")
-# Joints that move, as in the experiment of Chapter 7.
-_MOVING = 0.05  # rad/s
 _INTERVAL = 0.002  # s, of the trajectories
-# Machines that one pass of the direct solve holds at a time: their equations take 0.4 GB.
-_SOLVED_TOGETHER = 64
-_CHUNK = 250  # epochs between looks at whether all trainings have ended
 
+# As in `scripts.studies.puma560.machines`.
 PREPARATIONS = {
-    "training": jc.Preparation(torque_alignment="mean", threshold_fraction=0.01),
+    "training": jc.Preparation(
+        jc.AveragedSplines(17), torque_alignment="previous", threshold_fraction=0.01
+    ),
     "comparison": jc.Preparation(
-        jc.AveragedSplines(17), torque_alignment="mean", thresholds=_MOVING
+        jc.AveragedSplines(17), torque_alignment="previous", thresholds=0.0, trim=100
     ),
 }
 
@@ -115,7 +117,7 @@ class Stages:
         jax.monitoring.register_event_duration_secs_listener(self._add)
 
     @contextmanager
-    def measured(self, stage: str) -> Iterator[None]:
+    def measured(self, stage: str) -> Generator[None]:
         """Adds the time inside of the `with` to a stage, and prints it."""
         self._stage, start = stage, time.perf_counter()
         compiled = self.compiling.setdefault(stage, 0.0)
@@ -127,9 +129,9 @@ class Stages:
         compiled = self.compiling[stage] - compiled
         print(f"{stage}: {taken:.1f} s, of which {compiled:.1f} s compiling", flush=True)
 
-    def _add(self, event: str, seconds: float, **_: Any) -> None:
+    def _add(self, event: str, duration_secs: float, **_: Any) -> None:
         if self._stage is not None and event.startswith("/jax/core/compile"):
-            self.compiling[self._stage] += seconds
+            self.compiling[self._stage] += duration_secs
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each stage."""
@@ -151,34 +153,10 @@ def recorded(
     return results
 
 
-def prepared(recordings: Sequence[jc.Recording], preparation: jc.Preparation) -> jc.Patterns:
-    """Patterns of recordings of one length, with a leading axis of recordings."""
+def prepared(recordings: Sequence[jc.Recording], preparation: jc.Preparation) -> list[jc.Patterns]:
+    """Patterns of recordings, on all cores."""
     with ThreadPoolExecutor() as pool:
-        parts = list(pool.map(preparation.patterns, recordings))
-    return jax.tree.map(lambda *values: np.stack(values), *parts)
-
-
-@eqx.filter_jit
-def examples_of_all(network: AdaptiveNetwork, patterns: jc.Patterns) -> Examples:
-    """Examples with a leading axis of machines."""
-    return jax.vmap(lambda p: examples(network, p, p.torque, p.mask))(patterns)
-
-
-@eqx.filter_jit
-def solved(cslc: jc.CSLC, patterns: jc.Patterns) -> Float[Array, "machines coefficients"]:
-    """Coefficients of each machine by least squares."""
-    solver = jc.LeastSquares(joint_weights="equal", errors="independent")
-    return jax.lax.map(
-        lambda one: solver.fit(cslc, one, throw=False).k, patterns, batch_size=_SOLVED_TOGETHER
-    )
-
-
-@eqx.filter_jit
-def errors_of(
-    network: AdaptiveNetwork, of_all: Examples, weights: Float[Array, "machines coefficients"]
-) -> Float[Array, " machines"]:
-    """The thesis's ε of each machine [N m]."""
-    return jax.vmap(lambda part, w: part.costs(network, w, half_rms)[0])(of_all, weights)
+        return list(pool.map(preparation.patterns, recordings))
 
 
 def group_rows(
@@ -198,10 +176,10 @@ def group_rows(
     with stages.measured("record comparison"):
         others = recorded(machines, comparison)
     failed |= {seed: result for seed, result in others.items() if isinstance(result, str)}
-    of_training = {s: r for s, r in results.items() if isinstance(r, jc.Recording)}
-    of_comparison = {s: r for s, r in others.items() if isinstance(r, jc.Recording)}
+    of_training = {s: r for s, r in results.items() if not isinstance(r, str)}
+    of_comparison = {s: r for s, r in others.items() if not isinstance(r, str)}
     kept = [seed for seed in seeds if seed not in failed]
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"machine": seed, "design": design(seed), "failed": why} for seed, why in failed.items()
     ]
     if not kept:
@@ -211,33 +189,32 @@ def group_rows(
             prepared([recordings[seed] for seed in kept], PREPARATIONS[name])
             for name, recordings in (("training", of_training), ("comparison", of_comparison))
         )
-        thinned = jax.tree.map(lambda x: x[:, :: options.every], learnt)
     with stages.measured("examples"):
-        training_set, comparison_set = (examples_of_all(network, x) for x in (thinned, judged))
+        training_set = stacked(network, learnt, equations=True)
+        comparison_set = stacked(network, judged)
         jax.block_until_ready((training_set, comparison_set))
-    published = jnp.broadcast_to(published_coefficients(cslc), (len(kept), network.size))
+    published = jnp.asarray(published_coefficients(cslc))
     true = jnp.stack([true_coefficients(cslc, machines[seed]) for seed in kept])
     with stages.measured("train"):
-        trained = train(
-            network,
+        trained = train_side_by_side(
+            cslc,
             training_set,
-            jnp.zeros((len(kept), network.size)),
-            plan_of(errors_of(network, training_set, published), options.least, bout=options.bout),
+            published,
+            ROUTES[options.route],
+            least_reduction=options.least,
             epochs=options.epochs,
-            keep_weights=False,
-            chunk=_CHUNK,
-            progress=True,
-            throw=False,
+            timed=False,
         )
     with stages.measured("solve"):
-        direct = jax.block_until_ready(solved(cslc, learnt))
+        direct = jax.block_until_ready(training_set.equations.solution())
     weights = {TRAINED: trained.weights, SOLVED: direct, PUBLISHED: published, TRUE: true}
     with stages.measured("judge"):
         errors, on_training = (
-            {name: np.asarray(errors_of(network, part, weights[name])) for name in METHODS}
+            {name: epsilon(network, part, weights[name]) for name in METHODS}
             for part in (comparison_set, training_set)
         )
-    rule, outcomes = np.asarray(trained.history.rule), trained.outcomes()
+    backpropagation, peral = trained.epochs()
+    endings = trained.training.endings()
     for i, seed in enumerate(kept):
         rows.append(
             {
@@ -246,9 +223,9 @@ def group_rows(
                 "failed": "",
                 **{f"{name}, ε": float(errors[name][i]) for name in METHODS},
                 **{f"{name}, training ε": float(on_training[name][i]) for name in METHODS},
-                "epochs of backpropagation": int(np.sum(rule[i] == 0)),
-                "epochs of PERAL": int(np.sum(rule[i] == 1)),
-                "ended": outcomes[i],
+                "epochs of backpropagation": int(backpropagation[i]),
+                "epochs of PERAL": int(peral[i]),
+                "ended": endings[i],
             }
         )
     return rows
@@ -263,7 +240,7 @@ def trajectories(seconds: tuple[float, float]) -> tuple[sim.Trajectory, sim.Traj
     """Training and comparison, of so many seconds each."""
     training, comparison = seconds
     return (
-        sim.training(samples=round(training / _INTERVAL)),
+        sim.adjusted_training(samples=round(training / _INTERVAL)),
         sim.comparison(duration=comparison),
     )
 
@@ -344,17 +321,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--together", type=int, default=1024, help="machines side by side")
     parser.add_argument("--seconds", type=float, nargs=2, default=[6.6, 2.5],
                         metavar=("TRAINING", "COMPARISON"), help="of the recordings")  # fmt: skip
-    parser.add_argument("--every", type=int, default=1,
-                        help="one pattern in so many is trained on")  # fmt: skip
-    parser.add_argument("--least", type=float, default=1e-5,
-                        help="reduction of an epoch that ends a training [N m]")  # fmt: skip
-    parser.add_argument("--bout", type=int, default=100, help="epochs of a rule before it turns")
-    parser.add_argument("--epochs", type=int, default=6000, help="at most")
+    parser.add_argument("--route", default="backpropagation and PERAL", choices=ROUTES,
+                        help="rules of the trainings")  # fmt: skip
+    parser.add_argument("--least", type=float, default=LEAST_REDUCTION,
+                        help="reduction of the cost per epoch that ends it [(N m)^2]")  # fmt: skip
+    parser.add_argument("--epochs", type=int, default=EPOCHS, help="at most")
     parser.add_argument("--rigid", action="store_true", help="without compliance and backlash")
-    options = command.parse(parser, argv, machines=4, rigid=True, every=3, epochs=1000, least=1e-4)
-    command.require_least(
-        parser, options, machines=1, together=1, every=1, bout=1, epochs=1, first=0
-    )
+    options = command.parse(parser, argv, machines=4, rigid=True, epochs=1000)
+    command.require_least(parser, options, machines=1, together=1, epochs=1, first=0)
     if min(options.seconds) < 0.2:
         parser.error(f"--seconds is {options.seconds}; expected 0.2 or more of each recording")
     if options.quick:

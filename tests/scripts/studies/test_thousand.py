@@ -11,7 +11,7 @@ import sim
 from scripts.studies.training import thousand
 
 
-SHORT = ["--rigid", "--seconds", "1.2", "0.8", "--epochs", "20", "--every", "5", "--least", "1e-3"]
+SHORT = ["--rigid", "--seconds", "1.2", "0.8", "--epochs", "220", "--least", "1e-3"]
 
 
 def test_two_machines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
