@@ -22,8 +22,8 @@ FLANGE = 0.05625
 _TRUNK_RADIUS = 0.25
 _TRUNK_TOP = 0.2
 # Results of `scripts/studies/puma560/trials.py`.
-_ADJUSTED_AMPLITUDE = (-30.7, -20.0, 23.3, -10.2, 13.4, -10.9)  # N m
-_ADJUSTED_START = (0.32, -1.46, 1.05, 0.72, 0.22, -0.02)  # rad
+_ADJUSTED_AMPLITUDE = (-28.69, -25.46, 23.33, -8.02, 11.62, -11.79)  # N m
+_ADJUSTED_START = (0.62, -1.55, 1.23, 0.39, 0.11, 0.18)  # rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +139,8 @@ def adjusted_training(*, samples: int = 3300) -> Trajectory:
     - `samples`: how many, 2 ms apart; 6.6 s as in the thesis.
 
     >>> import sim
-    >>> sim.adjusted_training().start.round(2)
-    array([])
+    >>> sim.adjusted_training().start
+    array([ 0.62, -1.55,  1.23,  0.39,  0.11,  0.18])
     """
     return training(
         samples=samples,

@@ -204,7 +204,7 @@ def fitted(
 
 
 def judged_patterns(recording: jc.Recording) -> jc.Patterns:
-    """A comparison recording as the thesis judges: `IdentifiedMachine.comparison_patterns`."""
+    """The patterns of a comparison recording: `IdentifiedMachine.comparison_patterns`."""
     return jc.prepare(
         recording, smoothing=jc.AveragedSplines(17), torque_alignment="mean", thresholds=MOVING
     )
@@ -252,12 +252,6 @@ def identified(
         vectors[TRAINED] = side_by_side.trainings[SHOWN_ROUTE].weights[0]
         vectors[SOLVED] = side_by_side.solved[0]
     vectors |= {CHOSEN: fit.k, "true": truth}
-    judged = jc.prepare(
-        comparison.recording,
-        smoothing=jc.AveragedSplines(17),
-        torque_alignment="mean",
-        thresholds=MOVING,
-    )
     return IdentifiedMachine(
         name,
         machine,
@@ -265,7 +259,7 @@ def identified(
         comparison,
         settings,
         patterns,
-        judged,
+        judged_patterns(comparison.recording),
         as_in_the_thesis(comparison.recording),
         settings.patterns(comparison.recording),
         fit,
