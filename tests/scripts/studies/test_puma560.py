@@ -30,8 +30,8 @@ from scripts.studies.puma560.thresholds import passage
 
 MODELS = {"Ar+LS": "Ar+LS", "CSLC": "value", "true": "true"}
 """Columns of the error table, and of the table of coefficients."""
-# How the experiment prepares the comparison recording to judge it, as the thesis does and in another
-# way, and a quick run its fit.
+# How the experiment prepares the comparison recording to judge it, as the thesis does and in
+# another way, and a quick run its fit.
 THESIS = jc.Preparation(
     jc.AveragedSplines(17), torque_alignment="previous", thresholds=0.0, trim=100
 )
@@ -296,7 +296,8 @@ def test_thresholds_are_those_of_the_plant_and_of_the_residuals(demo: Demo, lett
     assert sum(ideal) >= 5
     fits = {row["thresholds"]: row for row in demo.rows(f"threshold_fits_{letter}")}
     errors = {row[""]: row for row in demo.rows(f"errors_{letter}")}
-    assert_same(float(fits["as chosen"]["comparison ε [N m]"]), float(errors["mean ε, mean of two demands"]["CSLC"]))
+    shown = float(errors["mean ε, mean of two demands"]["CSLC"])
+    assert_same(float(fits["as chosen"]["comparison ε [N m]"]), shown)
     share = {name: float(row["pairs that count [%]"]) for name, row in fits.items()}
     assert_allclose(share["as chosen"], 100 * np.mean(np.asarray(patterns.mask)))
     assert share["a hundredth of top speed"] > share["as chosen"] > share["Fig. B.6"]
