@@ -1,5 +1,8 @@
 """Does a motor deliver the demanded torque? The experiment of 7.2.3, on two simulated machines.
 
+The thesis tests joint 2, and joint 3 as a double-check (`--joint 3 --limit 25`): the tested link
+oscillates about the horizontal, while all other joints are locked.
+
 One PUMA 560 whose motors are linear, and one whose limit of linearity lies within the experiment's
 range. On the first the heaviest weight's measurement lies on the line through the others, as in
 Fig. 7.2-2; on the second it lies above.
@@ -24,14 +27,15 @@ from scripts.studies.rows import Rows, made_of
 
 jax.config.update("jax_enable_x64", True)
 
+# The thesis's datum for all other motors.
 _JOINT = 2
-_OPTIONS = ("limit", "masses", "period", "swings", "seed")
+_OPTIONS = ("joint", "limit", "masses", "period", "swings", "seed")
 
 
-def limited(machine: sim.Machine, limit: float) -> sim.Machine:
-    """A machine whose joint 2 has a limit of linearity [N m], and whose others have it in
+def limited(machine: sim.Machine, limit: float, joint: int = _JOINT) -> sim.Machine:
+    """Return a machine with a limit of linearity of one joint [N m], and of all others in
     proportion to their greatest torques (7.2.3)."""
-    share = limit / machine.maximum_torque[_JOINT - 1]
+    share = limit / machine.maximum_torque[joint - 1]
     return dataclasses.replace(
         machine, linear_torque=tuple(share * most for most in machine.maximum_torque)
     )
@@ -44,14 +48,13 @@ def measured(name: str, machine: sim.Machine, options: argparse.Namespace) -> si
     if (name,) not in finished:
         result = sim.motor_linearity(
             machine,
-            joint=_JOINT,
             **{key: numbers[key] for key in _OPTIONS if key != "limit"},
             progress=lambda masses: command.progress(masses, desc=f"{name} machine", unit="weight"),
         )
         pairs = {"mass": result.mass.tolist(), "torque": result.torque.tolist()}
         finished.add({"machine": name, **pairs})
     row = finished[(name,)]
-    return sim.MotorLinearity.of(_JOINT, np.array(row["mass"]), np.array(row["torque"]))
+    return sim.MotorLinearity.of(options.joint, np.array(row["mass"]), np.array(row["torque"]))
 
 
 def table(result: sim.MotorLinearity) -> str:
@@ -77,12 +80,15 @@ def rows(result: sim.MotorLinearity) -> list[dict[str, float]]:
 
 def study(options: argparse.Namespace) -> int:
     """Measures both machines, prints the tables and writes tables and pictures."""
-    machines = {"linear": sim.puma560(), "limited": limited(sim.puma560(), options.limit)}
+    machines = {
+        "linear": sim.puma560(),
+        "limited": limited(sim.puma560(), options.limit, options.joint),
+    }
     results = {name: measured(name, machine, options) for name, machine in machines.items()}
     for name, result in results.items():
-        limit = machines[name].linear_torque[_JOINT - 1]
+        limit = machines[name].linear_torque[options.joint - 1]
         limit_text = "none" if math.isinf(limit) else f"{limit:g} N m"
-        print(f"\n{name} machine, limit of linearity of joint {_JOINT}: {limit_text}")
+        print(f"\n{name} machine, limit of linearity of joint {options.joint}: {limit_text}")
         print(table(result))
     with all_or_nothing(options.output) as folder:
         for name, result in results.items():
@@ -90,16 +96,16 @@ def study(options: argparse.Namespace) -> int:
             figure = motor_response_picture(
                 result.mass,
                 result.torque,
-                title=f"PUMA 560, joint {_JOINT}, {name} machine: weights on the flange",
+                title=f"PUMA 560, joint {options.joint}, {name} machine: weights on the flange",
             )
             save_picture(figure, folder / f"{name}.png")
         drives = sim.Drives.of(machines["limited"])
         demanded = np.linspace(0.0, drives.most, 200)
         figure = motor_curve_picture(
-            demanded[:, _JOINT - 1],
-            drives.torque(demanded)[:, _JOINT - 1],
+            demanded[:, options.joint - 1],
+            drives.torque(demanded)[:, options.joint - 1],
             limit=options.limit,
-            title=f"PUMA 560, joint {_JOINT}, limited machine: motor response",
+            title=f"PUMA 560, joint {options.joint}, limited machine: motor response",
         )
         save_picture(figure, folder / "motor_curve.png")
     print(f"\nwrote tables and pictures into {options.output}")
@@ -109,8 +115,9 @@ def study(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "motor_linearity")
     parser.add_argument("--seed", type=int, default=1, help="of encoders and starts")
+    parser.add_argument("--joint", type=int, choices=(2, 3), default=_JOINT, help="that is tested")
     parser.add_argument(
-        "--limit", type=float, default=70.0, help="of linearity of the second machine [N m]"
+        "--limit", type=float, default=70.0, help="of linearity of that joint, second machine [N m]"
     )
     parser.add_argument(
         "--masses",

@@ -164,7 +164,7 @@ def trained_tables(network: jc.CSLC, puma: IdentifiedMachine, letter: str) -> Ta
 
 
 def all_figures(
-    network: jc.CSLC, both: Sequence[IdentifiedMachine], response: sim.MotorLinearity
+    network: jc.CSLC, both: Sequence[IdentifiedMachine], responses: Sequence[sim.MotorLinearity]
 ) -> dict[str, Figure]:
     """Every figure, by its number in the thesis."""
     first, second = both
@@ -174,7 +174,7 @@ def all_figures(
         "7.6-4": reversal_figure(network, first),
         **training_figure(both),
         **spline_figures(first),
-        **plant_figures(first, response),
+        **plant_figures(first, responses),
     }
 
 
@@ -206,7 +206,7 @@ def experiment(options: argparse.Namespace) -> int:
         for name, machine in tqdm(simulated.items(), desc="fitting", unit="machine", disable=None)
     ]
     first = both[0]
-    response = linearity_experiment(
+    responses = linearity_experiment(
         first.machine,
         lambda masses: tqdm(masses, desc="linearity", unit="mass", disable=None),
         quick=options.quick,
@@ -228,7 +228,7 @@ def experiment(options: argparse.Namespace) -> int:
     tables["peaks"] = ("Peak torques of the comparison trajectory", peak_rows(both))
     tables["demands"] = (
         "Greatest demands beside the motors' limits of linearity (7.2.3)",
-        demand_rows(both, response),
+        demand_rows(both, responses),
     )
     tables["weak_motors"] = (
         "PUMA A: what it costs if training demands exceed the limits of linearity. Mean error"
@@ -236,7 +236,7 @@ def experiment(options: argparse.Namespace) -> int:
         violation_rows(network, first, others[WEAK], (within, weak)),
     )
     tables["one_design"] = ("PUMA A and its twin: variation and sensitivity", agreement)
-    figures = all_figures(network, both, response)
+    figures = all_figures(network, both, responses)
     with all_or_nothing(options.output) as folder:
         for puma in both:
             prefix = puma.name.lower().replace(" ", "_")

@@ -34,6 +34,8 @@ CAPTIONS = {
     "7.2-1": "Response of the motor of PUMA A's joint 1: no demand of either trajectory comes near"
     " its limit of linearity.",
     "7.2-2": "Mean torque of PUMA A's joint 2 against the mass hung from the flange.",
+    "7.2-2b": "The same on joint 3, the double-check of 7.2.3: link 3 oscillates about the"
+    " horizontal, all other joints are locked.",
     "7.3-1": "Three cubic splines through three subsets of the readings of PUMA A's encoder 3.",
     "7.3-2": "Their average, and where the rotor truly was.",
     "7.4-1": "Demanded torque of PUMA A's joint 2 in the comparison trajectory, and what of it"
@@ -50,10 +52,12 @@ CAPTIONS = {
     " The dashed line is the true static friction, which the model does not have: backlash and"
     " smoothing make its ramps steeper than they are.",
 }
-# As many measurements as in the thesis. The heaviest mass asks as large a part of joint 2's
-# greatest torque as the training trajectory does of joint 6's, the largest of all joints.
-_MASSES = (0.0, 0.0, 0.0, 0.9, 1.8, 2.7, 3.6, 4.4, 5.2, 6.0, 6.8, 7.6)
-_QUICK_MASSES = (0.0, 3.8, 7.6)
+# As many measurements as in the thesis, as parts of the heaviest mass.
+_PARTS = (0.0, 0.0, 0.0, *(number / 9 for number in range(1, 10)))
+_QUICK_PARTS = (0.0, 0.5, 1.0)
+# Heaviest masses by joint [kg]. Joint 2's asks as large a part of its greatest torque as the
+# training trajectory does of joint 6's, the largest of all joints; joint 3's about the same part.
+_HEAVIEST = {2: 7.6, 3: 10.0}
 
 
 def torque_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
@@ -158,23 +162,32 @@ def reversal_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
 
 def linearity_experiment(
     machine: sim.Machine, progress: Any = None, *, quick: bool = False
-) -> sim.MotorLinearity:
-    """The experiment of 7.2.3 on joint 2."""
-    return sim.motor_linearity(
-        machine,
-        masses=_QUICK_MASSES if quick else _MASSES,
-        swings=1,
-        period=0.5 if quick else 2.0,
-        # A wider oscillation would demand more than the motor is linear in.
-        amplitude=0.005 if quick else 0.05,
-        progress=progress,
+) -> tuple[sim.MotorLinearity, ...]:
+    """Repeat the experiment of 7.2.3 on joint 2, and on joint 3 as the double-check.
+
+    The tested link oscillates about the horizontal, while all other joints are locked.
+    """
+    return tuple(
+        sim.motor_linearity(
+            machine,
+            joint=joint,
+            masses=tuple(part * heaviest for part in (_QUICK_PARTS if quick else _PARTS)),
+            swings=1,
+            period=0.5 if quick else 2.0,
+            # A wider oscillation would demand more than the motor is linear in.
+            amplitude=0.005 if quick else 0.05,
+            progress=progress,
+        )
+        for joint, heaviest in _HEAVIEST.items()
     )
 
 
-def plant_figures(puma: IdentifiedMachine, response: sim.MotorLinearity) -> dict[str, Figure]:
-    """Figs. 2.5-1, 2.5-3, 7.2-1, 7.2-2, 7.4-1 and 7.4-2.
+def plant_figures(
+    puma: IdentifiedMachine, responses: Sequence[sim.MotorLinearity]
+) -> dict[str, Figure]:
+    """Draw Figs. 2.5-1, 2.5-3, 7.2-1, 7.2-2, 7.4-1 and 7.4-2.
 
-    - `response`: of the machine's joint 2.
+    - `responses`: of the machine's joint 2, then of joint 3.
     """
     machine, truth = puma.machine, puma.training.truth
     joint = 3  # the fourth: the wrist's dead band is the widest
@@ -217,11 +230,14 @@ def plant_figures(puma: IdentifiedMachine, response: sim.MotorLinearity) -> dict
             limit=machine.linear_torque[0],
             title=f"{puma.name}, joint 1: motor response",
         ),
-        "7.2-2": motor_response_picture(
-            response.mass,
-            response.torque,
-            title=f"{puma.name}, joint {response.joint}: weights on the flange",
-        ),
+        **{
+            number: motor_response_picture(
+                response.mass,
+                response.torque,
+                title=f"{puma.name}, joint {response.joint}: weights on the flange",
+            )
+            for number, response in zip(("7.2-2", "7.2-2b"), responses, strict=True)
+        },
         "7.4-1": applied_torque_picture(
             applied_torque(machine), title=f"{puma.name}, joint 2: comparison trajectory"
         ),

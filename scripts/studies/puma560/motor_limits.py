@@ -15,17 +15,22 @@ from scripts.studies.puma560.machines import IdentifiedMachine
 Rows = list[dict[str, Any]]
 
 
-def demand_rows(machines: Sequence[IdentifiedMachine], measured: sim.MotorLinearity) -> Rows:
-    """The greatest demands of both trajectories beside the limits.
+def demand_rows(
+    machines: Sequence[IdentifiedMachine], measured: Sequence[sim.MotorLinearity]
+) -> Rows:
+    """Return the greatest demands of both trajectories next to the limits.
 
     **Arguments**
 
-    - `measured`: the experiment of Fig. 7.2-2. The range of its mean demands is that in which the
-        motor was seen to be linear; other joints have its equivalent, in proportion to their
-        greatest torques.
+    - `measured`: experiments of 7.2.3, that of Fig. 7.2-2 first. The range of mean demands is that
+        in which a motor was seen to be linear. Joints without an experiment have the equivalent
+        of the first one's range, in proportion to their greatest torques.
     """
     most = np.array(machines[0].machine.maximum_torque)
-    covered = most * measured.torque.max() / most[measured.joint - 1]
+    datum = measured[0]
+    covered = most * datum.torque.max() / most[datum.joint - 1]
+    for response in measured:
+        covered[response.joint - 1] = response.torque.max()
     rows: Rows = []
     for joint in range(most.size):
         row: dict[str, Any] = {"joint": joint + 1}

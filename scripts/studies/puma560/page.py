@@ -74,7 +74,7 @@ _TOPICS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
         "Do the motors deliver what is demanded (7.2.3)? All demands stay within the range that"
         " was seen to be linear; one table says what it costs if they do not.",
         ("demands", "peaks", "weak"),
-        ("7.2-1", "7.2-2", "7.4-1"),
+        ("7.2-1", "7.2-2", "7.2-2b", "7.4-1"),
     ),
     (
         "Motion and its smoothing",

@@ -8,15 +8,17 @@ import pytest
 from scripts.studies.motor import linearity
 
 
+@pytest.mark.parametrize(("joint", "limit"), [(2, 70), (3, 25)])
 def test_tables_and_pictures_of_both_machines(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], joint: int, limit: int
 ) -> None:
     folder = tmp_path / "out"
     quick = ["--masses", "0", "1.5", "4.5", "--swings", "1", "--period", "1"]
-    assert linearity.main(["-o", str(folder), *quick]) == 0
+    tested = ["--joint", str(joint), "--limit", str(limit)]
+    assert linearity.main(["-o", str(folder), *quick, *tested]) == 0
     printed = capsys.readouterr().out
-    assert "limit of linearity of joint 2: none" in printed
-    assert "limit of linearity of joint 2: 70 N m" in printed
+    assert f"limit of linearity of joint {joint}: none" in printed
+    assert f"limit of linearity of joint {joint}: {limit} N m" in printed
     above = {}
     for name in ("linear", "limited"):
         with (folder / f"{name}.csv").open() as file:

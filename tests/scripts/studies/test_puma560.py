@@ -131,25 +131,28 @@ def test_torque_figures_show_the_recordings(demo: Demo) -> None:
             assert_allclose(shown, patterns.torque[:, int(match[1]) - 1])
 
 
-def test_linearity_figure_is_of_puma_a(demo: Demo, puma: jc.CSLC) -> None:
+@pytest.mark.parametrize(("number", "joint"), [("7.2-2", 2), ("7.2-2b", 3)])
+def test_linearity_figure_is_of_puma_a(demo: Demo, puma: jc.CSLC, number: str, joint: int) -> None:
     """The line's intercept is the weight of PUMA A's arm, its slope gravity times the lever."""
     machine = sim.puma_a()
     pose = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0])
     assert machine.robot.links is not None
     weight = puma.gravity_term(puma.coefficients_from(machine.robot.links), pose)
     point, _ = sim.Hand.of(machine.robot, (0.0, 0.0, 0.05625)).locate(pose)
-    (axes,) = demo.figures["7.2-2"].axes
+    (axes,) = demo.figures[number].axes
     line = next(x for x in axes.lines if str(x.get_label()).startswith("line"))
     mass, mean = (np.asarray(values, float) for values in line.get_data())
     slope = np.diff(mean) / np.diff(mass)
-    assert_allclose(mean[0], abs(float(weight[1])), atol=0.5)
-    # About joint 2's axis; the weights pull the arm a little below the horizontal.
-    assert_allclose(slope, 9.81 * abs(float(np.asarray(point)[0])), rtol=0.02)
-    # Armstrong's arm would need 10 N m less.
+    assert_allclose(mean[0], abs(float(weight[joint - 1])), atol=0.5)
+    # About the joint's axis, joint 3's is at the end of a2 (the arm points straight out along x);
+    # the weights pull the arm a little below the horizontal.
+    axis = {2: 0.0, 3: jc.puma560().length_values()["a2"]}[joint]
+    assert_allclose(slope, 9.81 * (abs(float(np.asarray(point)[0])) - axis), rtol=0.02)
+    # Armstrong's arm differs: joint 2 would need 10 N m less.
     robot = jc.puma560()
     assert robot.links is not None
     other = puma.gravity_term(puma.coefficients_from(robot.links), pose)
-    assert abs(mean[0] - abs(float(other[1]))) > 5.0
+    assert abs(mean[0] - abs(float(other[joint - 1]))) > {2: 5.0, 3: 1.0}[joint]
     # The motor is linear in the whole range: the heaviest measurement is on the line too.
     points = next(x for x in axes.lines if x.get_label() == "measurement")
     heaviest = np.asarray(points.get_data(), float)[:, -1]
@@ -261,6 +264,13 @@ def test_demands_stay_within_linearity(demo: Demo) -> None:
             # The premise of 7.2.3: no demand beyond the range in which the motor was measured.
             assert np.all(shown < measured)
     assert np.all(measured < limit)
+    # Joint 3's range is measured (7.2.3, the double-check), that of the others is joint 2's share.
+    points = next(
+        line for line in demo.figures["7.2-2b"].axes[0].lines if line.get_label() == "measurement"
+    )
+    assert_allclose(measured[2], np.max(np.asarray(points.get_ydata(), float)))
+    others = np.array([0, 1, 3, 4, 5])
+    assert_allclose((measured / limit)[others], (measured / limit)[1])
     assert_allclose(limit / limit[1], np.array(sim.puma_a().maximum_torque) / 186.4)
 
 
