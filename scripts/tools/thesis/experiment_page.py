@@ -64,18 +64,21 @@ the wrist is within 1 % of the truth on both machines, since a sample has the me
 before and after it. Held-out errors do not show that here: by them alone, it would be the demand at
 the sample for PUMA A and the one before for PUMA B, and joint 6's viscous friction would be wrong
 by 12 and 6.8 %
-([which torque belongs to a sample](recordings.md#which-torque-belongs-to-a-sample)). The interval
-that stays without the truth is PUMA A's kM17.
+([which torque belongs to a sample](recordings.md#which-torque-belongs-to-a-sample)). The intervals
+that do not contain the truth are those of PUMA A's kM17 and PUMA B's kM25.
 """
 
 _LINEARITY = """\
 ## Linearity of the motors
 
-The thesis measures up to which torque joint 2's motor is linear (7.2.3, Fig. 7.2-2), takes the
+The thesis measures up to which torque joint 2's motor is linear (7.2.3, Fig. 7.2-2). It takes the
 other motors for linear up to the same part of their greatest torques, and finds that no trajectory
-asks for more. The demo does the same on PUMA A: its figure is drawn from PUMA A itself, with
-weights up to that which covers joint 6's demand, the largest in proportion. Greatest demands
-[N m]:
+demands more. As a double-check, it repeats the experiment on joint 3, with similar results.
+
+The demo does the same on PUMA A. The tested link oscillates about the horizontal, and all other
+joints are locked. Joint 2's heaviest weight covers joint 6's demand, the largest in proportion.
+Ranges of joints 2 and 3 are measured, those of other joints are joint 2's in proportion. Greatest
+demands [N m]:
 """
 
 _WEAK = """\
@@ -114,8 +117,9 @@ _THRESHOLDS = """\
 
 The machines' static friction is insignificant from the speeds of Figs. B.6-1 and B.6-2 on: it was
 made so. `jc.refine_thresholds` takes thresholds from the residuals, as 7.5 does by eye. "Seen" says
-whether the criterion finds static friction at all. The last column is how many samples a joint
-takes from rest to the thesis's speed, in the median.
+whether the criterion finds static friction at all. Where it does not, the speed "from residuals" is
+no finding: it is the least that is looked at, a hundredth of the joint's top speed. The last column
+is how many samples a joint takes from rest to the thesis's speed, in the median.
 """
 
 _THRESHOLDS_WHY = """\

@@ -118,7 +118,8 @@ def _introduction(thesis: Thesis) -> str:
 
 
 _KINDS: dict[str, Callable[[Entry], bool]] = {
-    "carried over": lambda entry: bool(entry.by),
+    "carried over": lambda entry: bool(entry.by and not entry.left_out),
+    "in part": lambda entry: bool(entry.by and entry.left_out),
     "exposition": lambda entry: bool(entry.exposition and not entry.by),
     "not carried over": lambda entry: not (entry.by or entry.exposition),
 }

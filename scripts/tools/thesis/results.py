@@ -109,10 +109,15 @@ def peak_torques(machine: str) -> list[float]:
     return [float(row[f"{machine} [N m]"]) for row in rows("demo", "peaks.csv")]
 
 
-def thresholds(machine: str) -> list[float]:
-    """Speeds from which static friction is insignificant, from the residuals [rad/s]."""
+def thresholds(machine: str) -> list[float | str]:
+    """Return the speeds from which static friction is insignificant, from the residuals [rad/s].
+
+    Where residuals show no static friction, the table has the least speed that is looked at, a
+    hundredth of the joint's top speed. Such a joint is "not seen" here.
+    """
     return [
-        float(row["from residuals [rad/s]"]) for row in rows("demo", f"thresholds_{machine}.csv")
+        float(row["from residuals [rad/s]"]) if row["seen in residuals"] == "yes" else "not seen"
+        for row in rows("demo", f"thresholds_{machine}.csv")
     ]
 
 

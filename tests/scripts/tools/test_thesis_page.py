@@ -149,3 +149,22 @@ def test_results_are_copied_from_a_study_s_folder(tmp_path: Path) -> None:
     copied = results.collect(tmp_path, copies, images)
     assert [path.read_text(encoding="utf-8") for path in copied] == list(names)
     assert {path.name for path in images.iterdir()} == set(results.PICTURES["demo"])
+
+
+@pytest.mark.parametrize("machine", ["a", "b"])
+def test_speeds_of_static_friction_are_findings(machine: str) -> None:
+    """A joint whose static friction was not seen has no speed on the page."""
+    stored = results.rows("demo", f"thresholds_{machine}.csv")
+    for row, shown in zip(stored, results.thresholds(machine), strict=True):
+        seen = row["seen in residuals"] == "yes"
+        assert shown == (float(row["from residuals [rad/s]"]) if seen else "not seen")
+    assert "not seen" in results.thresholds(machine)
+
+
+def test_sections_that_lack_a_part_are_not_counted_as_whole(thesis: Thesis) -> None:
+    lacking = [entry.numbers for entry in thesis.sections if entry.by and entry.left_out]
+    assert "3.1" in lacking  # reinforcement and unsupervised learning
+    (row,) = re.findall(r"^\| sections \|(.+)\|$", page.page(thesis), re.MULTILINE)
+    *_, in_all, whole, in_part, exposition, missing = map(int, row.split("|"))
+    assert in_part == len(lacking)
+    assert whole + in_part + exposition + missing == in_all == len(thesis.sections)
