@@ -13,7 +13,11 @@ from .likelihood import runs
 
 _STEPS = 4  # of integration between two samples
 _OUTLIER = 36.0  # times the median mean square of a window
-_FIRST_DAMPING = 0.01
+_FIRST_DAMPING, _MOST_DAMPING = 0.01, 1e6
+# How far the logarithm of a slope moves in a step: further off, its term may vanish for good.
+_SLOPE_STEP = 0.7
+_CONVERGED = 1e-5  # of the sum of squares
+_UNDETERMINED = 1e-12  # smaller eigenvalues of the scaled normal equations are rounding
 _RESTING = 10  # samples
 _FEWEST = 8  # samples of a window: each joint has two unknowns in it
 _KINDS = {"viscous", "dry", "static"}
@@ -84,6 +88,8 @@ class WindowFit:
     - `residual`: (n,) root mean square of the positions' residuals.
     - `windows`: how many the fit uses.
     - `steps`: of Gauss and Newton's method.
+    - `converged`: whether the sum of squares has stopped falling and the motion determines all
+      unknowns. Where it does not determine one, its standard error is infinite.
     """
 
     k: Float[np.ndarray, " coefficients"]
@@ -93,6 +99,7 @@ class WindowFit:
     residual: Float[np.ndarray, " joints"]
     windows: int
     steps: int
+    converged: bool
 
 
 def fit_windows(
@@ -154,19 +161,18 @@ def fit_windows(
     within = within * (system.mean_square < _OUTLIER * jnp.median(system.mean_square))[:, None]
     system = equations(theta, states)
     # Optimistix's loop, states eliminated in its descent: the same minimum to 1e-3 standard errors
-    # (PUMA 560, encoders, 17 windows) in 24 steps and 24 s of processor time instead of 9 and 12.
+    # (PUMA 560, encoders, 17 windows) in 24 steps and 24 s of processor time instead of 6 and 8.
     damping, converged, number = _FIRST_DAMPING, False, 0
-    while number < rounds and not converged:
+    while number < rounds and not converged and damping <= _MOST_DAMPING:
         number += 1
         change, moves = _step(system, jnp.asarray(damping))
         trial = equations(theta + change, states + moves)
         if float(trial.cost) <= float(system.cost):  # and not NaN
-            converged = float(system.cost) - float(trial.cost) < 1e-5 * float(trial.cost)
+            converged = float(system.cost) - float(trial.cost) < _CONVERGED * float(trial.cost)
             theta, states, system = theta + change, states + moves, trial
             damping /= 10.0
         else:
             damping *= 10.0
-            converged = damping > 1e6
     errors = np.asarray(_errors(system))
     p = network.size
     slopes = np.exp(np.asarray(theta[p:]))
@@ -178,6 +184,7 @@ def fit_windows(
         np.asarray(system.rms),
         int(np.sum(np.asarray(within)[:, 0])),
         number,
+        converged and bool(np.all(np.isfinite(errors))),
     )
 
 
@@ -197,21 +204,33 @@ class _System(NamedTuple):
 @jax.jit
 def _step(system: _System, damping: Float[Array, ""]) -> tuple[Array, Array]:
     """Levenberg and Marquardt's step of unknowns and states."""
-    normal = jnp.sum(system.normal, axis=0)
-    size = jnp.sqrt(jnp.diag(normal))
-    scaled = normal / (size[:, None] * size[None, :]) + damping * jnp.eye(size.size)
-    step = jnp.linalg.solve(scaled, jnp.sum(system.right, axis=0) / size) / size
+    scaled, size = _scaled(system)
+    right = jnp.sum(system.right, axis=0) / size
+    step = jnp.linalg.solve(scaled + damping * jnp.eye(size.size), right) / size
+    first = size.size - system.rms.size  # of the slopes
+    step = step.at[first:].set(jnp.clip(step[first:], -_SLOPE_STEP, _SLOPE_STEP))
     return step, system.states - jnp.einsum("wsu,u->ws", system.solve_states, step)
 
 
 @jax.jit
 def _errors(system: _System) -> Array:
     """Standard errors for independent residuals, as those of encoders' steps are."""
+    scaled, size = _scaled(system)
+    eigenvalues, vectors = jnp.linalg.eigh(scaled)
+    unclear = eigenvalues <= _UNDETERMINED * eigenvalues[-1]
+    inverse = jnp.where(unclear, 0.0, 1.0 / jnp.where(unclear, 1.0, eigenvalues))
+    determined = vectors**2 @ unclear.astype(float) <= _UNDETERMINED
+    variance = system.cost / (system.degrees_of_freedom - size.size)
+    error = jnp.sqrt(variance * (vectors**2 @ inverse)) / size
+    return jnp.where(determined, error, jnp.inf)
+
+
+def _scaled(system: _System) -> tuple[Array, Array]:
+    """Normal equations of unknowns with ones on the diagonal, and by what these are divided."""
     normal = jnp.sum(system.normal, axis=0)
     size = jnp.sqrt(jnp.diag(normal))
-    inverse = jnp.linalg.inv(normal / (size[:, None] * size[None, :]))
-    variance = system.cost / (system.degrees_of_freedom - size.size)
-    return jnp.sqrt(variance * jnp.diag(inverse)) / size
+    size = jnp.where(size > 0.0, size, 1.0)
+    return normal / (size[:, None] * size[None, :]), size
 
 
 def _window_equations(

@@ -28,7 +28,10 @@ _SELECTIONS: dict[str, dict[str, Any]] = {
 
 
 class Model(NamedTuple):
-    """A network with identified coefficients, and its static friction with standard errors."""
+    """A network with identified coefficients, and its static friction with standard errors.
+
+    `converged`: whether the fit has found a minimum.
+    """
 
     network: jc.CSLC
     k: Float[np.ndarray, " coefficients"]
@@ -36,6 +39,7 @@ class Model(NamedTuple):
     magnitude_error: Float[np.ndarray, " joints"] | None = None
     slope: Float[np.ndarray, " joints"] | None = None
     slope_error: Float[np.ndarray, " joints"] | None = None
+    converged: bool = True
 
 
 class Identifier:
@@ -93,7 +97,8 @@ class Identifier:
             static = fit.network.layout.of("static")
             magnitude[joints] = fit.fit.k[static]
             error[joints] = fit.fit.standard_error[static]
-        return Model(fit.network, np.asarray(fit.fit.k), magnitude, error, *slopes)
+        static_friction = magnitude, error, *slopes
+        return Model(fit.network, np.asarray(fit.fit.k), *static_friction, bool(fit.converged))
 
     def _windows(
         self,
@@ -111,4 +116,5 @@ class Identifier:
         )
         static = self.network.layout.of("static")
         network = self.network.with_static_slopes(fit.slopes)
-        return Model(network, fit.k, fit.k[static], fit.error[static], fit.slopes, fit.slope_error)
+        static_friction = fit.k[static], fit.error[static], fit.slopes, fit.slope_error
+        return Model(network, fit.k, *static_friction, fit.converged)

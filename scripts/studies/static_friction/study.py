@@ -109,7 +109,8 @@ def make_rows(options: argparse.Namespace, machine: sim.Machine, rows: Rows) -> 
         for method, model in identifier.models(trained.recording, missing).items():
             row = row_of(identifier, machine, model, patterns)
             rows.add({"seed": seed, "method": method, "spacing": identifier.spacing, **row})
-            tqdm.write(f"seed {seed}, {method}: epsilon {row['epsilon']:.4f} N m", sys.stderr)
+            end = "" if model.converged else ", not converged"
+            tqdm.write(f"seed {seed}, {method}: epsilon {row['epsilon']:.4f} N m{end}", sys.stderr)
 
 
 def summary(rows: Sequence[dict[str, Any]], methods: Sequence[str], joints: int) -> str:
