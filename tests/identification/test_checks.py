@@ -11,6 +11,7 @@ import pytest
 import jaxcslc as jc
 import sim
 from jaxcslc.identification import estimate_torque_lag, without_outliers
+from jaxcslc.identification.checks import small_torque_lag
 from jaxcslc.identification.checks._clock_findings import clock_findings, time_unit
 from jaxcslc.identification.checks._sample_findings import (
     LEAST_DISTANCE,
@@ -223,6 +224,15 @@ def test_a_lag_is_estimated_to_a_tenth_of_a_sample(arm: jc.CSLC, lag: float) -> 
     assert estimate.high - estimate.low < 10 * TENTH
     findings = jc.check(arm, recorded(arm, lag, seed=8)).findings
     assert [finding.kind for finding in findings] == ["torque lag"] * (lag != 0.0)
+
+
+def test_a_lag_does_not_depend_on_where_its_search_starts(arm: jc.CSLC) -> None:
+    """Once from zero, once from the best lag of a grid."""
+    late = recorded(arm, 0.0203, seed=8)
+    from_zero, estimate = small_torque_lag(arm, late), estimate_torque_lag(arm, late)
+    half = 0.5 * (estimate.high - estimate.low)
+    assert from_zero.lag == pytest.approx(estimate.lag, abs=0.05 * half)
+    assert from_zero.high - from_zero.low == pytest.approx(2 * half, rel=0.05)
 
 
 def test_a_mended_recording_passes(arm: jc.CSLC, clean: jc.Recording) -> None:

@@ -25,7 +25,8 @@ _FARTHEST, _STEP = 0.25, 0.0125
 _NEAR, _GOOD = 0.1, -3.0
 LEAST_LAG = 2e-3
 """Less is no matter [s]."""
-_ROUNDS = 3
+# Rounds at most, and the step, in standard errors of the lag, that is the last one.
+_ROUNDS, _SMALL_STEP = 20, 0.02
 _PIECE = 4096
 # Standard deviation of what looks like a lag at all joints alike (friction at low speed that no
 # term describes), in sample intervals: the order of errors on simulated arms with little noise.
@@ -210,6 +211,8 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
             _STEP * k[network.size :], _STEP * np.asarray(fit.standard_error)[network.size :]
         )
         lag += float(np.clip(estimate.mean, -_STEP, _STEP))
+        if abs(estimate.mean) <= _SMALL_STEP * estimate.error:
+            break
     error = np.hypot(estimate.error, _COMMON * interval)
     half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.975) * error)
     return TorqueLag(lag, lag - half, lag + half, gain)
