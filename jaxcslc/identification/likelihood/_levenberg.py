@@ -71,6 +71,8 @@ def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: floa
     """
     value, first, size = linear.present_value, None, np.inf
     start: Linear | None = None
+    # Optimistix's trust region as judge of steps and damping (PUMA 560, encoders, 1,500 samples):
+    # 31 steps instead of 24; with static friction no end in 60 instead of one after 19.
     for number in range(_MOST_TRIALS):
         try:
             minimum = LinearMinimum.of(linear, damping, PROMISE, start)
