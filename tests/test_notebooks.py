@@ -36,7 +36,7 @@ def kinds(notebook: nbformat.NotebookNode) -> list[list[tuple[str, ...]]]:
 
 
 def test_there_are_notebooks() -> None:
-    names = ["control.ipynb", "learning_networks.ipynb", "payload.ipynb"]
+    names = ["chapter_7.ipynb", "control.ipynb", "learning_networks.ipynb", "payload.ipynb"]
     assert [path.name for path in NOTEBOOKS] == names
 
 
