@@ -19,7 +19,7 @@ def test_two_machines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     arguments = [*SHORT, "--machines", "2", "-o", str(tmp_path)]
     assert thousand.main(arguments) == 0
     first = capsys.readouterr().out
-    assert "record training: " in first and "2 of 2 machines" in first
+    assert "record training: " in first and "2 machines; joints of 0 of 3" in first
     with (tmp_path / "machines.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["design"] for row in rows] == ["PUMA A", "PUMA B"]
@@ -30,7 +30,7 @@ def test_two_machines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         learnt = {name: float(row[f"{name}, training ε"]) for name in thousand.METHODS}
         assert learnt[thousand.SOLVED] < 1.05 * min(learnt.values())
     stored = json.loads((tmp_path / "thousand.json").read_text())
-    assert stored["machines"] == {"recorded": 2, "kept": 2}
+    assert stored["machines"] == {"drawn": 3, "left their ranges": 0, "kept": 2}
     assert {row["stage"] for row in stored["stages"]} >= {"record training", "train", "solve"}
     assert thousand.main(arguments) == 0
     assert "record training: " not in capsys.readouterr().out
