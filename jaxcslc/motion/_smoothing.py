@@ -100,6 +100,31 @@ class AbstractSmoothing(eqx.Module):
         The number of samples, 0 or more.
         """
 
+    def settled(self, position: Float[np.ndarray, "samples joints"]) -> "AbstractSmoothing":
+        """Return the smoothing with numbers instead of what it estimates from positions.
+
+        Another motion is then smoothed as this one is. A subclass that estimates nothing from
+        positions inherits this method, which returns the smoothing itself.
+
+        **Arguments**
+
+        - `position`: joint positions, shape `(samples, joints)` [rad or m].
+
+        **Returns**
+
+        A smoothing that smooths these positions alike.
+
+        >>> import numpy as np
+        >>> from jaxcslc.motion import AveragedSplines, Butterworth
+        >>> counts = np.round(1e4 * np.sin(np.arange(500.0) / 50.0))[:, None] / 1e4
+        >>> round(AveragedSplines(9).settled(counts).tolerance[0], 5)
+        0.00034
+        >>> Butterworth(20.0).settled(counts)
+        Butterworth(cutoff=20.0)
+        """
+        del position
+        return self
+
     @property
     @abc.abstractmethod
     def description(self) -> str:

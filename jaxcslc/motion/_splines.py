@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -108,6 +109,9 @@ class AveragedSplines(AbstractSmoothing):
     def reach(self, interval: float, joints: int) -> int:
         del interval
         return max(self.spacings(joints))
+
+    def settled(self, position: Float[np.ndarray, "samples joints"]) -> "AveragedSplines":
+        return dataclasses.replace(self, tolerance=tuple(map(float, self._tolerances(position))))
 
     @property
     def description(self) -> str:

@@ -86,6 +86,29 @@ def test_smoothing_of_a_sinusoid(arm: jc.CSLC) -> None:
     assert_allclose(shift, np.asarray(fit.k) * (1.0 / gain - 1.0), rtol=1e-3)
 
 
+def test_smoothing_once_more_sees_the_reversals_of_the_recording(arm: jc.CSLC) -> None:
+    """Encoder counts hide a ripple, which is no reversal in smoothed motion either.
+
+    Oracle: the same part with the tolerance written down, six deviations of the noise of counts.
+    """
+    count = 1e-3
+    t = np.arange(4000)[:, None] * INTERVAL
+    # Near its turns the slow motion reverses with every period of the ripple.
+    q = 0.3 * np.sin(t) + 0.3 * count * np.sin(9.0 * t)
+    qd = 0.3 * np.cos(t) + 2.7 * count * np.cos(9.0 * t)
+    qdd = -0.3 * np.sin(t) - 24.3 * count * np.sin(9.0 * t)
+    torque = np.asarray(arm.torque(np.array([0.5, 2.0, 1.0]), q, qd, qdd))
+    recording = jc.Recording(t[:, 0], count * np.round(q / count), torque)
+    parts: list[np.ndarray] = []
+    noise = jc.motion.noise_level(recording.position)
+    for tolerance in (None, float(6.0 * np.sqrt(3.0) * noise[0])):
+        smoothing = jc.AveragedSplines(17, tolerance=tolerance)
+        settings = jc.Settings(jc.Preparation(smoothing, thresholds=0.0))
+        fit = settings.fit(arm, settings.patterns(recording))
+        parts.append(systematic_error(arm, recording, settings, fit).parts["smoothing"])
+    assert_allclose(parts[0], parts[1], rtol=1e-6)
+
+
 def test_timing_of_a_sinusoid(arm: jc.CSLC) -> None:
     """In closed form, by complex amplitudes: the mean of two samples' torques is late by half a
     sample, and a late inertia torque is viscous friction."""

@@ -251,6 +251,25 @@ def test_low_pass_does_not_look_for_reversals() -> None:
     assert np.array_equal(one, other)
 
 
+def test_settled_splines_keep_their_tolerance(rng: np.random.Generator) -> None:
+    """Of another motion, they see the reversals that the first one's counts do not hide."""
+    time = np.arange(1000) * INTERVAL
+    counts = quantised(np.sin(2 * np.pi * time))[:, None]
+    smoothing = AveragedSplines(9)
+    settled = smoothing.settled(counts)
+    assert settled.spacing == smoothing.spacing
+    assert settled.settled(rng.normal(size=counts.shape)) == settled
+    for one, other in zip(
+        smoothing.smooth(time, counts), settled.smooth(time, counts), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    # A ripple of a count, without any noise: reversals by its own noise, none by the settled one.
+    ripple = 1e-3 * time[:, None] + COUNT * np.sin(2 * np.pi * 5.0 * time)[:, None]
+    whole = AveragedSplines(9, sections=False).smooth(time, ripple)[1]
+    np.testing.assert_array_equal(settled.smooth(time, ripple)[1], whole)
+    assert np.any(smoothing.smooth(time, ripple)[1] != whole)
+
+
 def test_wrong_settings() -> None:
     with pytest.raises(ValueError, match="spacing is 0; expected 1 sample or more"):
         AveragedSplines(0)

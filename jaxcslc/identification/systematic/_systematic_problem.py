@@ -46,9 +46,10 @@ def systematic_error(
     - **Smoothing.** What smoothing and filter take out of the motion is the same in every
       recording. The smoothed positions are taken for true ones, the network computes the
       torque of their motion with the fit's coefficients, and both go through smoothing, masks
-      and filter once more. The part is the difference of the coefficients that are then fitted
-      from those that made the torque. (Motion that the first smoothing has removed altogether,
-      it does not see.)
+      and filter once more. What the smoothing estimates from positions, such as the noise that
+      hides reversals, stays that of the recording. The part is the difference of the coefficients
+      that are then fitted from those that made the torque. (Motion that the first smoothing has
+      removed altogether, it does not see.)
     - **Torque timing.** The torque of a sample may be half a sample late or early: alignments are
       half a sample apart, and other terms make up for a wrong one (a late inertia torque is
       viscous friction). The part is what the coefficients change by if the torque of the smoothed
@@ -140,7 +141,10 @@ class SystematicProblem:
         motion = Recording(recording.time, q, recording.torque, velocity=qd)
         trim = preparation.trimmed(recording)
         inside = slice(trim, recording.samples - trim)
-        smoothed = (values[inside] for values in preparation.derivatives(motion))
+        # Estimates from the smooth motion would be others: no noise hides its slightest reversals.
+        settled = preparation.smoothing.settled(recording.position)
+        alike = dataclasses.replace(preparation, smoothing=settled)
+        smoothed = (values[inside] for values in alike.derivatives(motion))
         q, qd, qdd = smoothed
         on_host = computed_on_host(network, recording.position)
         return cls(
