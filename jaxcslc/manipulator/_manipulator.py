@@ -319,8 +319,8 @@ class Manipulator:
         """The same robot with numbers for a link's mass, or centre of gravity, in the algebra.
 
         What is accurately known replaces symbols (thesis C.1.2). Coefficients of known masses alone
-        are numbers (`CSLC.known`). A known centre of gravity makes first moments multiples of the
-        mass: there are fewer coefficients. A published numbering is dropped.
+        are numbers (`CSLC.known_values`). A known centre of gravity makes first moments multiples
+        of the mass: there are fewer coefficients. A published numbering is dropped.
 
         **Arguments**
 

@@ -63,7 +63,7 @@ class CSLC(AbstractTermSum):
         return self.algebra.robot
 
     @property
-    def known(self) -> Mapping[str, float]:
+    def known_values(self) -> Mapping[str, float]:
         """Values of the coefficients that are made of known masses alone, by name (C.1.2).
 
         See `Manipulator.with_known`. `LeastSquares` keeps them, without standard errors; learning
@@ -73,7 +73,7 @@ class CSLC(AbstractTermSum):
 
         >>> import jaxcslc as jc
         >>> arm = jc.puma560().with_known(6, mass=0.09, centre_of_gravity=(0.0, 0.0, 0.032))
-        >>> jc.derive(arm, lengths="numeric").known
+        >>> jc.derive(arm, lengths="numeric").known_values
         {'kB24': 0.09}
         """
         known = [x for x in self.algebra.coefficients if x.is_known]

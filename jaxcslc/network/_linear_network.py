@@ -102,7 +102,7 @@ class AbstractLinearNetwork(eqx.Module):
         return self.layout.size
 
     @property
-    def known(self) -> Mapping[str, float]:
+    def known_values(self) -> Mapping[str, float]:
         """Values of the coefficients that are numbers, by name; `LeastSquares` keeps them."""
         return {}
 

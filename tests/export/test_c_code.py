@@ -123,7 +123,7 @@ def test_known_masses(lengths: Any, compiled: Compiled, rng: np.random.Generator
     )
     network = jc.derive(robot, lengths=lengths)
     k = rng.normal(size=network.size)
-    for name, value in network.known.items():
+    for name, value in network.known_values.items():
         k[network.names.index(name)] = value
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)
 

@@ -70,8 +70,8 @@ def test_torque_is_that_of_the_full_network(
     actual = np.asarray(known.torque(k, *states))
     assert np.max(np.abs(actual - expected)) < ROUNDING * np.max(np.abs(expected))
     np.testing.assert_allclose(
-        [float(k[known.names.index(name)]) for name in known.known],
-        list(known.known.values()),
+        [float(k[known.names.index(name)]) for name in known.known_values],
+        list(known.known_values.values()),
         rtol=1e-13,
     )
 
@@ -84,7 +84,7 @@ def test_links_that_move(
     links = random_links(rng, 3)
     mujoco = mujoco_torque(ROWS, "RRR", DOWN, links)
     network = jc.derive(with_known(robot, links, (2, 3), "mr"), lengths="numeric")
-    assert list(network.known.values()) == [float(links[1].mass), float(links[2].mass)]
+    assert list(network.known_values.values()) == [float(links[1].mass), float(links[2].mass)]
     states, others = motion(rng, 3), motion(rng, 3)
     fit = jc.LeastSquares().fit(network, patterns_of(states, mujoco(*states)))
     error = np.asarray(network.torque(fit.k, *others)) - mujoco(*others)
@@ -121,7 +121,7 @@ def test_number_of_unknown_coefficients(
     spread = np.array(draws) - draws[0]
     spread /= np.maximum(np.linalg.norm(spread, axis=0), 1e-9)
     known = jc.derive(with_known(robot, links, which, what), lengths=lengths)
-    unknown = known.size - len(known.known)
+    unknown = known.size - len(known.known_values)
     if lengths == "numeric":
         assert np.linalg.matrix_rank(spread, rtol=1e-9) == unknown
     else:  # with symbols, products with different lengths are apart: numbers relate more of them
@@ -133,8 +133,8 @@ def test_gravity_torque_is_known(rng: np.random.Generator) -> None:
     puma = jc.puma560()
     assert puma.links is not None
     network = jc.derive(with_known(puma, puma.links, (2, 3, 4, 5, 6), "mr"))
-    assert len(network.known) == 17
-    k = np.array([network.known.get(name, 0.0) for name in network.names])
+    assert len(network.known_values) == 17
+    k = np.array([network.known_values.get(name, 0.0) for name in network.names])
     full = jc.derive(puma)
     q = rng.uniform(-3.0, 3.0, (16, 6))
     expected = np.asarray(full.gravity_term(full.coefficients_from(puma.links), q))
@@ -164,9 +164,9 @@ def test_fit_keeps_numbers(arm: tuple[CSLC, jc.Patterns]) -> None:
     fit = jc.LeastSquares(joint_weights="equal").fit(network, patterns)
     regressor = np.asarray(network.regressor(patterns.q, patterns.qd, patterns.qdd))
     matrix, target = regressor.reshape(-1, network.size), np.asarray(patterns.torque).ravel()
-    fixed = [network.names.index(name) for name in network.known]
+    fixed = [network.names.index(name) for name in network.known_values]
     free = np.setdiff1d(np.arange(network.size), fixed)
-    values = np.array(list(network.known.values()))
+    values = np.array(list(network.known_values.values()))
     expected = np.linalg.lstsq(matrix[:, free], target - matrix[:, fixed] @ values)[0]
     np.testing.assert_allclose(np.asarray(fit.k)[fixed], values, rtol=1e-15)
     np.testing.assert_allclose(np.asarray(fit.k)[free], expected, rtol=1e-8, atol=1e-10)
@@ -180,19 +180,19 @@ def test_fit_of_a_stream_keeps_numbers(arm: tuple[CSLC, jc.Patterns]) -> None:
     pieces = (patterns.between(start, start + 1.0) for start in (0.0, 1.0, 2.0))
     streamed = solver.fit_stream(network, pieces)
     np.testing.assert_allclose(streamed.k, solver.fit(network, patterns).k, rtol=1e-7, atol=1e-9)
-    assert set(np.asarray(streamed.k)) >= set(network.known.values())
+    assert set(np.asarray(streamed.k)) >= set(network.known_values.values())
 
 
 def test_reidentification_keeps_numbers(arm: tuple[CSLC, jc.Patterns]) -> None:
     network, patterns = arm
     first = jc.LeastSquares().fit(network, patterns)
     again = reidentify(network, patterns, first, groups=["base"])
-    for name, value in network.known.items():
+    for name, value in network.known_values.items():
         assert float(again.k[network.names.index(name)]) == value
 
 
 def test_nothing_is_fixed_without_numbers(puma: CSLC) -> None:
-    assert puma.known == {} and Fixed.of_known(puma) is None
+    assert puma.known_values == {} and Fixed.of_known(puma) is None
 
 
 def test_robot_file(tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def test_robot_file(tmp_path: Path) -> None:
     robot = jc.load_robot(path)
     assert robot.links is None
     assert robot.inertia[1] == LinkInertia(mass=3.0, centre=(0.2, 0.0, 0.0))
-    assert jc.derive(robot, lengths="numeric").known == {"kB6": 3.0}
+    assert jc.derive(robot, lengths="numeric").known_values == {"kB6": 3.0}
     for old, new, message in (
         ('"mass", ', '"weight", ', "known: expected mass or centre_of_gravity, got 'weight'"),
         ("mass = 3.0", "", "mass is listed as known and has no value"),
@@ -257,7 +257,7 @@ def test_length_without_a_value() -> None:
     robot = Manipulator.from_modified_dh(rows, gravity=DOWN)
     robot = robot.with_known(2, mass=1.0, centre_of_gravity=(0.1, 0.0, 0.0))
     with pytest.raises(RobotError, match="'a1' has no value"):
-        _ = jc.derive(robot).known
+        _ = jc.derive(robot).known_values
 
 
 def test_links_that_differ_from_the_numbers(arm: tuple[CSLC, jc.Patterns]) -> None:

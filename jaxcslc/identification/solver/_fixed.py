@@ -44,7 +44,9 @@ class Fixed(eqx.Module):
 
         **Raises** `ValueError` for names that are none, and for another network's `previous`.
         """
-        free = tuple(i for i in _indices(network, groups) if network.names[i] not in network.known)
+        free = tuple(
+            i for i in _indices(network, groups) if network.names[i] not in network.known_values
+        )
         # Sizes are the robot's: padded by JAX, each would be compiled.
         traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(previous))
         xp: Any = jnp if traced else np
@@ -76,8 +78,9 @@ class Fixed(eqx.Module):
 
     @classmethod
     def of_known(cls, network: AbstractLinearNetwork) -> "Fixed | None":
-        """The coefficients that are numbers (`network.known`), without errors; None if none is."""
-        if not (known := network.known):
+        """The coefficients that are numbers (`network.known_values`), without errors; None if
+        none is."""
+        if not (known := network.known_values):
             return None
         free = tuple(i for i, name in enumerate(network.names) if name not in known)
         k = np.array([known.get(name, 0.0) for name in network.names])
@@ -92,7 +95,7 @@ class Fixed(eqx.Module):
 
 def check_nothing_known(network: AbstractLinearNetwork, what: str) -> None:
     """**Raises** `ValueError` if coefficients are numbers, which `what` would fit."""
-    if known := network.known:
+    if known := network.known_values:
         raise ValueError(
             f"{what}: {', '.join(known)} of {network.name!r} are numbers, by known masses, which"
             " LeastSquares.fit keeps; elsewhere say them as a prior"

@@ -129,7 +129,7 @@ class LeastSquares:
         - `network`: n joints, p coefficients.
         - `patterns`: motion and torque (samples, n); pairs outside of the mask are left out.
         - `fixed`: coefficients that keep their values; if None, all are fitted but those that
-          are numbers in the network (`network.known`).
+          are numbers in the network (`network.known_values`).
         - `throw`: raise on NaN and on too few equations instead of returning the result code. A
           rank-deficient fit never raises: it returns the solution of least norm and names what is
           missing.
