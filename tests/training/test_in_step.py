@@ -58,7 +58,7 @@ def plan(hand_over: Any, least_reduction: float, rates: Any = None, **options: A
 def trained(
     network: AdaptiveNetwork, sets: Any, start: Any, plan: Plan, **options: Any
 ) -> Training:
-    arguments = {"epochs": 120, "chunk": 4, "throw": False} | options
+    arguments: dict[str, Any] = {"epochs": 120, "chunk": 4, "throw": False} | options
     return train(network, sets, start, plan, **arguments)
 
 
