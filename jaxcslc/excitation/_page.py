@@ -102,7 +102,7 @@ def _film(design: Design) -> list[Section]:
     n = robot.joint_count
     frames = np.zeros((len(q), n + 1, 2, 3))
     for frame, pose in zip(frames, q, strict=True):
-        links = link_poses(robot, pose)
+        links = [np.asarray(link) for link in link_poses(robot, pose)]
         frame[:n, 1] = [link[:3, 3] for link in links]
         frame[:n, 0] = [np.zeros(3) if i < 0 else frame[i, 1] for i in robot.parents]
         frame[n] = links[-1][:3, 3] + [np.zeros(3), _TIP * links[-1][:3, 2]]

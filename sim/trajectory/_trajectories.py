@@ -22,7 +22,7 @@ FLANGE = 0.05625
 _TRUNK_RADIUS = 0.25
 _TRUNK_TOP = 0.2
 # Results of `scripts/studies/puma560/trials.py`.
-_ADJUSTED_AMPLITUDE = (-28.69, -25.46, 23.33, -8.02, 11.62, -11.79)  # N m
+_ADJUSTED_AMPLITUDE = (-28.69, -25.46, 23.33, -8.02, 10.2, -11.79)  # N m
 _ADJUSTED_START = (0.62, -1.55, 1.23, 0.39, 0.11, 0.18)  # rad
 
 

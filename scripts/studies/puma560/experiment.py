@@ -100,11 +100,9 @@ def recorded(
         for name, machine in simulated.items()
     }
     # Motors that saturate cannot follow the adjusted trajectory within the joints' ranges.
-    smaller = sim.training(samples=options.samples, robot=simulated["PUMA A"].robot)
-    jobs |= {
-        name: [[sim.Job(machine, training if name == TWIN else smaller, options.seed)]]
-        for name, machine in others.items()
-    }
+    for name, machine in others.items():
+        smaller = sim.training(samples=options.samples, robot=machine.robot)
+        jobs[name] = [[sim.Job(machine, training if name == TWIN else smaller, options.seed)]]
     in_order = [job for part in jobs.values() for pair in part for job in pair]
     recordings = iter(sim.record(in_order, store=store_of(options), progress=True))
     return {

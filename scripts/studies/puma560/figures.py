@@ -56,7 +56,7 @@ CAPTIONS = {
 _PARTS = (0.0, 0.0, 0.0, *(number / 9 for number in range(1, 10)))
 _QUICK_PARTS = (0.0, 0.5, 1.0)
 # Heaviest masses by joint [kg]. Joint 2's asks as large a part of its greatest torque as the
-# training trajectory does of joint 6's, the largest of all joints; joint 3's about the same part.
+# training trajectory does of any joint; joint 3's about the same part.
 _HEAVIEST = {2: 7.6, 3: 10.0}
 
 

@@ -17,7 +17,7 @@ import jaxcslc as jc
 import sim
 from jaxcslc.identification import Identification, SystematicError, systematic_error
 from scripts.studies.puma560 import experiment
-from scripts.studies.puma560.machines import fitted, judged_patterns, machines
+from scripts.studies.puma560.machines import fitted, as_in_the_thesis, machines
 from scripts.studies.truth import published_coefficients, true_coefficients
 from scripts.tools.thesis import results
 
@@ -53,9 +53,13 @@ def repeated(
     name = f"PUMA {request.param}"
     machine = machines()[name]
     options = argparse.Namespace(
-        seed=SEED, samples=sim.training().samples, quick=False, output=tmp_path_factory.mktemp("d")
+        seed=SEED,
+        seeds=1,
+        samples=sim.adjusted_training().samples,
+        quick=False,
+        output=tmp_path_factory.mktemp("d"),
     )
-    recordings = experiment.recorded(options, {name: machine}, {})[name]
+    (recordings,) = experiment.recorded(options, {name: machine}, {})[name]
     training, comparison = (simulated.recording for simulated in recordings)
     settings, patterns, fit = fitted(puma, training, quick=False)
     systematic = systematic_error(puma, training, settings, fit)
@@ -99,7 +103,7 @@ def test_errors_of_the_comparison(repeated: Repeated, puma: jc.CSLC) -> None:
         "CSLC": repeated.fit.k,
         "true": true_coefficients(puma, repeated.machine),
     }
-    rows = jc.compare(puma, judged_patterns(repeated.comparison), vectors).rows()
+    rows = jc.compare(puma, as_in_the_thesis(repeated.comparison), vectors).rows()
     stored = {row[""]: row for row in results.rows("demo", f"errors_{repeated.letter.lower()}.csv")}
     for row in rows:
         for model in vectors:
