@@ -160,8 +160,8 @@ class Examples(eqx.Module):
         if self.equations is not None and half_square in costs:
             (by_equations,) = self.equations.costs(network, weights, half_square)
             others = tuple(cost for cost in costs if cost is not half_square)
-            rest = iter(self.costs(network, weights, *others))
-            return tuple(by_equations if cost is half_square else next(rest) for cost in costs)
+            remaining = iter(self.costs(network, weights, *others))
+            return tuple(by_equations if cost is half_square else next(remaining) for cost in costs)
         kernels = {cost: self._cost_kernel(network, cost, 0) for cost in costs}
         if any(kernel is None for kernel in kernels.values()):
             errors = self.errors(network, weights)
@@ -254,9 +254,8 @@ class Examples(eqx.Module):
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"]
     ) -> Float[Array, "outputs patterns"]:
         """Target less output (Eqn. 6.1-1), zero where it does not count."""
-        return (self.targets - network.activation.value(self.totals(network, weights))) * (
-            self.counts
-        )
+        outputs = network.activation.value(self.totals(network, weights))
+        return (self.targets - outputs) * self.counts
 
 
 def _cost_after(network: AdaptiveNetwork, cost: Cost, weights: Array, patterns: Examples) -> Array:

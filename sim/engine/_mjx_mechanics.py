@@ -60,7 +60,7 @@ class Mechanics(eqx.Module):
     - `slack`: half of each transmission's dead band, (machines, rotors) [rad or m].
     - `spring`, `damping`: of each transmission, (machines, rotors).
     - `soft`: the joints that have a transmission; static.
-    - `sliding`: which joints are prismatic; static.
+    - `prismatic`: which joints slide instead of turning; static.
     - `step_length`: of the integrator [s]; static.
 
     The arrays of `of` have another leading axis: one for each list of models.
@@ -78,7 +78,7 @@ class Mechanics(eqx.Module):
     spring: Float[Array, "*loads machines rotors"]
     damping: Float[Array, "*loads machines rotors"]
     soft: tuple[int, ...] = eqx.field(static=True)
-    sliding: tuple[bool, ...] = eqx.field(static=True)
+    prismatic: tuple[bool, ...] = eqx.field(static=True)
     step_length: float = eqx.field(static=True)
 
     @classmethod
@@ -100,7 +100,6 @@ class Mechanics(eqx.Module):
             return np.array([[values(model) for model in row] for row in models])
 
         n = machine.joint_count
-        constraints = stacked(_friction_constraint)
         soft = stacked(
             lambda m: (
                 m.dof_M0[n:],
@@ -109,7 +108,7 @@ class Mechanics(eqx.Module):
                 m.tendon_damping,
             )
         )
-        loss, stiffness, decay = np.moveaxis(constraints, 2, 0)
+        loss, stiffness, decay = np.moveaxis(stacked(_friction_constraint), 2, 0)
         inertia, slack, spring, damping = np.moveaxis(soft, 2, 0)
         return cls(
             links=links,
@@ -124,15 +123,16 @@ class Mechanics(eqx.Module):
             spring=spring,
             damping=damping,
             soft=tuple(np.flatnonzero(machine.flexible).tolist()),
-            sliding=tuple(joint.kind == "P" for joint in machine.robot.joints),
+            prismatic=tuple(joint.kind == "P" for joint in machine.robot.joints),
             step_length=float(step),
         )
 
     def loaded(self, which: Int[Array, ""]) -> "Mechanics":
         """The mechanics with one of the loads."""
         changing = ("differing", *_ARRAYS)
-        chosen = jax.tree.map(lambda x: jnp.asarray(x)[which], [getattr(self, x) for x in changing])
-        return eqx.tree_at(lambda m: [getattr(m, name) for name in changing], self, chosen)
+        parts = [getattr(self, name) for name in changing]
+        of_load = jax.tree.map(lambda x: jnp.asarray(x)[which], parts)
+        return eqx.tree_at(lambda m: [getattr(m, name) for name in changing], self, of_load)
 
     def accelerations(
         self,
@@ -205,13 +205,13 @@ class Mechanics(eqx.Module):
 
     def _links_dynamics(self, model: mjx.Model, q: Any, qd: Any) -> tuple[Any, Any]:
         """Mass matrix and bias forces of one machine's links."""
-        data = self.data.replace(qpos=q, qvel=qd, **_placed(model, q, self.sliding))
+        data = self.data.replace(qpos=q, qvel=qd, **_placed(model, q, self.prismatic))
         for part in (mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
             data = part(model, data)
         return mjx.full_m(model, data), data.qfrc_bias
 
 
-def _placed(model: mjx.Model, q: Any, sliding: tuple[bool, ...]) -> dict[str, Any]:
+def _placed(model: mjx.Model, q: Any, prismatic: tuple[bool, ...]) -> dict[str, Any]:
     """Poses of a chain's links, by the names of MJX's data: as `mjx.kinematics` has them.
 
     What each link hands to the next is kept from being fused with it: XLA computed a component of
@@ -221,7 +221,7 @@ def _placed(model: mjx.Model, q: Any, sliding: tuple[bool, ...]) -> dict[str, An
     position, rotation = jnp.zeros(3), jnp.eye(3)
     positions, rotations, anchors, axes = [position], [rotation], [], []
     turns = _rotations(model.body_quat)
-    for i, slides in enumerate(sliding):
+    for i, slides in enumerate(prismatic):
         position = position + _product(rotation, model.body_pos[i + 1][:, None])[:, 0]
         rotation = _product(rotation, turns[i + 1])
         anchors.append(position)
@@ -329,9 +329,7 @@ def _least_on_line(
     reach = jnp.where(stiffness > 0, loss / jnp.where(stiffness > 0, stiffness, 1.0), 0.0)
     moves = shift != 0
     divisor = jnp.where(moves, shift, 1.0)
-    borders = [
-        jnp.where(moves, (target + sign * reach - at) / divisor, 0.0) for sign in (1.0, -1.0)
-    ]
+    borders = [jnp.where(moves, (target + s * reach - at) / divisor, 0.0) for s in (1.0, -1.0)]
     ends = jnp.broadcast_to(jnp.array([0.0, 1.0]), (len(at), 2))
     shares = jnp.clip(jnp.concatenate([*borders, ends], axis=1), 0.0, 1.0)
     moved = at[:, None, :] + shares[:, :, None] * shift[:, None, :]
@@ -397,7 +395,6 @@ def _side_by_side(
             continue
         values = [np.asarray(getattr(item, field.name)) for item in every]
         if any(not np.array_equal(values[0], value) for value in values[1:]):
-            rows = np.stack([value.reshape(shared.shape) for value in values])
-            rows = rows.reshape(len(models), len(models[0]), *shared.shape)
+            rows = np.stack(values).reshape(len(models), len(models[0]), *shared.shape)
             differing[field.name] = jnp.asarray(rows, shared.dtype)
     return model, differing

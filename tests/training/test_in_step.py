@@ -157,7 +157,7 @@ def test_with_normal_equations(
     sets, starts = several
     both = jax.vmap(lambda part: with_normal_equations(network, part))(sets)
     rates = (AdaptedRates(0.05), FixedRates(0.3))
-    results = [trained(network, each, starts, plan(np.inf, 1e-3, rates)) for each in (sets, both)]
+    results = [trained(network, part, starts, plan(np.inf, 1e-3, rates)) for part in (sets, both)]
     assert_array_equal(results[0].history.rule, results[1].history.rule)
     assert_allclose(results[0].history.cost, results[1].history.cost, rtol=ROUNDING)
     assert_allclose(results[0].weights, results[1].weights, rtol=1e-6)

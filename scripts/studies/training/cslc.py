@@ -81,7 +81,7 @@ def machine_rows(
         for offset, trajectory in enumerate(trajectories)
         for seed in seeds
     ]
-    recordings = [each.recording for each in sim.record(jobs, progress=True)]
+    recordings = [simulated.recording for simulated in sim.record(jobs, progress=True)]
     training, comparison = recordings[: len(seeds)], recordings[len(seeds) :]
     truth = true_coefficients(cslc, machine)
     timed = not options.untimed

@@ -1,4 +1,4 @@
-"""Picture of learning rules side by side (Figs. 6.3-3 and 6.3-4)."""
+"""Pictures of learning rules side by side (Figs. 6.3-3 and 6.3-4), and of many trainings."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,7 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from jaxcslc.plotting import COLOURS, STYLES, new_figure
-from scripts.studies.figures import QUIET
+from scripts.studies.figures import QUIET, readable_decades
+
+
+_BINS = 40  # of a histogram
 
 
 class Learning(NamedTuple):
@@ -171,4 +174,36 @@ def training_curves_picture(
         axes.grid(alpha=0.25)
     figure.axes[0].set_ylabel("half the summed squared errors [(N m)²]")
     figure.axes[0].legend(frameon=False)
+    return figure
+
+
+def errors_picture(
+    errors: Mapping[str, Float[np.ndarray, " machines"]], ratio: Float[np.ndarray, " machines"]
+) -> Figure:
+    """Distributions of ε over machines, and how near the training comes to the direct solve.
+
+    **Arguments**
+
+    - `errors`: ε of each machine by method [N m].
+    - `ratio`: of the trained network's ε to the solved one's.
+
+    **Returns** a matplotlib figure.
+    """
+    figure = new_figure(10.0, 4.2)
+    left, right = figure.subplots(1, 2)
+    for i, (name, values) in enumerate(errors.items()):
+        left.ecdf(values, label=name, color=COLOURS[i], ls=STYLES[i % len(STYLES)], lw=1.8)
+    left.set_xscale("log")
+    readable_decades(left)
+    left.set_xlabel("ε on the comparison recording [N m]")
+    left.set_ylabel("share of machines below")
+    left.set_title(f"{len(ratio)} machines", fontsize="medium")
+    right.hist(ratio, bins=_BINS, color=COLOURS[0])
+    right.axvline(1.0, color=QUIET, lw=1.0)
+    right.set_xlabel("ε trained over ε solved")
+    right.set_ylabel("machines")
+    right.set_title("training beside the direct solve", fontsize="medium")
+    for axes in (left, right):
+        axes.grid(alpha=0.25)
+    left.legend(frameon=False, loc="lower right")
     return figure

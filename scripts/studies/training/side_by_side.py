@@ -111,7 +111,7 @@ def _examples(network: AdaptiveNetwork, arrays: tuple[Array, ...], equations: bo
         made = examples(network, (q, qd, qdd), torque, mask)
         return with_normal_equations(network, made) if equations else made
 
-    return jax.lax.map(lambda each: one(*each), arrays, batch_size=_PREPARED_TOGETHER)
+    return jax.lax.map(lambda recording: one(*recording), arrays, batch_size=_PREPARED_TOGETHER)
 
 
 def epsilon(

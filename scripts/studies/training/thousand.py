@@ -41,6 +41,7 @@ from jaxcslc.plotting import save_picture
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table
+from scripts.studies.training.learning_pictures import errors_picture
 from scripts.studies.training.side_by_side import (
     EPOCHS,
     LEAST_REDUCTION,
@@ -49,7 +50,6 @@ from scripts.studies.training.side_by_side import (
     stacked,
     train_side_by_side,
 )
-from scripts.studies.training.thousand_picture import errors_picture
 from scripts.studies.truth import published_coefficients, true_coefficients
 
 

@@ -140,7 +140,7 @@ def rules(problem: Noisy) -> dict[str, AbstractRule]:
     return of_all
 
 
-def pull(problem: Noisy, rule: AbstractRule) -> Float[np.ndarray, "weights weights"]:
+def change_jacobian(problem: Noisy, rule: AbstractRule) -> Float[np.ndarray, "weights weights"]:
     """The Jacobian of a rule's mean change by the weights, at the truth without noise."""
     network, clean = problem.network, problem.clean
 
@@ -193,17 +193,17 @@ def trained(
 def row_of(problem: Noisy, method: str, epochs: int) -> dict[str, Any]:
     """By weight: spread and bias of a method, and what they are compared with."""
     rule = rules(problem)[method]
-    jacobian = pull(problem, rule)
+    jacobian = change_jacobian(problem, rule)
     others = np.random.default_rng(5).uniform(*_START, len(problem.truth)) * problem.truth
     row: dict[str, Any] = {"names": list(problem.network.names)}
     if method == LEAST_SQUARES:
-        found, again, left = least_squares(problem), None, None
+        weights, from_start = least_squares(problem), None
     else:
         rate = _SAFE * shrinking_rate(jacobian)
-        found, again = (trained(problem, rule, rate, epochs, s) for s in (problem.truth, others))
+        weights, again = (trained(problem, rule, rate, epochs, s) for s in (problem.truth, others))
         row["rate"] = rate
-        left = again - found
-    error = found - problem.truth
+        from_start = again - weights
+    error = weights - problem.truth
     products = problem.inputs[None] * problem.noise[:, None]  # (seeds, weights, outputs, patterns)
     patterns = products.shape[-1]
     mean = products.sum(axis=(2, 3)) / patterns
@@ -217,13 +217,15 @@ def row_of(problem: Noisy, method: str, epochs: int) -> dict[str, Any]:
         MODULI: moduli.mean(axis=0).tolist(),
         ALONE: (np.sqrt(np.mean(mean**2, axis=0)) / square).tolist(),
         BOUND: standard_errors(
-            problem, Backpropagation(), pull(problem, Backpropagation())
+            problem, Backpropagation(), change_jacobian(problem, Backpropagation())
         ).tolist(),
         OWN: standard_errors(problem, rule, jacobian).tolist(),
         # Over draws, of each weight by itself.
         "by draw, " + MEAN: _rank_correlations(np.abs(error), np.abs(mean)),
         "by draw, " + MODULI: _rank_correlations(np.abs(error), moduli),
-        "start": None if left is None else (np.sqrt(np.mean(left**2, axis=0)) / spread).tolist(),
+        "start": None
+        if from_start is None
+        else (np.sqrt(np.mean(from_start**2, axis=0)) / spread).tolist(),
     }
 
 
@@ -234,7 +236,7 @@ def _rank_correlations(left: np.ndarray, right: np.ndarray) -> list[float]:
 def summary(row: dict[str, Any]) -> dict[str, Any]:
     """A line of the table: rank correlations over weights and over draws, and sizes."""
     spread = np.array(row["spread"])
-    own, bound = np.array(row[OWN]), np.array(row[BOUND])
+    of_rule, bound = np.array(row[OWN]), np.array(row[BOUND])
     line: dict[str, Any] = {"problem": row["problem"], "method": row["method"]}
     for measure in (MEAN, MODULI, ALONE, BOUND, OWN):
         line[f"over weights: {measure}"] = float(spearmanr(spread, row[measure]).statistic)
@@ -242,7 +244,7 @@ def summary(row: dict[str, Any]) -> dict[str, Any]:
         line[f"over draws: {measure}"] = float(np.median(row[f"by draw, {measure}"]))
     start = row["start"]
     return line | {
-        "spread / the rule's": float(np.median(spread / own)),
+        "spread / the rule's": float(np.median(spread / of_rule)),
         "spread / least squares'": float(np.median(spread / bound)),
         "its largest": float(np.max(spread / bound)),
         "rms bias [standard errors]": float(np.sqrt(np.mean(np.square(row["bias"])))),

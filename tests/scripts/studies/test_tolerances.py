@@ -47,14 +47,14 @@ def test_noise_has_its_size() -> None:
 def test_ideal_peral_comes_to_rest_at_its_instruments(noisy: tolerances.Noisy) -> None:
     """Where Z'(y - X w) = 0, whatever the start: an estimator by instrumental variables."""
     rule = IdealPERAL(jnp.asarray(noisy.truth))
-    jacobian = tolerances.pull(noisy, rule)
+    jacobian = tolerances.change_jacobian(noisy, rule)
     rate = 0.5 * tolerances.shrinking_rate(jacobian)
     x, z = regressor(noisy), instruments(noisy)
     targets = x @ noisy.truth + noisy.noise[:, 0]
     expected = np.linalg.solve(z.T @ x, z.T @ targets.T).T
     for start in (noisy.truth, 1.4 * noisy.truth):
-        found = tolerances.trained(noisy, rule, rate, EPOCHS, start)
-        assert_allclose(found, expected, rtol=1e-6)
+        weights = tolerances.trained(noisy, rule, rate, EPOCHS, start)
+        assert_allclose(weights, expected, rtol=1e-6)
 
 
 def test_standard_errors_by_hand(noisy: tolerances.Noisy) -> None:
@@ -67,16 +67,16 @@ def test_standard_errors_by_hand(noisy: tolerances.Noisy) -> None:
         (Backpropagation(), least),
         (IdealPERAL(jnp.asarray(noisy.truth)), ideal),
     ):
-        found = tolerances.standard_errors(noisy, rule, tolerances.pull(noisy, rule))
-        assert_allclose(found, expected, rtol=1e-9)
+        errors = tolerances.standard_errors(noisy, rule, tolerances.change_jacobian(noisy, rule))
+        assert_allclose(errors, expected, rtol=1e-9)
     assert np.all(ideal >= least)  # Gauss and Markov
 
 
 def test_least_squares(noisy: tolerances.Noisy) -> None:
     x = regressor(noisy)
-    for found, noise in zip(tolerances.least_squares(noisy), noisy.noise, strict=True):
+    for weights, noise in zip(tolerances.least_squares(noisy), noisy.noise, strict=True):
         expected = np.linalg.lstsq(x, x @ noisy.truth + noise[0], rcond=None)[0]
-        assert_allclose(found, expected, rtol=1e-8)
+        assert_allclose(weights, expected, rtol=1e-8)
 
 
 def test_a_tiny_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
