@@ -22,11 +22,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import inverse_dynamics
+from jaxcslc.adaptive import inverse_dynamics, subnetwork_masks
 from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
 from jaxcslc.motion import TorqueAlignment
 from jaxcslc.training import Training, examples, train as train_by_library
@@ -102,26 +101,6 @@ class Comparison(NamedTuple):
         return same and self.difference <= TOLERANCE
 
 
-def masks_of(
-    patterns: jc.Patterns, subnetworks: Sequence[str], slow_pairs: str
-) -> Bool[np.ndarray, "subnetworks samples joints"]:
-    """Return the pairs of the library's masks that every subnetwork learns from.
-
-    **Arguments**
-
-    - `slow_pairs`: `"everything"`, if no subnetwork learns from slow pairs, or `"friction"`, if
-      the friction subnetworks do not (7.2.2).
-    """
-    everywhere, of_friction = np.asarray(patterns.backlash_mask), np.asarray(patterns.mask)
-    friction_only = slow_pairs == "friction"
-    return np.stack(
-        [
-            everywhere if friction_only and name not in ("viscous", "dry") else of_friction
-            for name in subnetworks
-        ]
-    )
-
-
 def compare(
     recording: jc.Recording,
     *,
@@ -141,7 +120,8 @@ def compare(
     - `bout`: epochs of a rule before it is the other's turn.
     - `alignment`: which demands are a sample's torque.
     - `backlash`: whether pairs in possible backlash are left out (2.5-7).
-    - `slow_pairs`: as in `masks_of`.
+    - `slow_pairs`: `"everything"`, if no subnetwork learns from slow pairs, or `"friction"`, if
+      the friction subnetworks do not (7.2.2).
     """
     cslc = jc.derive(jc.puma560())
     network = inverse_dynamics(cslc)
@@ -163,9 +143,11 @@ def compare(
     measured = np.asarray(published_coefficients(cslc))
     hand_over = cost_of(problem.t - outputs(parts, problem.signals, measured), problem.judged)
 
-    masks = masks_of(patterns, [part.name for part in parts], slow_pairs)
-    same_masks = np.array_equal(np.moveaxis(counts, 1, 2) > 0, masks)
-    training_set = examples(network, patterns, torque, masks if friction_only else masks[0])
+    masks = subnetwork_masks(network, patterns) if friction_only else np.asarray(patterns.mask)
+    same_masks = np.array_equal(
+        np.moveaxis(counts, 1, 2) > 0, np.broadcast_to(masks, (len(parts), *torque.shape))
+    )
+    training_set = examples(network, patterns, torque, masks)
     start = time.perf_counter()
     library = train_by_library(
         network,

@@ -17,10 +17,11 @@ ROUNDING = 1e-11
 SHORT = ["--samples", "800", "--least", "1e-2", "--epochs", "400"]
 
 
-@pytest.fixture(scope="module")
-def comparison() -> study.Comparison:
+@pytest.fixture(scope="module", params=["everything", "friction"])
+def comparison(request: pytest.FixtureRequest) -> study.Comparison:
+    """Both trainings, where slow pairs are left out of everything, and of friction only."""
     recording = sim.simulate(sim.puma_a(), sim.training(samples=800), seed=1).recording
-    return study.compare(recording, least=1e-2, epochs=400, backlash=True)
+    return study.compare(recording, least=1e-2, epochs=400, backlash=True, slow_pairs=request.param)
 
 
 def test_links_of_appendix_b_give_the_torques(
