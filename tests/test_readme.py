@@ -45,13 +45,16 @@ def test_each_example_of_networks_runs_by_itself(
     for example in examples_of("docs/networks.md"):
         exec(compile(example, "docs/networks.md", "exec"), {})
         printed.append(capsys.readouterr().out)
-    training, size, computed, reidentified, several, pruned = printed
+    training, size, order, computed, reidentified, several, side_by_side, pruned = printed
     assert "stop set" in training or "not ended" in training
     assert size == "25 21 ('network 1', 'network 2')\n"
+    assert order == "43 28 8\n"
     errors = [float(error) for error in re.findall(r"weights: (\S+) m/s", computed)]
     assert len(errors) == 2 and errors[0] < errors[1] / 2
     assert float(reidentified) < 1e-3
     assert "8 of 25 weights" in several
+    assert "8 of 43 weights: 8 no further reduction" in side_by_side
+    assert float(side_by_side.split()[-3]) < 0.01  # N m between trained and solved
     assert re.search(r"of 25 weights removed", pruned)
 
 
