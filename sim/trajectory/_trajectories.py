@@ -131,8 +131,8 @@ def adjusted_training(*, samples: int = 3300) -> Trajectory:
     the result of trials on the simulated PUMA A and B, with Armstrong's gravity, by
     `python -m scripts.studies.puma560.trials`. Start and signs of the amplitudes were adjusted too.
     Joint 6 has a period of 1.3 s: at the thesis's 0.5 s, the torque at which its motor is no longer
-    linear sweeps a fifth of its range. No joint comes near an end of its range, and no demand near
-    a limit of linearity.
+    linear sweeps a fifth of its range. Repelled from the end of its range, joint 2 comes as near as
+    0.03 rad. No demand exceeds what a motor was seen to be linear up to (7.2.3).
 
     **Arguments**
 

@@ -238,8 +238,8 @@ def identified(
     if not quick:
         side_by_side = trained_side_by_side(
             network,
-            [each.recording for each, _ in recordings],
-            [each.recording for _, each in recordings],
+            [simulated.recording for simulated, _ in recordings],
+            [simulated.recording for _, simulated in recordings],
             truth,
         )
         to_the_letter = thesis_route(

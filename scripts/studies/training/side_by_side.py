@@ -42,7 +42,7 @@ from jaxcslc.training import (
 LEAST_REDUCTION = 3e-5
 # Recordings whose equations are computed at once: 2 GB for those of a PUMA 560 and 3,300 samples.
 _PREPARED_TOGETHER = 64
-EPOCHS = 20_000  # at most; the trainings of a simulated PUMA 560 need 5,000 to 10,000
+EPOCHS = 20_000  # at most; the trainings of a simulated PUMA 560 need 2,000 to 3,000
 
 
 @dataclasses.dataclass(frozen=True)

@@ -34,18 +34,20 @@ and the last 0.2 s are disregarded (7.4.2).
 
 - Ar+LS: links of Armstrong et al., friction of Leahy and Saridis.
 - Ar+Rg: the same links, friction regressed from the training trajectory.
-- CSLC trained: backpropagation and PERAL in turns ([networks trained](#networks-trained-side-by-side)).
+- CSLC trained: backpropagation and PERAL in turns ([networks
+  trained](#networks-trained-side-by-side)).
 - CSLC solved: the direct solve of the same patterns.
 - CSLC: the direct solve with the settings that `jaxcslc identify` chooses.
-- True: the machine's own coefficients, in a model without its disturbances. What they leave is about
-  what any model of this form leaves. A fit may absorb a part of a disturbance.
+- True: the machine's own coefficients, in a model without its disturbances. What they leave is
+  about what any model of this form leaves. A fit may absorb a part of a disturbance.
 """
 
 _EPSILON = """\
-The rows below the first *mean ε* judge the same recording in two other ways. *Mean of two demands*:
-the mean of the demands before and after a sample, and joints that move faster than 0.01 rad/s. *As
-jaxcslc identify judges*: the settings that were chosen for the fit. The command gives the same number
-of unconstrained coefficients, which physically consistent ones may replace by default:
+The rows below the first *mean ε* judge the same recording in two other ways. *Mean of two
+demands*: the mean of the demands before and after a sample, and joints that move faster than 0.01
+rad/s. *As jaxcslc identify judges*: the settings that were chosen for the fit. The command gives
+the same number of unconstrained coefficients, which physically consistent ones may replace by
+default:
 
 ```sh
 .venv/bin/jaxcslc identify puma560 build/demo/puma_a_training.csv \\
@@ -105,53 +107,54 @@ torque.
 _TRAINED = """\
 ## Networks trained side by side
 
-Each of 32 seeds has a training and a comparison recording of its own (encoder phases, starts, timing).
-Their networks are trained at once, from zero weights, on all patterns. Slow pairs of joint and sample
-(below a hundredth of top speed) are left out, and no pair for backlash. The training torques have
-Armstrong's abbreviated gravity (7.4.1), and amplitudes that were adjusted in trials
-(`python -m scripts.studies.puma560.trials`).
+Each of 32 seeds has a training and a comparison recording of its own (encoder phases, starts,
+timing). Their networks are trained at once, from zero weights, on all patterns. Slow pairs of
+joint and sample (below a hundredth of top speed) are left out, and no pair for backlash. The
+training torques have Armstrong's abbreviated gravity (7.4.1), and amplitudes that were adjusted in
+trials (`python -m scripts.studies.puma560.trials`).
 
 - Backpropagation: one rate per subnetwork, adapted by the rule of 6.3.1, from 0.001.
-- Backpropagation and PERAL: the same until the cost is that of Ar+LS, then bouts of 10 epochs of PERAL
-  at a rate of 1 after every 200 epochs.
-- Training ends when a round of bouts lowers half the summed squared errors by less than 3e-5 (N m)²
-  per epoch.
+- Backpropagation and PERAL: the same until the cost is that of Ar+LS, then bouts of 10 epochs of
+  PERAL at a rate of 1 after every 200 epochs.
+- Training ends when a round of bouts lowers half the summed squared errors by less than 3e-5 (N
+  m)² per epoch.
 
-Rates, bouts and this end were chosen with the comparison errors of other recordings of these machines
-in view. Medians over the seeds, ε as in the thesis; the seconds contain compiling:
+Rates, bouts and this end were chosen with the comparison errors of other recordings of these
+machines in view. Medians over the seeds, ε as in the thesis; the seconds contain compiling:
 """
 
 _TRAINED_RESULT = """\
-Without compiling, all 32 trainings of a machine take 0.2 s by backpropagation and 0.4 s in turns on one
-H100, where one training alone takes 0.2 and 0.3 s
-(`python -m scripts.studies.training.cslc --seeds 32`). PERAL in most epochs (25 after every 20 of
-backpropagation) ends within 2 % of the direct solve on PUMA A and 11 % on PUMA B.
+Without compiling, all 32 trainings of a machine take 0.2 s by backpropagation and 0.4 s in turns
+on one H100, where one training alone takes 0.2 and 0.3 s (`python -m scripts.studies.training.cslc
+--seeds 32`). PERAL in most epochs (25 after every 20 of backpropagation) ends within 2 % of the
+direct solve on PUMA A and 11 % on PUMA B.
 
-PERAL alone does not end there. A weight keeps its sign under PERAL, and some 16 of 43 have the wrong
-sign at the hand-over. PERAL also comes to rest elsewhere than least squares: started at the true
-coefficients, it moves away from them ([tolerances of weights](peral.md#tolerances-of-weights)).
+PERAL alone does not end there. A weight keeps its sign under PERAL, and some 16 of 43 have the
+wrong sign at the hand-over. PERAL also comes to rest elsewhere than least squares: started at the
+true coefficients, it moves away from them ([tolerances of
+weights](peral.md#tolerances-of-weights)).
 """
 
 _ROUTE = """\
 ## The thesis's own route
 
-Section 7.5 trains the network to the letter: backpropagation until ε is that of Ar+LS on the training
-patterns, then bouts of both rules until neither lowers ε by 0.001 N m in an epoch. Pairs in possible
-backlash (Eqn. 2.5-7) are left out of everything, and slow pairs out of the friction subnetworks
-(7.2.2). Then thresholds are taken from the residuals, and training goes on. "When PERAL begins" is ε
-of Ar+LS on the same pairs.
+Section 7.5 trains the network to the letter: backpropagation until ε is that of Ar+LS on the
+training patterns, then bouts of both rules until neither lowers ε by 0.001 N m in an epoch. Pairs
+in possible backlash (Eqn. 2.5-7) are left out of everything, and slow pairs out of the friction
+subnetworks (7.2.2). Then thresholds are taken from the residuals, and training goes on. "When
+PERAL begins" is ε of Ar+LS on the same pairs.
 """
 
 _ROUTE_RESULT = """\
 Three things keep the letter from the thesis's 0.25 and 0.31 N m on these machines.
 
 - The end: where an epoch gains less than 0.001 N m, thousands of such epochs are still to come.
-- The mask of backlash: it takes half of the pairs by the sign of their torque, which correlates with
-  what the model lacks. Shuffled over time, the same mask costs next to nothing
-  (`python -m scripts.studies.training.masks`).
+- The mask of backlash: it takes half of the pairs by the sign of their torque, which correlates
+  with what the model lacks. Shuffled over time, the same mask costs next to nothing (`python -m
+  scripts.studies.training.masks`).
 - Slow pairs: joints that stand still or nearly so. Their friction does not average out over the
-  training set, and the sign of the smoothed velocity is wrong at up to two thirds of them. Left out of
-  friction only, they spoil the other subnetworks.
+  training set, and the sign of the smoothed velocity is wrong at up to two thirds of them. Left
+  out of friction only, they spoil the other subnetworks.
 """
 
 _THRESHOLDS = """\
@@ -175,8 +178,8 @@ What would better thresholds gain? The fit of the table above, under others:
 """
 
 _THRESHOLDS_END = """\
-Automatic thresholds change little, since most joints do not show theirs. Nor do the right ones, those
-of Fig. B.6: ε changes by less than 2 % on both machines.
+Automatic thresholds change little, since most joints do not show theirs. Nor do the right ones,
+those of Fig. B.6: ε changes by less than 2 % on both machines.
 """
 
 

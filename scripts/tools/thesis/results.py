@@ -89,7 +89,7 @@ def comparison_errors(machine: str, model: str) -> list[float]:
 
 def hand_over_errors() -> list[float]:
     """ε on the training patterns at which PERAL takes part, of PUMA A and PUMA B [N m]."""
-    tables = (rows("demo", f"training_{machine}.csv") for machine in ("a", "b"))
+    tables = (rows("demo", f"letter_{machine}.csv") for machine in ("a", "b"))
     return [float(table[0]["training ε when PERAL begins [N m]"]) for table in tables]
 
 

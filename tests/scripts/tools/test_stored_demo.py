@@ -17,7 +17,7 @@ import jaxcslc as jc
 import sim
 from jaxcslc.identification import Identification, SystematicError, systematic_error
 from scripts.studies.puma560 import experiment
-from scripts.studies.puma560.machines import fitted, as_in_the_thesis, machines
+from scripts.studies.puma560.machines import as_in_the_thesis, fitted, machines
 from scripts.studies.truth import published_coefficients, true_coefficients
 from scripts.tools.thesis import results
 
