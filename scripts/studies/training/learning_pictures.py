@@ -173,7 +173,7 @@ def training_curves_picture(
         axes.set_title(machine)
         axes.grid(alpha=0.25)
     figure.axes[0].set_ylabel("half the summed squared errors [(N m)²]")
-    figure.axes[0].legend(frameon=False)
+    figure.axes[0].legend(frameon=False, loc="upper right")
     return figure
 
 

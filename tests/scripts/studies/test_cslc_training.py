@@ -16,7 +16,8 @@ def test_a_short_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert set(rows) == {"backpropagation", cslc.SOLVED, "Ar+LS", "Ar+Rg", "true"}
     error = {name: float(row["training ε [N m]"]) for name, row in rows.items()}
     # The direct solve minimises squares, not ε itself: nothing does much better.
-    assert error[cslc.SOLVED] < error["backpropagation"] < 1.5 * error[cslc.SOLVED]
+    # Joints sweep less in a short recording, and training ends sooner.
+    assert error[cslc.SOLVED] < error["backpropagation"] < 2.0 * error[cslc.SOLVED]
     assert error["backpropagation"] < 0.5 * min(error["Ar+LS"], error["Ar+Rg"])
     assert float(rows[cslc.SOLVED]["over the direct solve"]) == 1.0
     assert float(rows["backpropagation"]["epochs of backpropagation"]) > 1000
