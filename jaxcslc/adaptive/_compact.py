@@ -192,13 +192,13 @@ class _Part:
 
     @property
     def weights(self) -> Int[np.ndarray, " _"]:
-        """Of links that are left."""
+        """Indices of the weights of the remaining links, one per link."""
         chains = [self.values, *self.computing]
         return np.concatenate([weights for chain in chains for weights in chain.weights])
 
     @property
     def rows(self) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...]]:
-        """Of inputs, and of what each context layer is given."""
+        """Indices of the remaining inputs, and of the remaining values of each context layer."""
         first, *others = (
             tuple(np.flatnonzero(chain.units[0]).tolist())
             for chain in (self.values, *self.computing)

@@ -108,7 +108,7 @@ class HandErrors:
     patterns: int
 
     def rows(self) -> list[dict[str, str | float]]:
-        """One row per joint, and one of all joints together [m/s²]."""
+        """Rows of the table: each joint, then all joints together [m/s²]."""
         labels = [*(f"joint {j}" for j in range(1, self.per_joint.shape[1] + 1)), "all joints"]
         values = np.column_stack([self.per_joint, self.total])
         return [

@@ -21,7 +21,7 @@ _FLOOR = -0.6718
 FLANGE = 0.05625
 _TRUNK_RADIUS = 0.25
 _TRUNK_TOP = 0.2
-# Results of `scripts/studies/puma560/trials.py`.
+# See `adjusted_training`.
 _ADJUSTED_AMPLITUDE = (-28.69, -25.46, 23.33, -8.02, 10.2, -11.79)  # N m
 _ADJUSTED_START = (0.62, -1.55, 1.23, 0.39, 0.11, 0.18)  # rad
 
@@ -126,13 +126,14 @@ def adjusted_training(*, samples: int = 3300) -> Trajectory:
     """The training trajectory of 7.4.1 after trials, in which joints sweep most of their ranges.
 
     The thesis adjusts the amplitudes between trials until each joint sweeps the majority of its
-    range. It does not say which amplitudes its trials began with, and those that it prints move
-    joints 2 and 6 of the simulated machines through a seventh of their ranges or less. These are
-    the result of trials on the simulated PUMA A and B, with Armstrong's gravity, by
-    `python -m scripts.studies.puma560.trials`. Start and signs of the amplitudes were adjusted too.
-    Joint 6 has a period of 1.3 s: at the thesis's 0.5 s, the torque at which its motor is no longer
-    linear sweeps a fifth of its range. Repelled from the end of its range, joint 2 comes as near as
-    0.03 rad. No demand exceeds what a motor was seen to be linear up to (7.2.3).
+    range. The amplitudes that it prints move joint 3 of the simulated machines through a third of
+    its range, and joint 6 through a seventh. These are from several searches by trials on the
+    simulated PUMA A and B, with Armstrong's gravity, of the kind of
+    `scripts/studies/puma560/trials.py`, which says what they sweep: 59 % for joint 2 of PUMA A, and
+    more than 60 % elsewhere. Start and signs were adjusted too, and joint 5's amplitude by hand.
+    Joint 6 has a period of 1.3 s: at the thesis's 0.5 s, with 14 N m of the 17 N m at which its
+    motor ceases to be linear, it sweeps a seventh. Repelled from the end of its range, joint 2
+    comes as near as 0.03 rad. No demand exceeds what a motor was seen to be linear up to (7.2.3).
 
     **Arguments**
 

@@ -8,7 +8,8 @@ to all of these, on both machines.
 - No demand exceeds `LINEAR` of the torque at which the joint's motor is no longer linear.
 - No joint comes nearer than `MARGIN` to an end of its range, where it would be repelled.
 
-The result is `sim.adjusted_training`. Without `--trials`, the table says what it sweeps.
+`sim.adjusted_training` is from several searches of this kind, the last with a margin of 0.01 rad.
+Without `--trials`, the table says what it sweeps.
 
     python -m scripts.studies.puma560.trials
     python -m scripts.studies.puma560.trials --trials 600
@@ -31,7 +32,8 @@ from scripts.studies.tables import rows_table
 SWEPT = 0.6  # of each joint's range: its majority (7.4.1)
 LINEAR = 0.9  # of the limit of linearity
 MARGIN = 0.1  # rad, two widths of the repulsion from the ends of the ranges
-# Weights of a tenth of a range not swept, of a tenth of the limit exceeded, and of 0.1 rad.
+# Weights of the part of a range not swept, of the part of a limit exceeded, and of a missing
+# margin [1/rad]; a choice.
 _WEIGHTS = (3.0, 2.0, 2.0)
 _PERIOD = (4.1, 2.7, 1.7, 1.1, 0.7, 1.3)  # s
 _FIRST_AMPLITUDE = (-25.0, -13.0, 14.0, -8.0, 10.0, -10.0)  # N m

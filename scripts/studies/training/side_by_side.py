@@ -37,8 +37,9 @@ from jaxcslc.training import (
 )
 
 
-# Reduction of half the summed squared errors per epoch at which training ends [(N m)²]. At ten
-# times as much, epsilon on the training patterns is still a fifth above the direct solve's.
+# Reduction of half the summed squared errors per epoch at which training ends [(N m)²]. By
+# backpropagation, ε on the training patterns of PUMA A and B (seed 1) ends 1.9 and 1.4 % above the
+# direct solve's; at ten times as much, 3.3 and 6.6 %; at a tenth, 1.3 and 1.2 %.
 LEAST_REDUCTION = 3e-5
 # Recordings whose equations are computed at once: 2 GB for those of a PUMA 560 and 3,300 samples.
 _PREPARED_TOGETHER = 64
@@ -55,7 +56,7 @@ class Route:
 
 
 # Backpropagation begins at small rates (7.5), which 6.3.1's rule adapts. PERAL moves a link by the
-# whole of its share of the error: at twice that it diverges.
+# whole of its share of the error; rates are stable up to 2.9 (`largest_rates`).
 _DESCENT, _ALLOCATION = AdaptedRates(1e-3), FixedRates(1.0)
 ROUTES: Mapping[str, Route] = {
     "backpropagation": Route((Backpropagation(),), (500,), (_DESCENT,)),

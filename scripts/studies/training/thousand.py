@@ -3,7 +3,7 @@
 Machines are drawn at random around the thesis's PUMA A and B: link parameters, friction, backlash
 in compliant gears, and encoder resolution. MJX simulates the training recording of 7.4.1 and the
 comparison recording of 7.4.2 of all of them at once, on a GPU where there is one. Recordings are
-prepared on the CPU's cores (averaged splines, masks of slow pairs). Then each machine's network is
+prepared on the CPU (averaged splines, masks of slow pairs). Then each machine's network is
 identified twice from its training recording:
 
 - **trained** from zero weights by backpropagation until the error cost falls below that of the
@@ -75,8 +75,8 @@ _PERIOD = (4.1, 2.7, 1.7, 1.1, 0.7, 1.3)  # s
 _START = (0.62, -1.55, 1.23, 0.39, 0.0, 0.18)  # rad
 _MORE = 6  # one machine more is drawn for so many
 
-# Of two cores, all stages together: by a run of four machines with elastic gears.
-_SECONDS_PER_MACHINE = 15.0
+# On two cores, all stages together: four machines with elastic gears take 20 s, compiled before.
+_SECONDS_PER_MACHINE = 5.0
 # As in `scripts.studies.puma560.machines`.
 PREPARATIONS = {
     "training": jc.Preparation(

@@ -136,10 +136,10 @@ joint 5's amplitude):
 | PUMA B, in turns | 0.28 | 9.7 | 0.31 | 0.43 |
 
 Backpropagation needs no pattern after its normal equations are there. PERAL needs every pattern in
-every epoch: one training alone keeps two cores busy, and 32 take 32 times as long. A GPU does 32 in
-the time of one. With PERAL in most epochs (25 after every 20 of backpropagation), the H100 takes
-3.5 s for 32, and training ends at 1.01 (A) and 1.09 (B) of the direct solve's ε in the median, at
-1.02 and 1.10 in the worst seed.
+every epoch: one training alone keeps two cores busy, and 32 take about 30 times as long. A GPU
+does 32 in the time of one. With PERAL in most epochs (25 after every 20 of backpropagation), the
+H100 takes 3.5 s for 32, and training ends at 1.01 (A) and 1.09 (B) of the direct solve's ε in the
+median, at 1.02 and 1.10 in the worst seed.
 
 PERAL alone does not end there. A weight keeps its sign under PERAL: one that has the wrong sign at
 the hand-over ends at zero. PERAL also comes to rest elsewhere than least squares: started at the
