@@ -85,6 +85,14 @@ def random_links() -> "Callable[..., tuple[LinkParameters, ...]]":
 
 
 @pytest.fixture(scope="session")
+def exciting_motion() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """3,000 random states of six joints: every coefficient shows in them."""
+    rng = np.random.default_rng(7)
+    q, qd, qdd = rng.uniform(-2.0, 2.0, (3, 3000, 6))
+    return q, qd, qdd
+
+
+@pytest.fixture(scope="session")
 def puma() -> "CSLC":
     """The PUMA 560's network with the thesis's 43 coefficients."""
     import jaxcslc as jc

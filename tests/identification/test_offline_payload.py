@@ -14,8 +14,7 @@ import sim
 from jaxcslc.inertia import body_of, link_of, nearest_body, pseudo_inertia
 from jaxcslc.manipulator import fixed_together
 from jaxcslc.network.terms import PAYLOAD
-
-from .conftest import ORDINARY
+from tests.patterns import ORDINARY
 
 
 _ROUNDING = 1e-9

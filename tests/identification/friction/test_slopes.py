@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares as scipy_least_squares
 
 import jaxcslc as jc
-
-from ..conftest import ORDINARY
+from tests.patterns import ORDINARY
 
 
 ROWS = [(0.0, 0.0, 0.0, 0.0), ("pi/2", 0.3, 0.0, 0.0)]

@@ -17,8 +17,7 @@ from jaxcslc.identification.solver import (
     residual_sums,
 )
 from scripts.benchmarks.exact_solution import exact_coefficients
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 150

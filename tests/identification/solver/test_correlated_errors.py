@@ -16,8 +16,7 @@ from jaxcslc.identification.solver._equations import Equations
 from jaxcslc.identification.solver._factors import Unknowns
 from jaxcslc.identification.solver._standard_errors import COMPONENTS, Errors, effective_counts
 from jaxcslc.identification.solver.second_pass import KeptRows, PatternRows
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 512

@@ -25,8 +25,7 @@ from jaxcslc.network.straight_line import (
     c_library,
     kernels_run,
 )
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 SIZES = (11, 5, 16)

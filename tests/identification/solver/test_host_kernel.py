@@ -13,8 +13,7 @@ import jaxcslc as jc
 from jaxcslc.identification.solver import Preconditioner
 from jaxcslc.identification.solver.fused import host_kernel_of
 from jaxcslc.network.straight_line import c_library
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 needs_compiler = pytest.mark.skipif(

@@ -14,8 +14,7 @@ from scipy.stats import t as student
 
 import jaxcslc as jc
 from jaxcslc.identification import HeldOut, cross_validated_error, held_out_error
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 @pytest.fixture(scope="module")

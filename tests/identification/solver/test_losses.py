@@ -22,8 +22,7 @@ from jaxcslc.identification.solver._losses import (
     weight,
 )
 from jaxcslc.identification.solver._standard_errors import ERRORS
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 ROBUST: tuple[Loss, ...] = ("huber", "bisquare")

@@ -18,8 +18,7 @@ from jaxcslc.identification.solver import (
 )
 from jaxcslc.identification.solver.fused import host_kernel_of
 from scripts.benchmarks.exact_solution import exact_coefficients
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 3000

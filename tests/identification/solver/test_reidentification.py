@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.network import carrier
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 # Rounding of a factorisation of some 10^4 rows, times a condition number of order 10.

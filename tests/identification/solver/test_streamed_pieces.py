@@ -21,8 +21,7 @@ from jaxcslc.identification.solver.many._preconditioner import (
     add_up,
     triangles_of,
 )
-
-from ..conftest import ORDINARY, Motion, patterns_of
+from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 PIECE = 512

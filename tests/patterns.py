@@ -1,20 +1,12 @@
+"""Patterns whose torque is a network's own, and the plain least squares that fits them."""
+
 import jax
 import numpy as np
-import pytest
 
 import jaxcslc as jc
 
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-
-@pytest.fixture(scope="session")
-def exciting_motion() -> Motion:
-    """3,000 random states of six joints: every coefficient shows in them."""
-    rng = np.random.default_rng(7)
-    q, qd, qdd = rng.uniform(-2.0, 2.0, (3, 3000, 6))
-    return q, qd, qdd
-
 
 ORDINARY = jc.LeastSquares(joint_weights="equal", errors="independent")
 
