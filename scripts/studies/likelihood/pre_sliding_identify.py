@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import EstimatorChoice, FrictionChoice
+from jaxcslc.identification import EstimatorChoice, FrictionChoice, uncertainty_interval
 from jaxcslc.identification.report import text_table, write_csv
 from scripts.studies import command
 from scripts.studies.likelihood.dahl_pendulum import (
@@ -102,7 +102,7 @@ def _row(
     fit = report.fit if states is None else states.fit
     true = np.array([expected.get(name, 0.0) for name in report.network.names])
     systematic = report.systematic if states is None or report.lengths.any() else None
-    interval = jc.identification.uncertainty_interval(fit, systematic)
+    interval = uncertainty_interval(fit, systematic)
     low, high = np.asarray(interval).T
     known = np.array([name in expected for name in report.network.names])
     return {
