@@ -828,7 +828,8 @@ class Findings:
             if one == other or first == second:
                 continue
             size = max(abs(first), abs(second), FLOOR * greatest)
-            beyond = max(abs(second - first) - max(_last_digit(one), _last_digit(other)), 0.0)
+            # A little more, for the difference of two printed numbers is rounded.
+            beyond = max(abs(second - first) - (1 + 1e-6) * _last_digit(one, other), 0.0)
             self.relative = max(self.relative, beyond / size)
             if beyond > self.limits.relative * size:
                 return f"{other} in place of {one}"
@@ -864,18 +865,23 @@ def _greatest(values: np.ndarray) -> float:
     return float(finite.max()) if finite.size else 0.0
 
 
-def _last_digit(number: str) -> float:
-    """What one unit of a printed number's last digit is worth; of counts nothing.
+def _last_digit(one: str, other: str) -> float:
+    """What one unit of the last digit is worth that either number was printed with.
 
-    >>> _last_digit("0.25"), _last_digit("-1.5e3"), _last_digit("12"), _last_digit("1205")
-    (0.01, 100.0, 0.0, 1.0)
+    Trailing zeros may not have been printed. Of two small counts it is nothing.
+
+    >>> [_last_digit(*pair) for pair in (("0.25", "0.26"), ("1e3", "999"), ("12", "11"))]
+    [0.01, 1.0, 0.0]
     """
-    digits, _, exponent = number.lower().partition("e")
-    after = len(digits.partition(".")[2])
-    if not exponent and "." not in digits and len(digits.lstrip("+-")) < 3:
+    if all(
+        len(number.lstrip("+-")) < 3 and number.lstrip("+-").isdigit() for number in (one, other)
+    ):
         return 0.0
-    # A little more, for the difference of two such numbers is rounded.
-    return 10.0 ** (int(exponent or 0) - after) * (1 + 1e-9)
+    units: list[float] = []
+    for number in (one, other):
+        digits, _, exponent = number.lower().partition("e")
+        units.append(10.0 ** (int(exponent or 0) - len(digits.partition(".")[2])))
+    return min(units)
 
 
 def _excerpt(old: str, new: str) -> str:

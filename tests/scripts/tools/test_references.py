@@ -65,7 +65,7 @@ def test_what_differs_is_found(changed: dict[str, Any]) -> None:
     [
         {},
         {"version": 2},
-        {"covariance": [[100.0, 2e-9], [2e-9, 1e-6]]},  # of a correlation of 1e-7
+        {"covariance": [[100.0, 1.5e-9], [1.5e-9, 1e-6]]},  # a small correlation
         {"series": [[1.0, 2e-13], [2.0, None]]},  # nearly zero
         {"warnings": ["joint 4: RMS 43.3 N m"]},  # the last digit
     ],
@@ -88,10 +88,12 @@ def test_tables_and_texts() -> None:
     findings = Findings(DIRECT)
     findings.tables(table, table.replace("kd1", "kd2"), "x.csv")
     findings.texts("k[0] = 1.5;\n", "k[0] = 1.5000001;\n", "x.c")
+    findings.texts("9.99 of 205\n", "10 of 204.9\n", "x.txt")  # of three and four digits
     findings.texts("a  1.25\n", "a 1.26\n", "x.txt")  # the last digit, and a narrower column
     assert [place.partition(": ")[0] for place in findings.different] == ["x.csv.name:3"]
     findings.texts("k[0] = 1.50000000;\n", "k[0] = 1.50001;\n", "x.c")
-    assert len(findings.different) == 2
+    findings.texts("12 of 86\n", "13 of 86\n", "x.txt")
+    assert len(findings.different) == 3
 
 
 def test_sets_of_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
