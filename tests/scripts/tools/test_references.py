@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from scripts.tools import references
-from scripts.tools.references import DIRECT, SEARCHED, Findings
+from scripts.tools.references.__main__ import main
+from scripts.tools.references.commands import DIRECT, SEARCHED, Limits
+from scripts.tools.references.findings import Findings
 
 
 DOCUMENT: dict[str, Any] = {
@@ -23,7 +24,7 @@ DOCUMENT: dict[str, Any] = {
 }
 
 
-def found(limits: references.Limits = DIRECT, **changed: Any) -> Findings:
+def differences(limits: Limits = DIRECT, **changed: Any) -> Findings:
     """What differs where these keys have other values."""
     findings = Findings(limits)
     findings.documents(DOCUMENT, {**copy.deepcopy(DOCUMENT), **changed}, "x.json")
@@ -31,12 +32,12 @@ def found(limits: references.Limits = DIRECT, **changed: Any) -> Findings:
 
 
 def test_coefficients_differ_in_standard_errors() -> None:
-    findings = found(k=[650.0 * (1 + 1e-6), 0.02])
+    findings = differences(k=[650.0 * (1 + 1e-6), 0.02])
     assert findings.errors == pytest.approx(6.5e-5)
     assert findings.relative == 0
     assert findings.different[0].startswith("x.json.k[0]")
-    assert not found(SEARCHED, k=[650.0 * (1 + 1e-6), 0.02]).different
-    assert not found(k=[650.0 + 1e-9, 0.02]).different
+    assert not differences(SEARCHED, k=[650.0 * (1 + 1e-6), 0.02]).different
+    assert not differences(k=[650.0 + 1e-9, 0.02]).different
 
 
 @pytest.mark.parametrize(
@@ -56,8 +57,8 @@ def test_coefficients_differ_in_standard_errors() -> None:
         {"warnings": ["joint 4: RMS 43.5 N m"]},
     ],
 )
-def test_what_differs_is_found(changed: dict[str, Any]) -> None:
-    assert found(**changed).different
+def test_what_differs_is_seen(changed: dict[str, Any]) -> None:
+    assert differences(**changed).different
 
 
 @pytest.mark.parametrize(
@@ -71,11 +72,11 @@ def test_what_differs_is_found(changed: dict[str, Any]) -> None:
     ],
 )
 def test_what_does_not_matter_is_let_pass(changed: dict[str, Any]) -> None:
-    assert not found(**changed).different
+    assert not differences(**changed).different
 
 
 def test_new_keys_are_listed() -> None:
-    findings = found(more=1)
+    findings = differences(more=1)
     assert findings.new == ["x.json.more"]
     assert not findings.different
 
@@ -90,7 +91,7 @@ def test_tables_and_texts() -> None:
     findings.texts("k[0] = 1.5;\n", "k[0] = 1.5000001;\n", "x.c")
     findings.texts("9.99 of 205\n", "10 of 204.9\n", "x.txt")  # of three and four digits
     findings.texts("a  1.25\n", "a 1.26\n", "x.txt")  # the last digit, and a narrower column
-    assert [place.partition(": ")[0] for place in findings.different] == ["x.csv.name:3"]
+    assert [entry.partition(": ")[0] for entry in findings.different] == ["x.csv.name:3"]
     findings.texts("k[0] = 1.50000000;\n", "k[0] = 1.50001;\n", "x.c")
     findings.texts("12 of 86\n", "13 of 86\n", "x.txt")
     assert len(findings.different) == 3
@@ -101,10 +102,10 @@ def test_sets_of_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         (tmp_path / name / "puma_a").mkdir(parents=True)
         (tmp_path / name / "puma_a" / "x.json").write_text(json.dumps(DOCUMENT))
     command = ["compare", str(tmp_path / "old"), str(tmp_path / "new")]
-    assert references.main(command) == 0
+    assert main(command) == 0
     (tmp_path / "new" / "puma_a" / "x.json").write_text(json.dumps({**DOCUMENT, "used": False}))
-    assert references.main(command) == 1
+    assert main(command) == 1
     assert "x.json.used: False in place of True" in capsys.readouterr().out
-    assert references.main([*command, "--ignore", "puma_a/x.json.used"]) == 0
+    assert main([*command, "--ignore", "puma_a/x.json.used"]) == 0
     (tmp_path / "new" / "puma_a" / "x.json").unlink()
-    assert references.main(command) == 1
+    assert main(command) == 1
