@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 # `import jaxcslc` alone takes no time, and nobody waits for packages that they do not use.
 if TYPE_CHECKING:
     from . import adaptive as adaptive, training as training
+    from ._environment import enable_x64 as enable_x64
     from .assessment import regress_friction as regress_friction
     from .derivation import Coefficient as Coefficient
     from .export import (

@@ -94,6 +94,20 @@ def platform_of(*arrays: Any) -> str:
     return getattr(default, "platform", default) or jax.default_backend()
 
 
+def enable_x64() -> None:
+    """Let JAX compute in float64, as identification and training need.
+
+    Call it in a program's first lines, before arrays are made. It sets `jax_enable_x64` for the
+    whole process. Nothing else in the library changes JAX's configuration.
+
+    >>> import jax.numpy as jnp, jaxcslc as jc
+    >>> jc.enable_x64()
+    >>> jnp.zeros(()).dtype
+    dtype('float64')
+    """
+    jax.config.update("jax_enable_x64", True)
+
+
 def require_float64(*arrays: jax.Array | np.ndarray) -> None:
     """Check that JAX computes in float64, as identification needs.
 
@@ -105,6 +119,5 @@ def require_float64(*arrays: jax.Array | np.ndarray) -> None:
     """
     if not jax.config.read("jax_enable_x64") or any(x.dtype != np.float64 for x in arrays):
         raise ValueError(
-            "identification needs float64: switch it on in the program's first lines with"
-            " jax.config.update('jax_enable_x64', True)"
+            "identification needs float64: call jaxcslc.enable_x64() in the program's first lines"
         )

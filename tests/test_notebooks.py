@@ -69,7 +69,7 @@ def test_what_is_stored_is_whole_and_of_no_machine(path: Path) -> None:
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_its_first_code_switches_float64_on(path: Path) -> None:
-    assert 'jax.config.update("jax_enable_x64", True)' in code(read(path))[0].source
+    assert "jc.enable_x64()" in code(read(path))[0].source
 
 
 def test_a_cell_that_fails_is_named(tmp_path: Path) -> None:

@@ -278,13 +278,13 @@ def test_the_layering_is_read_from_the_source(package: str, source: str, allowed
     assert (forbidden_imports(source, package) == []) is allowed
 
 
-def test_only_the_command_line_configures_jax() -> None:
+def test_only_the_command_line_and_enable_x64_configure_jax() -> None:
     touching = {
         str(path.relative_to(ROOT))
         for path in sources(ROOT / "jaxcslc")
         if configures_jax(path.read_text())
     }
-    assert touching <= {"jaxcslc/cli/_app.py"}
+    assert touching <= {"jaxcslc/cli/_app.py", "jaxcslc/_environment.py"}  # `enable_x64`
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
@@ -27,7 +26,7 @@ from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from scripts.benchmarks.c_library import shared_library
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _STATES = 64  # different ones in turn, so that no result can be reused
 _FUNCTIONS = {"torque": 3, "mass_matrix": 1, "gravity": 1, "regressor": 3}

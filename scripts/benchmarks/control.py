@@ -26,7 +26,7 @@ from scripts.benchmarks.c_library import shared_library
 from scripts.benchmarks.metrics import Metric, report
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 PERIOD = 0.002  # s
 _SAMPLES = 500

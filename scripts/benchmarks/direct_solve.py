@@ -17,7 +17,7 @@ from scripts.benchmarks.metrics import Metric, best_of
 from scripts.benchmarks.solve_gpu import ceilings
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _PATTERNS = 1_000_000
 # Million patterns/s that the streamed solve is to reach, by cores.
@@ -27,7 +27,7 @@ _TARGETS = {2: 2.5, 16: 15.0}
 def derivation() -> Iterator[Metric]:
     """Complete tables and the network object, each in a fresh process."""
     program = (
-        "import time, jax; jax.config.update('jax_enable_x64', True); import jaxcslc as jc\n"
+        "import time, jax, jaxcslc as jc; jc.enable_x64()\n"
         "robot, lengths, derive = jc.{robot}(), '{lengths}', jc.derive\n"  # loads what it needs
         "start = time.perf_counter()\n"
         "network = derive(robot, lengths=lengths); network.counts\n"

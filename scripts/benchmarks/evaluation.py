@@ -22,7 +22,7 @@ import jaxcslc as jc
 from scripts.benchmarks.metrics import Metric, best_of, report
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 Evaluation = Callable[..., Any]
 

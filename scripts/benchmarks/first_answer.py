@@ -19,7 +19,6 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 import pinocchio
 
@@ -30,7 +29,7 @@ from scripts.benchmarks.metrics import Metric
 from scripts.benchmarks.robot import published, recording_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _COMMAND = "from jaxcslc.cli import main; main()"
 # A process that does what the command does, and says when each step begins.
@@ -41,7 +40,7 @@ import sys, json
 from jaxcslc.cli._process import collect_garbage, prepare_process
 prepare_process()
 import jax
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -13,11 +13,12 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
+import jaxcslc as jc
 import sim
 from scripts.benchmarks.metrics import Metric
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 
 def report(metric: str, unit: str, direction: str, value: float) -> None:

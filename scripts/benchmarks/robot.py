@@ -25,15 +25,15 @@ import jaxcslc as jc
 from scripts.benchmarks.metrics import Metric, report
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _SAMPLES, _PERIOD = 20_000, 0.005
 _REGRESSOR = """
-import jax
-jax.config.update("jax_enable_x64", True)
 import sys
+import jax
 import jaxcslc as jc
 import numpy as np
+jc.enable_x64()
 path, tip = sys.argv[1:]
 network = jc.derive(jc.load_robot(path, tip=tip or None), lengths="numeric")
 q, qd, qdd = np.random.default_rng(0).normal(size=(3, 1000, network.joint_count))

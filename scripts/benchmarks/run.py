@@ -15,8 +15,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-import jax
-
+import jaxcslc as jc
 from scripts.benchmarks.groups import GROUPS
 from scripts.benchmarks.metrics import Metric, report
 from scripts.benchmarks.stored.page import PAGE, page
@@ -30,7 +29,7 @@ from scripts.benchmarks.stored.results import (
 )
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 
 def shown(metrics: Iterable[Metric]) -> Iterator[Metric]:

@@ -35,7 +35,7 @@ from scripts.benchmarks.exact_solution import exact_coefficients
 from scripts.benchmarks.metrics import Metric, best_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _ROBOTS = ("puma560", "panda")
 _ACCURACY_PATTERNS, _SEED = 1 << 14, 20261123

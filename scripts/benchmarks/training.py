@@ -34,7 +34,7 @@ from jaxcslc.training import (
 from scripts.benchmarks.metrics import Metric, report
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 
 def timed(

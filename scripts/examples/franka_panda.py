@@ -34,7 +34,7 @@ import jaxcslc as jc
 from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError, resample, zero_phase
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "franka_panda"
 FILE = "panda_exciting_traj1.csv"

@@ -28,7 +28,7 @@ from jaxcslc.motion import RecordingError, resample
 from scripts.examples.franka_panda import DATA, PERIOD, Target, read_recording
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 TABLE = "table_III_authors_base_parameters.csv"
 _TERM = re.compile(

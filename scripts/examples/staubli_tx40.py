@@ -41,7 +41,7 @@ from jaxcslc.manipulator import tx40
 from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "staubli_tx40"
 POSITIONS, TORQUES = "pos_read_data.csv", "curr_data.csv"

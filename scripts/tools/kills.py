@@ -39,7 +39,7 @@ ROBOT = "gravity = [0, -9.81, 0]\n[[joint]]\n[[joint]]\na = 0.3\n"
 SETTINGS = '{"smoothing": {"method": "butterworth", "cutoff": 12.0}}'
 MAKE = """
 import jax, numpy as np, jaxcslc as jc
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 network = jc.derive(jc.load_robot("arm.toml"), lengths="numeric")
 t = 0.01 * np.arange(600)[:, None]
 q, qd, qdd = np.sin([3.0, 5.0] * t), [3.0, 5.0] * np.cos([3.0, 5.0] * t), [0.0, 0.0] * t

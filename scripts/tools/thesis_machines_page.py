@@ -18,7 +18,7 @@ import sim
 from sim import nearest_links, puma_a, puma_b, thesis_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 PAGE = Path(__file__).parents[2] / "docs" / "puma_a_b.md"
 _CONFIGURATIONS = 1000

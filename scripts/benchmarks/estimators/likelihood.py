@@ -16,14 +16,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-import jax
-
 import jaxcslc as jc
 import sim
 from scripts.benchmarks.metrics import Metric
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _COMMAND = "from jaxcslc.cli import main; main()"
 

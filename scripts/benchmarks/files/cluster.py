@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import distributed
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -26,7 +25,7 @@ from scripts.benchmarks.files.parquet import write_long_recording
 from scripts.benchmarks.metrics import Metric, report
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _ENVIRONMENT = {
     **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "PJRT_NPROC"), "1"),

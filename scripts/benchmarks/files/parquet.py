@@ -22,7 +22,7 @@ from scripts.benchmarks.direct_solve import true_coefficients
 from scripts.benchmarks.metrics import Metric, report
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 
 def metrics(rows: int = 20_000_000) -> Iterator[Metric]:

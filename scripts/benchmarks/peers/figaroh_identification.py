@@ -18,7 +18,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -27,7 +26,7 @@ from scripts.benchmarks.metrics import Metric, report
 from scripts.benchmarks.robot import published, recording_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _JOINTS = [f"panda_joint{number}" for number in range(1, 8)]
 # The fields that FIGAROH reads of a robot; JSON is YAML.

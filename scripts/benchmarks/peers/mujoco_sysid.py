@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -25,7 +24,7 @@ import sim
 from scripts.benchmarks.metrics import Metric, report
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 # Of masses and tensors at the start over true ones, and of a simulation [s].
 _START, _STRETCH = 1.2, 0.2

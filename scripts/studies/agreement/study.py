@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -29,7 +28,7 @@ from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _FIRST = Conditions(duration=15.0, rate=250.0)
 _FRICTION, _PAYLOAD = (1.05, 1.1, 1.2), (0.1, 0.25, 0.5, 1.0)

@@ -22,7 +22,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -39,7 +38,7 @@ from scripts.studies.tables import rows_table
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 CASES = ("encoders", "all disturbances", "demo")
 RIGHT: dict[str, TorqueAlignment] = {

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -27,7 +26,7 @@ from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _CLEAN, _LAG = "clean", "lag estimate"
 # Torques of the PUMA 560 are demands that a drive holds until the next sample: in the mean they act

@@ -32,7 +32,6 @@ import functools
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -49,7 +48,7 @@ from scripts.studies.tables import rows_table
 from scripts.studies.truth import published_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 DURATIONS = (3.0, 2.0, 1.25)  # s
 STABILITY_CASES = [

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -29,7 +28,7 @@ from scripts.studies.tables import rows_table
 from scripts.studies.truth import true_coefficients, truth_within_intervals
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 
 SETTINGS = jc.Settings(

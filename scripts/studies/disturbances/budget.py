@@ -35,7 +35,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -49,7 +48,7 @@ from scripts.studies.disturbances.summary import FIGURES, mask_text, summarise, 
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 MACHINES = {"a": sim.puma_a, "b": sim.puma_b, "armstrong": sim.puma560}
 # Recordings made side by side: enough to keep cores busy, few enough to lose little.

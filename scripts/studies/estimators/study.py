@@ -21,7 +21,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from tqdm import tqdm
 
@@ -36,7 +35,7 @@ from scripts.studies.static_friction.study import epsilon
 from scripts.studies.truth import moving_patterns, true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 REJECTED = 0.05
 

@@ -13,9 +13,9 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 
+import jaxcslc as jc
 from jaxcslc.excitation import (
     Design,
     Knowledge,
@@ -31,7 +31,7 @@ from scripts.studies import command
 from .motions import knowledge, limits, network, noise
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 GOAL = 0.05
 PIECE = 3.0  # [s]

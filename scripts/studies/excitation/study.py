@@ -34,6 +34,7 @@ from typing import Any
 import jax
 import numpy as np
 
+import jaxcslc as jc
 from jaxcslc.identification.report import text_table
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
@@ -42,7 +43,7 @@ from .motions import DESIGNED, DESIGNS, DIRECTIONAL, MOTIONS, Designs, path_of, 
 from .pictures import figure
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 COMPARED = ("compare", "directions", "directional", "auto")
 PARTS = ("design", *COMPARED, "regression", "likelihood", "arms", "sequence", "panda")
@@ -74,7 +75,7 @@ _designs: Designs = {}
 def begin(cache: str) -> None:
     """What each process does first."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    jax.config.update("jax_enable_x64", True)
+    jc.enable_x64()
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 

@@ -39,7 +39,7 @@ from .motions import (
 from .plans import seconds_to_goal
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 SETTINGS = jc.Settings(jc.Preparation(torque_alignment="mean"), jc.LeastSquares(cutoff=15.0))
 ARMS_PER_STRUCTURE = 20

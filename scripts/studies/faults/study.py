@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -37,7 +36,7 @@ from scripts.studies.rows import Rows, made_of
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _START = np.array([0.0, -1.2, 0.6, 0.3, 0.5, 0.2])
 _REACH = np.array([0.8, 0.5, 0.5, 0.9, 0.9, 1.2])

@@ -37,7 +37,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -59,7 +58,7 @@ from scripts.studies.generalisation.training import (
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 MOVING = 0.01  # rad/s
 MACHINES = {

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -28,7 +27,7 @@ from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 LEVELS = (1e-5, 1e-4)  # of position noise [rad]
 INTERVAL, HARMONICS, SLOWEST, AMPLITUDE = 0.01, 5, 0.1, 0.25  # s, -, Hz, rad

@@ -18,7 +18,6 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,7 +31,7 @@ from scripts.studies.puma560.machines import MOVING, machines
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _SMOOTHING = jc.AveragedSplines(17)
 # Joint 2 of the machines, counted from 0.

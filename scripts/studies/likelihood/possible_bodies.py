@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -28,7 +27,7 @@ from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 INTERVAL, COUNT = 0.01, 5e-5  # s, rad
 VISCOUS = (0.3, 0.2)  # N m s/rad

@@ -19,7 +19,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -39,7 +38,7 @@ from scripts.studies.likelihood.dahl_pendulum import (
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 LENGTHS = (0.03, 2e-3, 5e-4, 1e-4)
 _SETTINGS = jc.Settings(jc.Preparation(jc.Butterworth(20.0), threshold_fraction=0.0))

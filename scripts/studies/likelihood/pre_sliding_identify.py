@@ -19,7 +19,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -39,7 +38,7 @@ from scripts.studies.likelihood.dahl_pendulum import (
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 LENGTHS = (0.03, 0.01, 2e-3)
 # Of the position controller, at 30 rad/s.

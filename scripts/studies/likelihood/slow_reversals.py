@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -32,7 +31,7 @@ from scripts.studies.rows import Rows, made_of
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 # Of each joint's swing: greatest speed over that at which static friction has fallen to 1/e, and
 # period [s].

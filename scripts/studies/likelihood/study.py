@@ -25,7 +25,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from tqdm import tqdm
 
@@ -39,7 +38,7 @@ from scripts.studies.static_friction.study import epsilon
 from scripts.studies.truth import moving_patterns, true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 WITHIN = 1.96  # standard errors of a 95 % interval
 GROUPS = ("rigid_body", "viscous", "dry", "static")

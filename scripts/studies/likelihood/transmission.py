@@ -31,7 +31,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
@@ -52,7 +51,7 @@ from scripts.studies.rows import Rows, made_of
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 # Samples that equations are over, and the order of torque noise.
 _EVERY, _ORDER = 3, 1

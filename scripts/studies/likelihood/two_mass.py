@@ -24,7 +24,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -36,7 +35,7 @@ from scripts.studies.likelihood.two_masses import network_of_two_masses, two_mas
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 TOYS: Mapping[str, float] = {"two masses, play 4 mrad": 4e-3, "two masses, no play": 0.0}
 ARMS: Mapping[str, float] = {"soft PUMA": 0.0, "soft PUMA, friction of links": 0.3}

@@ -14,9 +14,9 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 
+import jaxcslc as jc
 import sim
 from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
@@ -25,7 +25,7 @@ from scripts.studies.motor.pictures import motor_curve_picture, motor_response_p
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 # The thesis's datum for all other motors.
 _JOINT = 2

@@ -25,7 +25,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 
 from jaxcslc.identification.report import write_csv
@@ -37,6 +36,7 @@ from jaxcslc.plotting import save_picture
 if ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")
 
+import jaxcslc as jc
 import sim
 from scripts.studies import command
 from scripts.studies.payload.arms import LEARNT, NOT_LEARNT, Arms
@@ -52,7 +52,7 @@ from scripts.studies.payload.task import CASES, CENTRE, Task
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 
 def draw(case: str, masses: Sequence[float], finished: Rows, output: Path) -> list[Path]:

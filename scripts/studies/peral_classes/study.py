@@ -33,6 +33,7 @@ from typing import Any
 
 import jax
 
+import jaxcslc as jc
 from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
 from jaxcslc.training import SwitchWhen
@@ -50,7 +51,7 @@ from scripts.studies.peral_classes.tables import Results, report, tuning_table
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 RULES, GUIDED, ALTERNATIVES, SPECTRUM = "rules", "indicator", "alternatives", "spectrum"
 KEYS = ("class", "noise", "part", "every", "margin")

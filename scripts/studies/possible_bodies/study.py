@@ -12,7 +12,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import jax
 import numpy as np
 import pinocchio
 from jaxtyping import Float
@@ -26,7 +25,7 @@ from scripts.studies.checks.recordings import Conditions, record
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 MOTIONS = {
     "wide": Conditions(duration=20.0, rate=250.0, speed=0.5),

@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -65,7 +64,7 @@ from scripts.studies.tables import rows_table
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 Tables = dict[str, tuple[str, list[dict[str, Any]]]]
 # By machine: of each seed, the training recording and the comparison recording, if there is one.

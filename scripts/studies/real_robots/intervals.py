@@ -11,7 +11,6 @@ default), and with systematic errors beside them (the bias of smoothing, timing,
 from collections.abc import Sequence
 from itertools import combinations
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -23,7 +22,7 @@ from scripts.studies.real_robots.arms import Arm
 from scripts.studies.real_robots.methods import without_static
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 KINDS = ("independent", "correlated", "correlated and systematic")
 _WITHIN = 1.96

@@ -10,7 +10,6 @@ judged. A joint whose kl is not between 0 and 1 has lost the term.
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -22,7 +21,7 @@ from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 SETTINGS = jc.Settings(
     jc.Preparation(jc.Butterworth(20.0), smooth_torque=True, threshold_fraction=0.01),

@@ -11,9 +11,9 @@ explains keeps the sign of velocity.
 import dataclasses
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 
+import jaxcslc as jc
 from jaxcslc.identification import fit_pre_sliding
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
@@ -22,7 +22,7 @@ from scripts.studies.real_robots.load_friction import SETTINGS as MASKED, percen
 from scripts.studies.real_robots.methods import without_static
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 SETTINGS = dataclasses.replace(
     MASKED, preparation=dataclasses.replace(MASKED.preparation, threshold_fraction=0.0)

@@ -12,7 +12,6 @@ joints at rest (`jaxcslc.motion.at_rest`) is
 import dataclasses
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -22,7 +21,7 @@ from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 _SLOW = 1e-12  # rad/s: only its sign counts
 

@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -32,7 +31,7 @@ from scripts.studies.real_robots.methods import LOW_PASS, Model, without_static
 from scripts.studies.real_robots.study import errors_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 # Of the moving links, about, from data sheets [kg].
 MASSES = {"KUKA KR300": 1000.0, "Franka Panda": 15.0, "Stäubli TX40": 20.0}

@@ -27,7 +27,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
@@ -45,7 +44,7 @@ from scripts.studies.real_robots.page import page_text
 from scripts.studies.rows import Rows, made_of
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 # Seconds on two cores, all methods.
 SECONDS = {"KUKA KR300": 150.0, "Franka Panda": 900.0, "Stäubli TX40": 220.0}

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxcslc as jc
@@ -35,7 +34,7 @@ from scripts.studies.tables import median_text
 from scripts.studies.truth import moving_patterns, true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 CUTOFF = 15.0  # Hz
 THRESHOLD_FRACTION = 0.01

@@ -33,7 +33,7 @@ from scripts.studies.smoothing.results import SELECTED, Entry, picture, table
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 AT_REVERSAL = 0.05  # s
 ENDS = 0.1  # s

@@ -34,7 +34,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from tqdm import tqdm
 
@@ -49,7 +48,7 @@ from scripts.studies.static_friction.pictures import static_friction_picture
 from scripts.studies.truth import moving_patterns, true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 WITHIN = 1.96  # standard errors of a 95 % interval
 

@@ -21,9 +21,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
+import jaxcslc as jc
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from jaxcslc.systems import ConstantSearch, SystemRecording, search_constants, system_patterns
 from scripts.studies import command
@@ -37,7 +37,7 @@ from scripts.studies.systems.examples import (
 )
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 EXAMPLES = {
     example.name: example for example in (FREE_PERIOD, STRIBECK, SATURATING_TYRES, FREE_EXPONENT)

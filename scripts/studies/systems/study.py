@@ -32,9 +32,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
+import jaxcslc as jc
 from jaxcslc.identification import Identification
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from jaxcslc.motion import Patterns
@@ -57,7 +57,7 @@ from scripts.studies.systems.examples import (
 )
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 EXAMPLES = {
     example.name: example

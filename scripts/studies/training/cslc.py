@@ -37,7 +37,7 @@ from scripts.studies.training.thesis_route import thesis_route
 from scripts.studies.truth import published_coefficients, true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 LETTER = "7.5 to the letter"
 OPTIONS = ("seeds", "first", "samples", "letter", "untimed")

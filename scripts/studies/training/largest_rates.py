@@ -64,7 +64,7 @@ from scripts.studies.training.peral_operations import BACKPROPAGATION, PERAL_RUL
 from scripts.studies.truth import published_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 COSTS: dict[str, Cost] = {"half square": half_square, "mean modulus": mean_modulus}
 EXACT, ENCODERS, NOISE, SCENE = "PUMA, exact", "PUMA, encoders", "PUMA, noise 10 %", "ultrasound"

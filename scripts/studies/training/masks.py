@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -45,7 +44,7 @@ from scripts.studies.tables import median_text
 from scripts.studies.truth import true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 MACHINES = {"A": sim.puma_a, "B": sim.puma_b}
 OPTIONS = ("samples", "threshold", "amplitude")

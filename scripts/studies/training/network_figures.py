@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
+import jaxcslc as jc
 from jaxcslc.adaptive import AdaptiveNetwork, PolynomialTerms, fully_connected
 from jaxcslc.identification.report import all_or_nothing, write_json
 from jaxcslc.plotting import save_picture
@@ -47,7 +48,7 @@ from scripts.studies.training.network_pictures import (
 )
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
 EXCLUSIVE_OR = np.array([0.0, 1.0, 1.0, 0.0])

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
+import jaxcslc as jc
 from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
 from jaxcslc.plotting import save_picture
 from jaxcslc.training import (
@@ -73,7 +74,7 @@ from scripts.studies.training.peral_tables import (
 )
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 NEAR = 1.001
 STARTS_AT_ONCE = 25

@@ -44,7 +44,7 @@ from scripts.studies.training.peral_operations import PERAL_RULE
 from scripts.studies.training.peral_tables import number, spread
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 ZERO, RANDOM, SIGNED = "zero", "random signs", "signs of 5.2.3"
 GOALS = (0.5, 0.75, 0.9, 0.95)

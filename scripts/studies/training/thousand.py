@@ -53,7 +53,7 @@ from scripts.studies.training.side_by_side import (
 from scripts.studies.truth import published_coefficients, true_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 OPTIONS = ("first", "seconds", "route", "least", "epochs", "rigid")
 TRAINED, SOLVED, PUBLISHED, TRUE = "trained", "solved", "Ar+LS", "true coefficients"

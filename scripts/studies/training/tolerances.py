@@ -57,7 +57,7 @@ from scripts.studies.training.largest_rates import direction, shrinking_rate
 from scripts.studies.truth import published_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 INDEPENDENT, CORRELATED, PUMA = "independent inputs", "correlated inputs", "PUMA 560"
 PROBLEMS = (INDEPENDENT, CORRELATED, PUMA)

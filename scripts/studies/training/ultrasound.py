@@ -23,9 +23,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
+import jaxcslc as jc
 from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
 from jaxcslc.plotting import save_picture
 from jaxcslc.training import Cost, half_square, mean_modulus
@@ -37,7 +37,7 @@ from scripts.studies.training.peral_operations import PERAL_RULE
 from scripts.studies.training.peral_tables import epoch_rows, number, spread
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 COSTS: dict[str, Cost] = {"mean modulus": mean_modulus, "half square": half_square}
 KEYS = ("patterns", "centred", "hand-over", "cost")

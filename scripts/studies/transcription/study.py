@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -44,7 +43,7 @@ from scripts.studies.transcription.training import Problem, Route, Turns, cost_o
 from scripts.studies.truth import published_coefficients
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 APPENDIX = Path(__file__).parents[3] / "tests" / "data" / "appendix_b.json"
 MACHINES = {"A": sim.puma_a, "B": sim.puma_b}

@@ -23,6 +23,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
+import jaxcslc as jc
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
@@ -161,7 +162,7 @@ def _quick_compilation() -> None:
     import jax
 
     # As the command itself does, but for programs that are compiled more often than run.
-    jax.config.update("jax_enable_x64", True)
+    jc.enable_x64()
     command.keep_compiled()
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     command.compile_quickly()

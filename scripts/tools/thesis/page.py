@@ -13,15 +13,14 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
-
+import jaxcslc as jc
 import sim
 from scripts.tools.thesis import computed, results
 from scripts.tools.thesis.entries import Entry, Quantity, Symbol, Thesis, read
 from scripts.tools.thesis.references import ROOT, link
 
 
-jax.config.update("jax_enable_x64", True)
+jc.enable_x64()
 
 PAGE = ROOT / "docs" / "thesis.md"
 _CHAPTERS = {
