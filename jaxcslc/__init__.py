@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 # `import jaxcslc` alone takes no time, and nobody waits for packages that they do not use.
 if TYPE_CHECKING:
     from . import adaptive as adaptive, training as training
-    from .assessment import regress_friction as regress_friction
     from .derivation import Coefficient as Coefficient
     from .export import (
         CCode as CCode,
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
         PayloadFit as PayloadFit,
         PayloadReport as PayloadReport,
         PhysicalParameters as PhysicalParameters,
-        Refinement as Refinement,
         Report as Report,
         SavedReport as SavedReport,
         Selection as Selection,
@@ -44,7 +42,7 @@ if TYPE_CHECKING:
         load_report as load_report,
         load_settings as load_settings,
         physical_parameters as physical_parameters,
-        refine_thresholds as refine_thresholds,
+        regress_friction as regress_friction,
         reidentify as reidentify,
     )
     from .manipulator import (
