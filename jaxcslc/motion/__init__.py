@@ -20,7 +20,6 @@ from ._masks import (
 from ._patterns import (
     Patterns as Patterns,
     joined_patterns as joined_patterns,
-    joints_left_out as joints_left_out,
 )
 from ._preparation import (
     DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,
