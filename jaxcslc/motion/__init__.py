@@ -4,7 +4,6 @@ from ._clock import (
     restore_clock as restore_clock,
     uniform_interval as uniform_interval,
 )
-from ._cubic_spline import CubicSpline as CubicSpline
 from ._filters import (
     Butterworth as Butterworth,
     CentralDifferences as CentralDifferences,
