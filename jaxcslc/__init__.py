@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from . import adaptive as adaptive, training as training
     from ._environment import enable_x64 as enable_x64
-    from .assessment import regress_friction as regress_friction
     from .derivation import Coefficient as Coefficient
     from .export import (
         CCode as CCode,
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
         PayloadFit as PayloadFit,
         PayloadReport as PayloadReport,
         PhysicalParameters as PhysicalParameters,
-        Refinement as Refinement,
         Report as Report,
         SavedReport as SavedReport,
         Selection as Selection,
@@ -45,7 +43,7 @@ if TYPE_CHECKING:
         load_report as load_report,
         load_settings as load_settings,
         physical_parameters as physical_parameters,
-        refine_thresholds as refine_thresholds,
+        regress_friction as regress_friction,
         reidentify as reidentify,
     )
     from .manipulator import (

@@ -37,16 +37,19 @@ from .machine import (
 from .recording import (
     ClosedLoop as ClosedLoop,
     Job as Job,
+    MaskQuality as MaskQuality,
     MotorLinearity as MotorLinearity,
     Scene as Scene,
     close_loop as close_loop,
     film as film,
+    mask_quality as mask_quality,
     motor_linearity as motor_linearity,
     record as record,
     record_each as record_each,
 )
 from .trajectory import (
     FLANGE as FLANGE,
+    AbbreviatedGravity as AbbreviatedGravity,
     AbstractPath as AbstractPath,
     Hand as Hand,
     HandRepulsion as HandRepulsion,

@@ -14,7 +14,6 @@ from ._gains_and_limits import (
     error_gains as error_gains,
 )
 from ._gravity import (
-    AbbreviatedGravity as AbbreviatedGravity,
     AbstractPositionTorque as AbstractPositionTorque,
     Gravity as Gravity,
 )

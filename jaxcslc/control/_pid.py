@@ -35,7 +35,7 @@ class PID(AbstractController):
     Gains are torques: the controller has no model of the arm's inertia. Where velocities are
     measured or estimated, ė is qd_d − qd. Without them ė is the difference of two errors over the
     sampling interval, smoothed by a first-order low pass: without it, one encoder count at 2 ms
-    would be worth 4 N m at joint 2 of the thesis's PUMA 560. With that and `AbbreviatedGravity`
+    would be worth 4 N m at joint 2 of the thesis's PUMA 560. With that and `sim.AbbreviatedGravity`
     this is the controller of the comparison trajectory (7.4.2), and with an integral gain of zero
     the PD controller of 7.2.3. Anti-windup is `conditional_integration`. The state is a `PIDState`.
 

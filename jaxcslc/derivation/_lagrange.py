@@ -9,8 +9,8 @@ from ._polynomials import PositionRing
 from ._sparse_polynomial import Monomial, SparsePolynomial
 
 
-# A form is linear in the terms; the key names a product of parameters and symbolic constants.
-FormKey = tuple[int, tuple[int, ...]]  # index of the inertial term, exponents of the constants
+# A form is linear in the terms. The key names a product of parameters and symbolic constants: index
+# of the inertial term, exponents of the constants.
 Form = dict[Any, Any]
 Element = dict[Monomial, Form]  # one entry of M, G or the Christoffel symbols
 

@@ -11,8 +11,6 @@ from jaxtyping import Array, Float
 Parameters = Float[Array | np.ndarray, "parameters joints"]
 Times = Float[np.ndarray, " samples"]
 
-JERK = 3  # the order of the highest derivative that limits know
-
 
 class AbstractFamily(abc.ABC):
     """A family of joint motions from rest to rest, linear in its parameters.

@@ -7,14 +7,7 @@ from ._held_out import (
 from ._identify import identify as identify
 from ._identify_payload import identify_payload as identify_payload
 from ._offline import fit_payload as fit_payload
-from ._output_error import (
-    MotionWindows as MotionWindows,
-    WindowFit as WindowFit,
-    fit_windows as fit_windows,
-    motion_windows as motion_windows,
-)
 from ._payload_fit import PHYSICAL as PHYSICAL, PayloadFit as PayloadFit
-from ._refinement import Refinement as Refinement, refine_thresholds as refine_thresholds
 from ._reidentification import reidentify as reidentify
 from ._settings import (
     Settings as Settings,
@@ -48,6 +41,7 @@ from .friction import (
     fit_pre_sliding as fit_pre_sliding,
     fit_slopes as fit_slopes,
     pre_sliding as pre_sliding,
+    regress_friction as regress_friction,
 )
 from .instruments import (
     AbstractSimulatedMotion as AbstractSimulatedMotion,

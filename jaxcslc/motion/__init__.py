@@ -4,7 +4,6 @@ from ._clock import (
     restore_clock as restore_clock,
     uniform_interval as uniform_interval,
 )
-from ._cubic_spline import CubicSpline as CubicSpline
 from ._filters import (
     Butterworth as Butterworth,
     CentralDifferences as CentralDifferences,
@@ -20,7 +19,6 @@ from ._masks import (
 from ._patterns import (
     Patterns as Patterns,
     joined_patterns as joined_patterns,
-    joints_left_out as joints_left_out,
 )
 from ._preparation import (
     DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,

@@ -103,28 +103,6 @@ def joined_patterns(parts: Sequence[Patterns]) -> Patterns:
     return jax.tree_util.tree_map(lambda *values: np.concatenate(values), *moved)
 
 
-def joints_left_out(patterns: Patterns) -> tuple[int, ...]:
-    """The joints of which masking leaves no sample: a fit sees none of their torques.
-
-    **Arguments**
-
-    - `patterns`: as prepared.
-
-    **Returns**
-
-    Their numbers, counted from 1; empty where every joint has an unmasked sample.
-
-    >>> import numpy as np
-    >>> from jaxcslc.motion import joints_left_out, prepare, Recording
-    >>> time = np.arange(200) * 0.01
-    >>> position = np.stack([np.sin(time), np.zeros(200)], axis=1)
-    >>> joints_left_out(prepare(Recording(time, position, position)))
-    (2,)
-    """
-    some = np.any(np.asarray(patterns.mask), axis=0)
-    return tuple(int(joint) + 1 for joint in np.flatnonzero(~some))
-
-
 def check_some_left(patterns: Patterns) -> None:
     """Checks that masks leave some pair of a joint and a sample.
 

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 # Text in plotly's drawings: that of the page.
 FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1b1f24"}
 GRID = "#e3e6ea"
-PANEL = "#f7f8fa"
 MASKED = "#dfe7f3"
 MEASURED = "#9aa1a9"
 

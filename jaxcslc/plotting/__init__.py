@@ -4,4 +4,4 @@ from ._look import (
     STYLES as STYLES,
     new_figure as new_figure,
 )
-from ._pictures import save_picture as save_picture, torque_picture as torque_picture
+from ._pictures import save_picture as save_picture

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.control import PID, AbbreviatedGravity
+from jaxcslc.control import PID
 from jaxcslc.manipulator import LinkParameters, puma560 as puma560_robot
 
 from ..engine import simulate
 from ..machine import Machine, MachineError
-from ..trajectory import FLANGE, Oscillation, Trajectory
+from ..trajectory import FLANGE, AbbreviatedGravity, Oscillation, Trajectory
 
 
 # Friction torque of a brake [N m]: more than any weight on the arm exerts.

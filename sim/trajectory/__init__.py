@@ -1,3 +1,4 @@
+from ._abbreviated_gravity import AbbreviatedGravity as AbbreviatedGravity
 from ._kinematics import Hand as Hand
 from ._motions import circle as circle, go_to as go_to
 from ._paths import (

@@ -3,10 +3,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.control import PID, AbbreviatedGravity, AbstractController, SinusoidalTorque
+from jaxcslc.control import PID, AbstractController, SinusoidalTorque
 from jaxcslc.manipulator import Manipulator, puma560 as puma560_robot
 
 from ..machine import Fault, Load, MachineError, puma560
+from ._abbreviated_gravity import AbbreviatedGravity
 from ._kinematics import Hand
 from ._paths import AbstractPath, MinimumJerk
 from ._repulsion import HandRepulsion, Repulsion

@@ -8,7 +8,8 @@ import pytest
 from jaxtyping import Array
 
 import jaxcslc as jc
-from jaxcslc.control import PID, AbbreviatedGravity, Gravity, Reference
+import sim
+from jaxcslc.control import PID, Gravity, Reference
 
 
 def test_the_law(rng: np.random.Generator) -> None:
@@ -50,7 +51,7 @@ def test_gravity_of_joints_is_the_abbreviated_gravity(rng: np.random.Generator) 
     gravity = Gravity.of_joints(network, network.coefficients_from(robot.links), (2, 3))
     q = rng.uniform(-3, 3, (20, 6))
     np.testing.assert_allclose(
-        gravity.torque(q), AbbreviatedGravity.of(robot).torque(q), atol=1e-10
+        gravity.torque(q), sim.AbbreviatedGravity.of(robot).torque(q), atol=1e-10
     )
 
 

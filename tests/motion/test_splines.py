@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import interpolate
 
-from jaxcslc.motion import AveragedSplines, CentralDifferences, CubicSpline, find_reversals
+from jaxcslc.motion import AveragedSplines, CentralDifferences, find_reversals
 
 
 COUNT = 1e-4
@@ -283,16 +283,3 @@ def test_a_turn_beside_the_ends_of_a_short_record_is_found() -> None:
     (turn,) = find_reversals(time, np.array([0.0, 1.0, 0.2, 0.1, 0.0]), tolerance=0.5, window=1)
     assert turn.direction == -1
     assert 0.0 < turn.time < 0.02
-
-
-@pytest.mark.parametrize("samples", [4, 5, 60])
-def test_interpolating_splines_are_those_of_scipy(rng: np.random.Generator, samples: int) -> None:
-    time, values = uneven(rng, samples), rng.normal(size=(samples, 3))
-    at = np.linspace(time[0] - INTERVAL, time[-1] + INTERVAL, 200)
-    spline, oracle = CubicSpline(time, values), interpolate.CubicSpline(time, values)
-    for derivative in range(3):
-        expected = oracle(at, derivative)
-        scale = np.max(np.abs(expected))
-        np.testing.assert_allclose(spline(at, derivative), expected, atol=1e-10 * scale)
-    with pytest.raises(ValueError, match="3 samples; expected 4"):
-        CubicSpline(time[:3], values[:3])

@@ -5,8 +5,9 @@ import jax
 import numpy as np
 import scipy
 from jaxtyping import Float
+from scipy.interpolate import CubicSpline
 
-from ...motion import Butterworth, CubicSpline, Patterns, Preparation, Recording, zero_phase
+from ...motion import Butterworth, Patterns, Preparation, Recording, zero_phase
 from ...network import CSLC
 from ..solver import (
     Equations,

@@ -3,6 +3,7 @@ from ._pre_sliding import (
     PreSlidingFit as PreSlidingFit,
     fit_pre_sliding as fit_pre_sliding,
 )
+from ._regression import regress_friction as regress_friction
 from ._saved_pre_sliding import (
     pre_sliding_document as pre_sliding_document,
     pre_sliding_from as pre_sliding_from,

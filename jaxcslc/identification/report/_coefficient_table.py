@@ -37,7 +37,7 @@ def coefficient_rows(
     - `fit`: adds `value`, `standard_error`, `relative_error`, the interval's ends `low` and
       `high`, and `verdict` and `reason`, as `verdicts` gives them.
     - `reference`: further columns of values, such as Armstrong's, or the true ones.
-    - `sensitivity`: adds the column `sensitivity`; see `jaxcslc.assessment.output_sensitivity`.
+    - `sensitivity`: adds the column `sensitivity`: mean torque per unit of each coefficient (7.6).
     - `excitation`: adds `variance_inflation`, and reasons that name it; see
       `degree_of_excitation`.
     - `systematic`: adds `systematic_error`, and widens intervals; see `systematic_error`.

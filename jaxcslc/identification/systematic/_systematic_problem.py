@@ -4,8 +4,9 @@ from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.interpolate import CubicSpline
 
-from ...motion import CubicSpline, Derivatives, Patterns, Recording
+from ...motion import Derivatives, Patterns, Recording
 from ...network import CSLC
 from .._settings import Settings
 from ..solver import (

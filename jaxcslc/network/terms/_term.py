@@ -13,7 +13,6 @@ Joints = Float[Array, "*batch joints"]
 Matrices = Float[Array, "*batch joints joints"]
 Regressor = Float[Array, "*batch joints coefficients"]
 Rows = Float[Array | np.ndarray, "joints samples"]
-HostRows = Float[np.ndarray, "joints samples"]
 Columns = tuple[Float[Array | np.ndarray, "_ samples"], ...]
 
 

@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import mask_quality, output_sensitivity
 from jaxcslc.motion import CentralDifferences
 from scripts.studies.disturbances.measures import (
     ON,
@@ -18,6 +17,7 @@ from scripts.studies.disturbances.measures import (
     true_coefficients,
     variants,
 )
+from scripts.studies.sensitivity import output_sensitivity
 from scripts.studies.truth import moving_patterns
 
 
@@ -105,7 +105,7 @@ def backlash_counts(
     alone = dataclasses.replace(measures, linear_only=False)
     mask = np.asarray(prepared(trained.recording, machine, spacing, alone).backlash_mask)
     trim = max(spacing)
-    quality = mask_quality(mask, trained.truth.apart[trim:-trim]).together
+    quality = sim.mask_quality(mask, trained.truth.apart[trim:-trim]).together
     counts = {"disturbed": quality.disturbed, "left_out": quality.left_out}
     counts |= {"caught": quality.caught, "pairs": np.array([quality.samples])}
     return {name: int(value[0]) for name, value in counts.items()}

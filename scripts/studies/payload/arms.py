@@ -24,6 +24,7 @@ from scripts.studies.payload.errors import (
 )
 from scripts.studies.payload.loops import KnownPayloadLoop, LoopBatch
 from scripts.studies.payload.task import CASES, INTERVAL, START, Task, rehearsal
+from scripts.studies.thresholds import Refinement, refine_thresholds
 
 
 METHODS = LEARNT, NOT_LEARNT, KNOWN = "learnt", "not learnt", "known"
@@ -75,7 +76,7 @@ class Arms:
             choice = jc.choose_settings(self.network, trained[0].recording, backlash=backlash)
             base = choice.settings
         refinements = [
-            jc.refine_thresholds(self.network, run.recording, base)
+            refine_thresholds(self.network, run.recording, base)
             for run in tqdm(trained, desc="identification", disable=None, leave=False)
         ]
         controllers = [
@@ -109,7 +110,7 @@ class Arms:
         ]
 
     def _estimator(
-        self, refined: jc.identification.Refinement, rehearsed: jc.Recording
+        self, refined: Refinement, rehearsed: jc.Recording
     ) -> tuple[jc.Settings, jc.Identification, PayloadEstimator]:
         """An arm's settings, fit and payload estimator."""
         top = np.abs(np.asarray(refined.patterns.qd)).max(axis=0)

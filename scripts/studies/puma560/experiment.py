@@ -21,8 +21,7 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import sign_check
-from jaxcslc.identification import degree_of_excitation, refine_thresholds
+from jaxcslc.identification import degree_of_excitation
 from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
 from scripts.studies import command
@@ -47,6 +46,7 @@ from scripts.studies.puma560.machines import (
 )
 from scripts.studies.puma560.motor_limits import demand_rows, violation_rows
 from scripts.studies.puma560.page import index_page
+from scripts.studies.puma560.sign_check import sign_check
 from scripts.studies.puma560.tables import (
     agreement_rows,
     coefficient_table_rows,
@@ -61,6 +61,7 @@ from scripts.studies.puma560.tables import (
 from scripts.studies.puma560.thresholds import threshold_fit_rows, threshold_rows
 from scripts.studies.rows import made_of
 from scripts.studies.tables import rows_table
+from scripts.studies.thresholds import refine_thresholds
 from scripts.studies.truth import true_coefficients
 
 

@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 import jaxcslc as jc
 import sim
 from jaxcslc.identification import predicted_torque
-from jaxcslc.plotting import torque_picture
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
 from scripts.studies.puma560.applied_torque import applied_torque, applied_torque_picture
 from scripts.studies.puma560.machine_pictures import friction_picture, hysteresis_picture
@@ -21,6 +20,7 @@ from scripts.studies.puma560.motion_pictures import (
     motion_picture,
     reversal_picture,
     spline_subsets_picture,
+    torque_picture,
 )
 from scripts.studies.puma560.reversals import clean_turn, clearest_ramps
 from scripts.studies.puma560.tables import curves

@@ -8,9 +8,11 @@ from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import agreement, hand_errors, mask_quality, output_sensitivity
 from jaxcslc.identification import coefficient_rows, uncertainty_interval
+from scripts.studies.puma560.agreement import agreement
+from scripts.studies.puma560.hand import hand_errors
 from scripts.studies.puma560.machines import SOLVED, TRAINED, IdentifiedMachine, SeedTrainings
+from scripts.studies.sensitivity import output_sensitivity
 from scripts.studies.truth import truth_within_intervals
 
 
@@ -138,7 +140,7 @@ def mask_rows(puma: IdentifiedMachine) -> Rows:
     masked = settings.patterns(puma.training.recording)
     start = int(np.searchsorted(puma.training.truth.time, masked.time[0] - 1e-9))
     apart = puma.training.truth.apart[start : start + masked.samples]
-    return list(mask_quality(np.asarray(masked.backlash_mask), apart).rows())
+    return list(sim.mask_quality(np.asarray(masked.backlash_mask), apart).rows())
 
 
 def agreement_rows(

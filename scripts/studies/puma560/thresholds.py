@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import output_sensitivity
-from jaxcslc.identification import Refinement
 from jaxcslc.motion import (
     DEFAULT_THRESHOLD_FRACTION,
     StaticFriction,
@@ -16,6 +14,8 @@ from jaxcslc.motion import (
     thresholds_from_residuals,
 )
 from scripts.studies.puma560.machines import IdentifiedMachine
+from scripts.studies.sensitivity import output_sensitivity
+from scripts.studies.thresholds import Refinement
 
 
 Rows = list[dict[str, Any]]

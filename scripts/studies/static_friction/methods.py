@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import fit_windows, motion_windows
 from jaxcslc.motion import choose_spacing
+from scripts.studies.static_friction.windows import fit_windows, motion_windows
 
 
 CUTOFF = 15.0  # Hz

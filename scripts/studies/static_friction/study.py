@@ -13,7 +13,7 @@ without static friction.
   break-away value.
 - **away from reversals**: the same, and two samples on either side of each reversal left out.
 - **windows**: simulated motion fitted to recorded positions over windows of at most 0.2 s, across
-  reversals (`jaxcslc.identification.fit_windows`), starting from the masked fit. No accelerations
+  reversals (`windows.py`), starting from the masked fit. No accelerations
   are estimated.
 
 Intervals are of 95 %: of windows for independent residuals, as encoders' steps are; of the others

@@ -173,10 +173,10 @@ _THRESHOLDS = """\
 ## Thresholds of static friction
 
 The machines' static friction is insignificant from the speeds of Figs. B.6-1 and B.6-2 on: it was
-made so. `jc.refine_thresholds` takes thresholds from the residuals, as 7.5 does by eye. "Seen" says
-whether the criterion finds static friction at all. Where it does not, the speed "from residuals" is
-no finding: it is the least that is looked at, a hundredth of the joint's top speed. The last column
-is how many samples a joint takes from rest to the thesis's speed, in the median.
+made so. `scripts/studies/thresholds.py` takes thresholds from the residuals, as 7.5 does by eye.
+"Seen" says whether the criterion finds static friction at all. Where it does not, the speed "from
+residuals" is no finding: it is the least that is looked at, a hundredth of the joint's top speed.
+The last column is how many samples a joint takes from rest to the thesis's speed, in the median.
 """
 
 _THRESHOLDS_WHY = """\

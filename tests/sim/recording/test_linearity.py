@@ -9,7 +9,7 @@ import pytest
 import scipy.special
 
 import sim
-from jaxcslc.control import AbbreviatedGravity, SinusoidalTorque
+from jaxcslc.control import SinusoidalTorque
 from jaxcslc.manipulator import puma560
 from sim.recording._linearity import MotorLinearity, _laden, _locked, motor_linearity
 
@@ -49,7 +49,7 @@ def test_slope_and_intercept_are_gravitys(linear: MotorLinearity):
     lever = length["a2"] + length["d4"] + 0.05625
     mean = scipy.special.j0(_AMPLITUDE)
     np.testing.assert_allclose(linear.slope, -robot.gravity[2] * lever * mean, rtol=0.01)
-    still = AbbreviatedGravity.of(robot).torque(np.array([0, 0, np.pi / 2, 0, 0, 0]))
+    still = sim.AbbreviatedGravity.of(robot).torque(np.array([0, 0, np.pi / 2, 0, 0, 0]))
     np.testing.assert_allclose(linear.intercept, abs(still[1]) * mean, rtol=0.01)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import sim
 from jaxcslc import RobotError
-from jaxcslc.control import PID, AbbreviatedGravity, Reference, SinusoidalTorque
+from jaxcslc.control import PID, Reference, SinusoidalTorque
 from jaxcslc.manipulator import Manipulator, puma560
 
 
@@ -43,7 +43,7 @@ def test_gravity_compensation_is_gravity_without_the_wrist(
     q, still = rng.normal(size=(50, 6)), np.zeros((50, 6))
     gravity = inverse_dynamics(robot, (*robot.links[:5], hand))(q, still, still)
     np.testing.assert_allclose(
-        AbbreviatedGravity.of(robot).torque(q), gravity, atol=1e-12 * np.abs(gravity).max()
+        sim.AbbreviatedGravity.of(robot).torque(q), gravity, atol=1e-12 * np.abs(gravity).max()
     )
     # What is left out is small: the hand's 0.09 kg at 0.032 m.
     whole = inverse_dynamics(robot)(q, still, still)
@@ -53,9 +53,9 @@ def test_gravity_compensation_is_gravity_without_the_wrist(
 def test_gravity_compensation_is_for_a_puma():
     robot = Manipulator.from_modified_dh([(0.0, 0.0, 0.0, 0.0)], name="stick")
     with pytest.raises(RobotError, match="robot 'stick': this gravity compensation is the P"):
-        AbbreviatedGravity.of(robot)
+        sim.AbbreviatedGravity.of(robot)
     with pytest.raises(RobotError, match="expected it along the z axis"):
-        AbbreviatedGravity.of(puma560().with_gravity((1.0, 0.0, -9.81)))
+        sim.AbbreviatedGravity.of(puma560().with_gravity((1.0, 0.0, -9.81)))
 
 
 def test_sinusoids_have_their_amplitude_period_and_phase():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification import fit_windows, motion_windows
+from scripts.studies.static_friction.windows import fit_windows, motion_windows
 
 
 def test_windows_end_where_a_joint_rests() -> None:

@@ -1,10 +1,11 @@
+"""Agreement of two machines of one design, coefficient by coefficient (Section 7.6)."""
+
 import dataclasses
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification.solver import Identification
-from ..network import CSLC
+from jaxcslc import CSLC, Identification
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +112,7 @@ def agreement(
     sensitivity: Float[Array | np.ndarray, " _"],
     truth: tuple[Float[Array | np.ndarray, " _"], Float[Array | np.ndarray, " _"]] | None = None,
 ) -> Agreement:
-    """Compares the identified coefficients of two machines of one design (Section 7.6).
+    """Compare the identified coefficients of two machines of one design (Section 7.6).
 
     The thesis judges a difference by its effect on the torque. Standard errors judge it too:
     recordings are independent, so the variance of a difference is the sum of both variances.
@@ -130,26 +131,6 @@ def agreement(
     **Raises**
 
     - `ValueError`: if a vector is not (p,), or a fit is of another network.
-
-    >>> import numpy as np, jax.numpy as jnp, jaxcslc as jc
-    >>> from jaxcslc.assessment import agreement
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> q, qd, qdd = np.random.default_rng(0).normal(size=(3, 500, 1))
-    >>> all_pairs, k = np.ones(q.shape, bool), jnp.array([0.5, 0.3, -0.1, 0.2, 0.05])
-    >>> noise = np.random.default_rng(1).normal(size=(2, 500, 1))
-    >>> fits = [
-    ...     jc.LeastSquares(errors="independent").fit(
-    ...         network,
-    ...         jc.Patterns(
-    ...             np.arange(500.0), q, qd, qdd, network.torque(k, q, qd, qdd) + error,
-    ...             all_pairs, all_pairs,
-    ...         ),
-    ...     )
-    ...     for error in noise
-    ... ]
-    >>> agreement(network, *fits, sensitivity=np.ones(5)).share_within(3.0)
-    1.0
     """
     vectors = {
         "first.k": first.k,

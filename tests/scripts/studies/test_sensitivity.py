@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 import sim
-from jaxcslc.assessment import output_sensitivity
 from jaxcslc.motion import as_recorded
+from scripts.studies.sensitivity import output_sensitivity
 
 
 def patterns_of(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> jc.Patterns:

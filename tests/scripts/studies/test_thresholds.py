@@ -1,7 +1,6 @@
-"""Thresholds of static friction refined on residuals, and how settings carry them."""
+"""Thresholds of static friction refined on residuals."""
 
 import dataclasses
-import json
 
 import jax
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import refine_thresholds, settings_document, settings_from
+from scripts.studies.thresholds import refine_thresholds
 
 
 INTERVAL = 0.002
@@ -117,40 +116,3 @@ def test_a_simulated_machine_whose_slopes_are_known(puma: jc.CSLC, puma_k: jax.A
     dry = [i for i, c in enumerate(puma.coefficients) if c.group == "dry"][:5]
     error, before = (np.abs(np.asarray(k - puma_k))[dry] for k in (refined.fit.k, first.k))
     assert np.sum(error) < 0.5 * np.sum(before)
-
-
-# Settings
-
-
-def test_thresholds_take_the_place_of_the_fraction(
-    pendulum: jc.CSLC, rng: np.random.Generator
-) -> None:
-    settings = SETTINGS.with_options(thresholds=(0.7,))
-    patterns = settings.patterns(swing(pendulum, rng))
-    assert np.array_equal(np.asarray(patterns.friction_mask), np.abs(np.asarray(patterns.qd)) > 0.7)
-    assert "thresholds 0.7," in str(settings)
-
-
-def test_thresholds_and_savitzky_golay_in_a_file() -> None:
-    preparation = jc.Preparation(jc.SavitzkyGolay(31, 4), thresholds=(0.1, 0.2))
-    settings = jc.Settings(preparation, jc.LeastSquares(cutoff=8.0))
-    assert settings_from(json.loads(json.dumps(settings_document(settings)))) == settings
-    assert str(settings).startswith("Savitzky-Golay of 31 samples and order 4,")
-
-
-def test_half_a_window_is_trimmed(pendulum: jc.CSLC, rng: np.random.Generator) -> None:
-    settings = jc.Settings(jc.Preparation(jc.SavitzkyGolay(31)))
-    assert settings.preparation.trimmed(swing(pendulum, rng)) == 15
-
-
-@pytest.mark.parametrize("wrong", [-0.1, float("nan"), float("inf")])
-def test_thresholds_that_make_no_sense(wrong: float) -> None:
-    with pytest.raises(ValueError, match="expected finite numbers, none below 0"):
-        jc.Preparation(thresholds=(0.1, wrong))
-
-
-def test_thresholds_of_another_number_of_joints(
-    pendulum: jc.CSLC, rng: np.random.Generator
-) -> None:
-    with pytest.raises(ValueError, match="one for each of the 1 joints"):
-        jc.Preparation(thresholds=(0.1, 0.2)).patterns(swing(pendulum, rng))

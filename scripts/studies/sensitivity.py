@@ -1,15 +1,16 @@
+"""Output sensitivity: the mean torque that a unit of each coefficient causes (Section 7.6)."""
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification.solver import filled_up
-from ..motion import Patterns
-from ..network import CSLC
+from jaxcslc import CSLC, Patterns
+from jaxcslc.identification.solver import filled_up
 
 
 def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coefficients"]:
-    """Mean torque that a unit of each coefficient causes over a recording (Section 7.6).
+    """Return the mean torque that a unit of each coefficient causes over a recording (Section 7.6).
 
     The mean modulus, over all joints and all patterns, of the network's torque when one
     coefficient is 1 and all others are 0. Torque is linear in the coefficients, so a
@@ -25,17 +26,6 @@ def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coef
       property of the motion, not of the samples that are fitted.
 
     **Returns** (p,) [N m, or N, per unit of the coefficient].
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.assessment import output_sensitivity
-    >>> network = jc.derive(jc.puma560())
-    >>> motion = 0.5 + np.arange(60.0).reshape(10, 6)
-    >>> all_pairs = np.ones((10, 6), bool)
-    >>> patterns = jc.Patterns(
-    ...     np.arange(10.0), motion, motion, motion, motion, all_pairs, all_pairs
-    ... )
-    >>> round(float(output_sensitivity(network, patterns)[network.names.index("kd3")]), 4)
-    0.1667
     """
     q, qd, qdd = (filled_up(x).T for x in (patterns.q, patterns.qd, patterns.qdd))
     # Padding rows are at rest, where gravity acts too: their weight is zero.

@@ -1,3 +1,5 @@
+"""Fits of simulated motion to recorded positions over windows: the output error method."""
+
 import dataclasses
 from typing import NamedTuple
 
@@ -6,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..motion import Recording
-from ..network import CSLC
-from .likelihood import runs
+from jaxcslc import CSLC, Recording
+from jaxcslc.identification.likelihood import runs
 
 
 _STEPS = 4  # of integration between two samples
@@ -51,12 +52,6 @@ def motion_windows(
     - `trim`: samples to leave out at both ends, where velocities are poor.
 
     **Returns** the windows, shorter ones padded.
-
-    >>> import numpy as np
-    >>> from jaxcslc.identification import motion_windows
-    >>> windows = motion_windows(np.ones((100, 1)), length=50, slowest=0.01, trim=10)
-    >>> windows.rows[:, 0].tolist(), windows.within.sum(axis=1).tolist()
-    ([10, 50], [40, 40])
     """
     resting = np.zeros(len(velocity), dtype=bool)
     resting[:trim] = resting[len(velocity) - trim :] = True

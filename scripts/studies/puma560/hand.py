@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification import torque_errors
-from ..identification.prediction import link_poses
-from ..motion import Patterns
-from ..network import CSLC
-from ..network.terms import JointProjection
+from jaxcslc import CSLC, Patterns
+from jaxcslc.identification import torque_errors
+from jaxcslc.identification.prediction import link_poses
+from jaxcslc.network.terms import JointProjection
 
 
 Numbers = Array | np.ndarray
@@ -50,15 +49,6 @@ def hand_effects(
     [m/s² per N m, or per N]. Not finite where M is singular, which it is for no possible bodies.
 
     **Raises** `ValueError` for a link that does not exist; `RobotError` for a length without value.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.assessment import hand_effects
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=())
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> k = np.array([2.0, 0.0, 0.0])
-    >>> effects = hand_effects(network, k, np.zeros(1), point=(0.5, 0.0, 0.0))
-    >>> np.round(effects[:, 0], 9).tolist()  # 1 N m accelerates 2 kg m² by 0.5 rad/s², at 0.5 m
-    [0.0, 0.25, 0.0]
     """
     robot = network.robot
     link = robot.joint_count if link is None else link
@@ -147,16 +137,6 @@ def hand_errors(
     **Returns** a `HandErrors`.
 
     **Raises** `ValueError` if no pattern has all joints in the mask; and as `hand_effects`.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.assessment import hand_errors
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=())
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> q, all_pairs, k = np.ones((10, 1)), np.ones((10, 1), bool), np.array([2.0, 0.1, 0.0])
-    >>> torque = np.asarray(network.torque(k, q, q, q)) + 0.4  # N m
-    >>> patterns = jc.Patterns(np.arange(10.0), q, q, q, torque, all_pairs, all_pairs)
-    >>> print(hand_errors(network, patterns, {"true": k}, k, point=(0.5, 0.0, 0.0)))
-    mean acceleration error of the hand [m/s²], 10 patterns: true 0.1
     """
     judged = np.all(np.asarray(patterns.mask), axis=1)
     if not np.any(judged):

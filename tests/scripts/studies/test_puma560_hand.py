@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.assessment import hand_effects, hand_errors
 from jaxcslc.identification.prediction import link_poses
 from jaxcslc.manipulator import LinkParameters, Manipulator
+from scripts.studies.puma560.hand import hand_effects, hand_errors
 
 
 ROWS = [(0.0, 0.0, 0.2, 0.0), (0.7, 0.3, 0.1, 0.0), (-1.1, 0.2, 0.15, 0.0), (0.4, 0.1, 0.0, 0.0)]

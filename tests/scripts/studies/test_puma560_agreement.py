@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.assessment import agreement
+from scripts.studies.puma560.agreement import agreement
 
 
 @pytest.fixture(scope="session")

@@ -1,16 +1,18 @@
+"""Regression of friction alone, beside fixed coefficients of the rigid bodies."""
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification.solver import Fixed, LeastSquares
-from ..motion import Patterns
-from ..network import CSLC
+from ...motion import Patterns
+from ...network import CSLC
+from ..solver import Fixed, LeastSquares
 
 
 def regress_friction(
     network: CSLC, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
 ) -> Float[Array, " k"]:
-    """Regresses friction alone, with fixed rigid-body coefficients (Eqn. 7.6-1).
+    """Regress friction alone, with fixed rigid-body coefficients (Eqn. 7.6-1).
 
     The thesis calls the result Ar+Rg, for Armstrong's coefficients: the torque that rigid-body
     coefficients do not explain is regressed against the friction inputs of each joint, over the

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.assessment import sign_check
+from scripts.studies.puma560.sign_check import sign_check
 
 
 def test_possible_machines_pass(puma: jc.CSLC, puma_k: jax.Array) -> None:

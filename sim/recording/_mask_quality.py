@@ -1,9 +1,11 @@
+"""Quality of a mask: how many of the samples that a simulator disturbed it leaves out."""
+
 import dataclasses
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._text_table import text_table
+from jaxcslc.identification.report import text_table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +81,7 @@ def mask_quality(
     kept: Bool[Array | np.ndarray, "_ _"],
     disturbed: Bool[Array | np.ndarray, "_ _"],
 ) -> MaskQuality:
-    """Compares a mask with a record of the samples that it should leave out.
+    """Compare a mask with a record of the samples that it should leave out.
 
     For the backlash mask of Eqn. 2.5-7: `patterns.backlash_mask` against a simulator's record of
     when the gears were apart. The mask should leave out every such sample, and loses good ones too.
@@ -96,10 +98,10 @@ def mask_quality(
     - `ValueError`: if the shapes differ.
 
     >>> import numpy as np
-    >>> from jaxcslc.assessment import mask_quality
+    >>> import sim
     >>> kept = np.array([[True], [False], [False], [True], [False]])
     >>> apart = np.array([[False], [True], [True], [True], [False]])
-    >>> print(mask_quality(kept, apart))
+    >>> print(sim.mask_quality(kept, apart))
     joint  disturbed  left out  caught  caught share  lost share  precision
     1              3         3       2         66.7%       50.0%      66.7%
     all            3         3       2         66.7%       50.0%      66.7%

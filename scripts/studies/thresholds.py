@@ -1,18 +1,19 @@
+"""Thresholds of static friction from the residuals of a fit, refined until they converge (7.5)."""
+
 import dataclasses
 
 import numpy as np
 from jaxtyping import Float
 
-from ..motion import (
+from jaxcslc import CSLC, Identification, Settings
+from jaxcslc.identification.solver import regressor_of
+from jaxcslc.motion import (
     Patterns,
     Recording,
     StaticFriction,
     friction_thresholds,
     thresholds_from_residuals,
 )
-from ..network import CSLC
-from ._settings import Settings
-from .solver import Identification, regressor_of
 
 
 # Thresholds that change by less than this part of themselves have converged: they are known to a
@@ -34,17 +35,6 @@ class Refinement:
     - `rounds`: the thresholds that each fit was made with, from the first to `fit`'s, each (n,)
       [rad/s or m/s].
     - `converged`: whether the last change was small; if not, the rounds ran out.
-
-    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t = np.arange(2000)[:, None] * 0.002
-    >>> q, qd, qdd = np.sin(5 * t), 5 * np.cos(5 * t), -25 * np.sin(5 * t)
-    >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.2, 0.05]), q, qd, qdd))
-    >>> recording = jc.Recording(t[:, 0], 1e-4 * np.round(q / 1e-4), torque)
-    >>> refined = jc.refine_thresholds(network, recording)
-    >>> len(refined.rounds) >= 2, refined.patterns.joints
-    (True, 1)
     """
 
     settings: Settings
@@ -63,7 +53,7 @@ def refine_thresholds(
     fraction: float = 0.01,
     rounds: int = 4,
 ) -> Refinement:
-    """Fits, takes the thresholds of static friction from the residuals, and fits again (7.5).
+    """Fit, take the thresholds of static friction from the residuals, and fit again (7.5).
 
     The thesis starts with one hundredth of each joint's greatest speed. Once the network fits well
     enough for static friction to show, it updates the thresholds to the speeds above which
@@ -97,19 +87,6 @@ def refine_thresholds(
     **Raises**
 
     - `ValueError`: fewer than one round, or as `Settings.patterns` and `Settings.fit`.
-
-    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
-    >>> from jaxcslc.identification import refine_thresholds
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(4000)[:, None] * 0.002
-    >>> q, qd, qdd = np.sin(5 * t), 5 * np.cos(5 * t), -25 * np.sin(5 * t)
-    >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> static = 0.1 * np.sign(qd) * np.exp(-np.abs(qd) / 0.2)
-    >>> recording = jc.Recording(t[:, 0], 1e-4 * np.round(q / 1e-4), torque + static)
-    >>> refined = refine_thresholds(network, recording)
-    >>> bool(0.5 < refined.rounds[-1][0] < 1.3)
-    True
     """
     if rounds < 1:
         raise ValueError(f"{rounds} rounds; expected 1 or more")

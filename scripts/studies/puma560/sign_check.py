@@ -1,9 +1,11 @@
+"""Signs of coefficients that are positive by construction (Section 5.2.3)."""
+
 import dataclasses
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..network import CSLC
+from jaxcslc import CSLC
 
 
 _RIGHT, _WITHIN, _WRONG = "right", "within its error", "wrong"
@@ -60,7 +62,7 @@ def sign_check(
     k: Float[Array | np.ndarray, " _"],
     standard_error: Float[Array | np.ndarray, " _"] | None = None,
 ) -> SignCheck:
-    """Checks the signs of coefficients against their algebra (Section 5.2.3).
+    """Check the signs of coefficients against their algebra (Section 5.2.3).
 
     A coefficient that is a sum of masses, moments of inertia and squares must be positive
     whatever the robot weighs; a negative estimate is certainly wrong. The thesis
@@ -78,14 +80,6 @@ def sign_check(
     **Raises**
 
     - `ValueError`: if `k` or `standard_error` are not (p,).
-
-    >>> import jaxcslc as jc
-    >>> from jaxcslc.assessment import sign_check
-    >>> robot = jc.puma560()
-    >>> network = jc.derive(robot)
-    >>> k = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
-    >>> print(sign_check(network, k.at[network.names.index("kM6")].set(-0.2)))
-    21 of 22 coefficients that must be positive are; wrong: kM6
     """
     values = np.asarray(k)
     errors = None if standard_error is None else np.asarray(standard_error)
