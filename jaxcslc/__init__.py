@@ -30,7 +30,6 @@ if TYPE_CHECKING:
         PhysicalParameters as PhysicalParameters,
         Refinement as Refinement,
         Report as Report,
-        SavedReport as SavedReport,
         Selection as Selection,
         Settings as Settings,
         SlopeFit as SlopeFit,
