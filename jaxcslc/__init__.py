@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         PayloadReport as PayloadReport,
         PhysicalParameters as PhysicalParameters,
         Report as Report,
-        SavedReport as SavedReport,
         Selection as Selection,
         Settings as Settings,
         SlopeFit as SlopeFit,

@@ -48,7 +48,7 @@ class TestIdentify:
         _, output = identified
         names = {path.name for path in output.iterdir()}
         assert names == {
-            *("index.html", "coefficients.csv", "identification.json"),
+            *("index.html", "coefficients.csv", "identification.json", "charts.json"),
             *("errors_training.csv", "torque_training.csv"),
             *("errors_validation.csv", "torque_validation.csv"),
         }

@@ -26,6 +26,7 @@ COMMON = {
         "_chunks",
         "_environment",
         "_field_types",
+        "_plain_data",
         "_processes",
         "_rank",
         "_scratch",

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ..export import c_code, export_robot, write_c
-from ..identification.report import SavedReport, load_report
+from ..identification.report import Report, load_report
 from ._common import (
     BUNDLED,
     BaseOption,
@@ -88,7 +88,7 @@ def export_command(
     typer.echo(with_notes(text, saved.network.robot))
 
 
-def _written_c(saved: SavedReport, output: Path | None) -> str:
+def _written_c(saved: Report, output: Path | None) -> str:
     """Writes C code. **Returns** what is printed of it."""
     if saved.pre_sliding is None:
         code = c_code(saved.network, saved.fit.k)
@@ -104,7 +104,7 @@ def _written_c(saved: SavedReport, output: Path | None) -> str:
     return f"operations: {counts}\nwrote {source} and {header}{note}"
 
 
-def _pre_sliding(saved: SavedReport, what: str) -> str:
+def _pre_sliding(saved: Report, what: str) -> str:
     """A line of what becomes of joints that yield before they slide, if any do."""
     if saved.pre_sliding is None:
         return ""

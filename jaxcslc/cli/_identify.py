@@ -16,7 +16,6 @@ from ..identification import (
 )
 from ..identification.possible import Choice
 from ..identification.report import (
-    SavedReport,
     check_output_folder,
     load_report,
     load_settings,
@@ -164,7 +163,7 @@ def _check_output(context: CommandContext, output: Path) -> None:
 def _identified(
     context: CommandContext,
     robot: Manipulator,
-    saved: SavedReport | None,
+    saved: Report | None,
     files: tuple[Sequence[Path], Path | None],
     settings: Settings | None,
     options: Mapping[str, Any],
@@ -189,7 +188,7 @@ def _identified(
     )
 
 
-def _network(context: CommandContext, robot: Manipulator, saved: SavedReport | None) -> CSLC:
+def _network(context: CommandContext, robot: Manipulator, saved: Report | None) -> CSLC:
     """That of a previous report, or with the friction of the options or of the robot's file."""
     if saved is not None:
         return saved.network
@@ -201,7 +200,7 @@ def _network(context: CommandContext, robot: Manipulator, saved: SavedReport | N
 
 def _previous_report(
     context: CommandContext, robot: Manipulator, path: Path | None
-) -> SavedReport | None:
+) -> Report | None:
     """The identification that `--previous` names, of which a part is to be fitted again."""
     if (context.params["reidentify"] is None) != (path is None):
         raise ValueError("--reidentify and --previous: expected both or neither")
@@ -212,7 +211,7 @@ def _previous_report(
     return load_report(path, robot)
 
 
-def _refitted(saved: SavedReport | None, groups: str | None) -> dict[str, Any]:
+def _refitted(saved: Report | None, groups: str | None) -> dict[str, Any]:
     """What is fitted again, as arguments of `identify`."""
     return {
         "previous": None if saved is None else saved.fit,
@@ -263,7 +262,7 @@ def _written(
     return f"{report}\n\n{report.verdict}\n\nwrote " + ", ".join(str(path) for path in paths)
 
 
-def _settings(path: Path | None, saved: SavedReport | None) -> Settings | None:
+def _settings(path: Path | None, saved: Report | None) -> Settings | None:
     """Those of a file, or of a previous report, or none."""
     if path is not None:
         return load_settings(path)

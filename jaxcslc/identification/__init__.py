@@ -82,8 +82,6 @@ from .report import (
     PayloadReport as PayloadReport,
     Report as Report,
     ReportComparison as ReportComparison,
-    SavedReport as SavedReport,
-    SavedResult as SavedResult,
     Verdict as Verdict,
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,

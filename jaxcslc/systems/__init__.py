@@ -12,7 +12,11 @@ from ._recording import (
     SystemRecording as SystemRecording,
     load_system_recording as load_system_recording,
 )
-from ._report import SystemReport as SystemReport, save_derivation as save_derivation
+from ._report import (
+    SystemReport as SystemReport,
+    load_system_report as load_system_report,
+    save_derivation as save_derivation,
+)
 from ._search_result import ConstantSearch as ConstantSearch, Minimum as Minimum
 from ._simulation import Simulation as Simulation, simulate_system as simulate_system
 from ._system import System as System

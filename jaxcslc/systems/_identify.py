@@ -134,18 +134,18 @@ def identify_system(
         settings,
         fit,
         MappingProxyType(patterns),
-        MappingProxyType(errors),
-        degree_of_excitation(network, patterns["training"]),
-        held_out,
-        (
+        errors=MappingProxyType(errors),
+        excitation=degree_of_excitation(network, patterns["training"]),
+        held_out=held_out,
+        warnings=(
             *held_out.warnings,
             *uncorrected,
             *_warnings(network, fit, patterns["training"], errors["training"]),
         ),
-        search,
-        simulation,
-        constants,
-        correction,
+        search=search,
+        simulation=simulation,
+        constants=constants,
+        correction=correction,
     )
 
 

@@ -12,8 +12,9 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.identification import compare_reports
-from jaxcslc.identification.report import fit_quality, report_data
-from jaxcslc.identification.report.page._bodies import ellipsoid_of, link_poses
+from jaxcslc.identification.prediction import link_poses
+from jaxcslc.identification.report import fit_quality
+from jaxcslc.identification.report.sections._arm import ellipsoid_of
 from jaxcslc.manipulator import LinkParameters
 
 
@@ -90,7 +91,9 @@ def saved(reports: tuple[jc.Report, jc.Report], tmp_path_factory: pytest.TempPat
     """A folder with both reports, as a and b."""
     folder = tmp_path_factory.mktemp("saved")
     for name, report in zip("ab", reports, strict=True):
-        report.save(folder / name, findings=("A gap of 3 s.",), command="jaxcslc identify <x>")
+        gap = jc.DataCheck((), (jc.Finding("gap", "", "A gap of 3 s", "lost rows", "again"),))
+        checked = dataclasses.replace(report, data_check=gap)
+        checked.save(folder / name, command="jaxcslc identify <x>")
     return folder
 
 
@@ -135,9 +138,7 @@ def test_verdict_stands_first_and_is_that_of_the_numbers(
     wrong = dataclasses.replace(
         reports[0], fit=dataclasses.replace(reports[0].fit, k=-reports[0].k)
     )
-    from jaxcslc.identification.report.page import report_page
-
-    page = report_page(report_data(wrong), charts=False)
+    page = wrong.page(charts=False)
     assert page.tone == "bad" and page.headline.startswith("Do not rely")
     assert any("check units, signs" in message.text for message in page.summary)
 
@@ -161,7 +162,9 @@ def test_quality_by_definition(rng: np.random.Generator) -> None:
 def test_friction_is_what_other_terms_leave(reports: tuple[jc.Report, jc.Report]) -> None:
     """Without noise in the model, its points lie on viscous and dry friction's line."""
     report = reports[0]
-    points = report_data(report)["friction"][1]["model"]
+    section = report.section("friction_points")
+    assert section is not None
+    points = section.data["friction_points"][1]["model"]
     viscous, dry = (float(report.k[report.network.names.index(name)]) for name in ("kv2", "kd2"))
     velocity = np.array(points["x"])
     np.testing.assert_allclose(
@@ -193,7 +196,9 @@ def test_bodies_are_drawn_where_they_are(reports: tuple[jc.Report, jc.Report]) -
     poses = link_poses(report.network.robot, np.array([0.3, 0.4]))
     np.testing.assert_allclose(poses[1][:3, 3], [0.5 * np.cos(0.3), 0.5 * np.sin(0.3), 0.0])
     bodies = jc.physical_parameters(report.network, report.fit)
-    data = report_data(dataclasses.replace(report, bodies=bodies), bodies=bodies)["bodies"]
+    section = dataclasses.replace(report, bodies=bodies).section("possible")
+    assert section is not None
+    data = section.data["bodies"]
     assert [link["mass"] for link in data["links"]] == [float(link.mass) for link in bodies.links]
     assert len(data["arm"]["bodies"]) == 2
 

@@ -8,7 +8,6 @@ import pytest
 import jaxcslc as jc
 from jaxcslc.cli._common import recordings_of
 from jaxcslc.identification import fit_recordings
-from jaxcslc.identification.report import report_data, report_page
 from jaxcslc.identification.solver import LeastSquares
 from jaxcslc.page import Table
 
@@ -150,7 +149,7 @@ class TestIdentify:
         # What smoothing 50 Hz does to coefficients of motion below 0.3 Hz.
         np.testing.assert_allclose(report.k, K, rtol=0.05, atol=0.02)
         assert "validation" in report.errors and "a: " in str(report)
-        page = report_page(report_data(report, several=report.several), charts=False)
+        page = report.page(charts=False)
         (table,) = (
             b for b in page.sections[0].blocks if isinstance(b, Table) and b.name == "several"
         )

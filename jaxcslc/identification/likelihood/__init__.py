@@ -2,6 +2,7 @@ from ._comparison import (
     Estimator as Estimator,
     EstimatorComparison as EstimatorComparison,
     calibration_lines as calibration_lines,
+    estimator_text as estimator_text,
     lengths_line as lengths_line,
 )
 from ._left_out import LeftOut as LeftOut

@@ -92,24 +92,36 @@ class EstimatorComparison:
         }
 
     def __str__(self) -> str:
-        likelihood = self.likelihood
-        lines = [f"estimators, {self.source} RMS over judged samples (over all), joint by joint:"]
-        for name, values in self.rms.items():
-            pairs = zip(values, self.rms_all_samples[name], strict=True)
-            lines.append(
-                f"    {name}: {', '.join(f'{judged:.4g} ({every:.4g})' for judged, every in pairs)}"
-            )
+        return estimator_text(self.document(), self.units)
+
+
+def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
+    """Return what a report says of estimators beside each other.
+
+    **Arguments**
+
+    - `document`: an `EstimatorComparison.document`.
+    - `units`: of each joint's torque.
+    """
+    relative = RelativeError(document["change"], document["change_error"], 0)
+    lines = [
+        f"estimators, {document['held_out']} RMS over judged samples (over all), joint by joint:"
+    ]
+    for name, values in document["rms"].items():
+        pairs = zip(values, document["rms_all_samples"][name], strict=True)
         lines.append(
-            "    with positions estimated, the misfit of maximum likelihood is"
-            f" {self.relative} beside that of least squares; the coefficients are those of"
-            f" {self.used}"
+            f"    {name}: {', '.join(f'{judged:.4g} ({every:.4g})' for judged, every in pairs)}"
         )
-        if likelihood.lengths.any():
-            lines.append(f"    {lengths_line(likelihood.lengths.tolist(), self.units)}")
-        lines += [f"    {line}" for line in calibration_lines(self.document())]
-        if likelihood.selection is not None:
-            lines += [f"    {line}" for line in likelihood.selection.lines]
-        return "\n".join(lines)
+    lines.append(
+        f"    with positions estimated, the misfit of maximum likelihood is {relative} beside that"
+        f" of least squares; the coefficients are those of {document['used']}"
+    )
+    if document["lengths"] is not None:
+        lines.append(f"    {lengths_line(document['lengths'], units)}")
+    lines += [f"    {line}" for line in calibration_lines(document)]
+    if document["selection"] is not None:
+        lines += [f"    {line}" for line in document["selection"]["lines"]]
+    return "\n".join(lines)
 
 
 def calibration_lines(comparison: Mapping[str, Any]) -> list[str]:

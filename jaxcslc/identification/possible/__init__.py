@@ -17,4 +17,5 @@ from ._possible_fit import (
     PossibleFit as PossibleFit,
     judged_bodies as judged_bodies,
     possible_fit as possible_fit,
+    possible_text as possible_text,
 )

@@ -205,16 +205,25 @@ class PossibleFit:
         }
 
     def __str__(self) -> str:
-        ratio = self.held_out.held_out / self.free_held_out.held_out
-        relative = RelativeError(self.change, self.change_error, 0)
-        lines = [
-            f"possible bodies: {self.held_out.source} RMS over that of the free fit, joint by"
-            f" joint: {', '.join(f'{value:.3g}' for value in ratio)}; on average {relative}, so"
-            f" {'their' if self.used else 'the free'} coefficients are used",
-            f"    {self.parameters.distance:.3g} standard errors (root mean square) from the free"
-            " fit, by independent residuals",
-        ]
-        return "\n".join(lines)
+        return possible_text(self.document())
+
+
+def possible_text(document: Mapping[str, Any]) -> str:
+    """Return what a report says of possible bodies.
+
+    **Arguments**
+
+    - `document`: a `PossibleFit.document`.
+    """
+    rms = (np.array(document[name], float) for name in ("held_out_rms", "free_held_out_rms"))
+    ratio = ", ".join(f"{value:.3g}" for value in np.divide(*rms))
+    relative = RelativeError(document["change"], document["change_error"], 0)
+    return (
+        f"possible bodies: {document['held_out']} RMS over that of the free fit, joint by joint:"
+        f" {ratio}; on average {relative}, so {'their' if document['used'] else 'the free'}"
+        f" coefficients are used\n    {document['distance']:.3g} standard errors (root mean square)"
+        " from the free fit, by independent residuals"
+    )
 
 
 def possible_fit(

@@ -145,18 +145,32 @@ def load_prior(path: str | Path) -> Prior:
     link 3: mass 2.4 ± 0.1
     """
     path = Path(path)
-    document = toml_document(path, "file of priors", ValueError)
+    return prior_from(toml_document(path, "file of priors", ValueError), str(path))
+
+
+def prior_from(document: Mapping[str, Any], where: str) -> Prior:
+    """Return what is known before, from tables as `Prior.document` returns them.
+
+    **Arguments**
+
+    - `document`: with entries `coefficients` and `links`, either of which may be missing.
+    - `where`: they were read, for messages.
+
+    **Raises**
+
+    - `ValueError`: they hold something else; the message names the entry.
+    """
     if unknown := sorted(document.keys() - {"coefficients", "links"}):
-        raise ValueError(f"{path}: unknown entry {unknown[0]!r}; expected coefficients or links")
-    coefficients = _known_values(document.get("coefficients", {}), f"{path}, coefficients")
-    tables = _table(document.get("links", {}), f"{path}, links")
+        raise ValueError(f"{where}: unknown entry {unknown[0]!r}; expected coefficients or links")
+    coefficients = _known_values(document.get("coefficients", {}), f"{where}, coefficients")
+    tables = _table(document.get("links", {}), f"{where}, links")
     links = {
-        name: _known_values(values, f"{path}, links, {name}") for name, values in tables.items()
+        name: _known_values(values, f"{where}, links, {name}") for name, values in tables.items()
     }
     try:
         return Prior(coefficients, links)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{where}: {error}") from None
 
 
 def _known_values(values: Any, where: str) -> dict[str, Known]:

@@ -1,3 +1,5 @@
+"""Reports of identifications: lists of sections, written and read back."""
+
 from ..._text_table import text_table as text_table
 from ._coefficient_table import (
     coefficient_rows as coefficient_rows,
@@ -18,34 +20,34 @@ from ._errors import (
     torque_errors as torque_errors,
 )
 from ._excitation import Excitation as Excitation, degree_of_excitation as degree_of_excitation
+from ._load import (
+    load_report as load_report,
+    load_settings as load_settings,
+    read_report as read_report,
+)
 from ._output import (
     all_or_nothing as all_or_nothing,
     check_output_folder as check_output_folder,
+    replaced_files as replaced_files,
     write_csv as write_csv,
     write_json as write_json,
 )
 from ._payload_report import PayloadReport as PayloadReport
-from ._report import Report as Report
-from ._report_files import (
-    quality_document as quality_document,
-    replaced_files as replaced_files,
-    save_report as save_report,
-)
-from ._report_text import (
-    determination_lines as determination_lines,
-    held_out_lines as held_out_lines,
-)
-from ._saved import (
-    SavedReport as SavedReport,
-    load_report as load_report,
-    load_settings as load_settings,
-)
-from ._saved_result import SavedResult as SavedResult
+from ._report import AbstractReport as AbstractReport, Report as Report
+from ._section import AbstractSection as AbstractSection
 from ._verdicts import Verdict as Verdict, verdicts as verdicts
 from ._warnings import condition_warning as condition_warning, fit_warnings as fit_warnings
-from .page import (
+from .sections import (
+    SECTIONS as SECTIONS,
+    CoefficientSection as CoefficientSection,
+    CurveSection as CurveSection,
+    ErrorSection as ErrorSection,
+    ExcitationSection as ExcitationSection,
+    HeldOutSection as HeldOutSection,
+    QualitySection as QualitySection,
+    RecordingSection as RecordingSection,
+    RepeatSection as RepeatSection,
+    SettingsSection as SettingsSection,
+    WarningSection as WarningSection,
     fit_quality as fit_quality,
-    report_data as report_data,
-    report_page as report_page,
-    summary_text as summary_text,
 )

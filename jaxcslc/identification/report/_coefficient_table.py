@@ -8,6 +8,7 @@ from ...network import AbstractLinearNetwork
 from ..solver import Identification
 from ..systematic import SystematicError, uncertainty_interval
 from ._excitation import Excitation
+from ._model_description import ModelDescription
 from ._verdicts import verdicts
 
 
@@ -18,7 +19,7 @@ _HEADERS = {"standard_error": "std error", "systematic_error": "systematic"}
 
 
 def coefficient_rows(
-    network: AbstractLinearNetwork,
+    network: AbstractLinearNetwork | ModelDescription,
     fit: Identification | None = None,
     reference: Mapping[str, Float[Array | np.ndarray, " _"]] | None = None,
     *,

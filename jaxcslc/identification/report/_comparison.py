@@ -1,5 +1,6 @@
+"""Two reports side by side."""
+
 import dataclasses
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,16 +13,14 @@ from ..._text_table import text_table
 from ...page import (
     Column,
     Message,
-    Messages,
     Page,
-    Paragraph,
     Section,
     Table,
     Tone,
-    Value,
     render,
 )
-from ._saved_result import SavedResult
+from ._load import read_report
+from ._report import Report
 
 
 # Standard errors beyond which a difference is listed as one.
@@ -30,7 +29,6 @@ _NOTABLE = 2.0
 _CHANCE = 0.01
 # Rows of the printed table.
 _PRINTED = 15
-_SAMPLES = {"judged": "samples that masks leave in", "all": "all samples"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,7 +39,8 @@ class ReportComparison:
 
     **Attributes**
 
-    - `first`, `second`: the two.
+    - `names`: of the two folders or files.
+    - `first`, `second`: the two reports.
     - `rows`: one a coefficient of either: `name`, `unit`, `first`, `second`, `difference`
       (second less first) and `standard_errors`, the difference over the root of the sum of both
       variances, systematic errors included. None where only one has the coefficient, where it
@@ -65,8 +64,9 @@ class ReportComparison:
     [0.1, 0.0]
     """
 
-    first: SavedResult
-    second: SavedResult
+    names: tuple[str, str]
+    first: Report
+    second: Report
     rows: tuple[Mapping[str, Any], ...]
 
     @property
@@ -77,19 +77,15 @@ class ReportComparison:
     def page(self) -> Page:
         """The comparison as a `jaxcslc.page.Page`."""
         tone, headline, messages = self.verdict
-        robots = dict.fromkeys(name for name in (self.first.robot, self.second.robot) if name)
+        reports = (self.first, self.second)
+        robots = dict.fromkeys(report.model.name for report in reports if report.model.name)
         return Page(
-            title=f"Comparison of {self.first.name} and {self.second.name}",
+            title=f"Comparison of {' and '.join(self.names)}",
             subtitle=", ".join(robots),
             headline=headline,
             tone=tone,
             summary=messages,
-            sections=(
-                _coefficient_section(self),
-                _error_section(self),
-                _settings_section(self),
-                _warning_section(self),
-            ),
+            sections=(_coefficient_section(self), *_compared_sections(self)),
         )
 
     def save(self, path: str | Path) -> None:
@@ -157,30 +153,31 @@ def compare_reports(first: str | Path, second: str | Path) -> ReportComparison:
     >>> [row["name"] for row in comparison.rows]
     ['kB1', 'kv1', 'kd1']
     """
-    a, b = SavedResult.load(first), SavedResult.load(second)
-    names = dict.fromkeys((*a.fit.names, *b.fit.names))
-    if len(names) == len(a.fit.names) + len(b.fit.names):
+    a, b = read_report(first, Report), read_report(second, Report)
+    columns = [_values(a, first), _values(b, second)]
+    names = dict.fromkeys((*a.names, *b.names))
+    if len(names) == len(a.names) + len(b.names):
         raise ValueError(f"{first} and {second} have no coefficient in common")
-    columns = [_values(a), _values(b)]
-    return ReportComparison(a, b, tuple(_row(name, *columns) for name in names))
+    rows = tuple(_row(name, *columns) for name in names)
+    return ReportComparison((str(first), str(second)), a, b, rows)
 
 
-def _values(result: SavedResult) -> dict[str, dict[str, Any]]:
-    """By coefficient its value, uncertainty, unit and expression."""
-    names = result.fit.names
-    expressions = result.entry("expressions", [])
-    fixed = {str(name) for name in result.entry("fixed", [])}
-    units = result.entry("units", [])
-    k, determined = np.asarray(result.fit.k), np.asarray(result.fit.determined)
+def _values(report: Report, path: str | Path) -> dict[str, dict[str, Any]]:
+    """Return by coefficient its value, uncertainty, unit and expression."""
+    k, determined = np.asarray(report.k), np.asarray(report.fit.determined)
+    try:
+        uncertainty = np.where(determined, report.standard_errors, np.inf)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     return {
-        name: {
+        coefficient.name: {
             "value": float(k[i]),
-            "uncertainty": float(result.uncertainty[i]) if determined[i] else float("inf"),
-            "fixed": name in fixed,
-            "unit": str(units[i]) if len(units) == len(names) else "",
-            "expression": str(expressions[i]) if len(expressions) == len(names) else None,
+            "uncertainty": float(uncertainty[i]),
+            "fixed": coefficient.name in report.fixed_names,
+            "unit": coefficient.unit,
+            "expression": coefficient.expression or None,
         }
-        for i, name in enumerate(names)
+        for i, coefficient in enumerate(report.model.coefficients)
     }
 
 
@@ -258,7 +255,7 @@ def _verdict(comparison: ReportComparison) -> tuple[Tone, str, tuple[Message, ..
     if apart:
         things = "coefficient" if apart == 1 else "coefficients"
         messages.append(Message(f"{apart} {things} cannot be compared.", "caution"))
-    robots = comparison.first.robot, comparison.second.robot
+    robots = comparison.first.model.name, comparison.second.model.name
     if robots[0] != robots[1]:
         messages.append(Message(f"Of different robots: {robots[0]} and {robots[1]}.", "caution"))
     headline = (
@@ -291,83 +288,13 @@ def _coefficient_section(comparison: ReportComparison) -> Section:
     )
 
 
-_QUALITIES = {"rms": "RMS", "percent": "% of RMS torque", "r_squared": "R²"}
-
-
-def _qualities(result: SavedResult) -> dict[str, dict[str, Any]]:
-    """The errors that a file has of each recording, those that have a number for each joint."""
-    joints = len(result.entry("joints", []))
-    whole: dict[str, dict[str, Any]] = {}
-    for recording, tables in result.entry("quality", {}).items():
-        try:
-            lists = [tables[samples][name] for samples in _SAMPLES for name in _QUALITIES]
-            numbers = np.array(lists, dtype=float)  # null is NaN
-        except (KeyError, TypeError, ValueError):
-            continue
-        if numbers.shape == (len(lists), joints):
-            whole[recording] = tables
-    return whole
-
-
-def _error_section(comparison: ReportComparison) -> Section:
-    results = comparison.first, comparison.second
-    qualities = [_qualities(result) for result in results]
-    joints = [result.entry("joints", []) for result in results]
-    tables: list[Table | Paragraph] = []
-    for recording in qualities[0]:
-        if recording not in qualities[1] or joints[0] != joints[1]:
-            continue
-        for samples, meaning in _SAMPLES.items():
-            values = [quality[recording][samples] for quality in qualities]
-            columns = [Column("joint", numeric=False)]
-            cells: list[list[Value]] = [list(joints[0])]
-            for name, title in _QUALITIES.items():
-                for which, value in zip(("first", "second"), values, strict=True):
-                    columns.append(Column(f"{title}, {which}"))
-                    cells.append(list(value[name]))
-            rows = tuple(zip(*cells, strict=True))
-            tables.append(Table(tuple(columns), rows, f"{recording} recording, {meaning}"))
-    if not tables:
-        tables.append(Paragraph("The files have no errors of the same joints to compare."))
-    return Section(
-        "Errors",
-        "Measured less predicted, each on its recordings: root mean square (RMS) in N m or N, in %"
-        " of the RMS torque, and R², the share of the variance that the model explains.",
-        tables,
-    )
-
-
-def _settings_section(comparison: ReportComparison) -> Section:
-    flat = [dict(_flat(r.entry("settings", {}))) for r in (comparison.first, comparison.second)]
-    names = dict.fromkeys((*flat[0], *flat[1]))
-    rows = tuple(
-        (name, flat[0].get(name, ""), flat[1].get(name, ""))
-        for name in names
-        if flat[0].get(name) != flat[1].get(name)
-    )
-    columns = tuple(
-        Column(name, numeric=False, wide=True) for name in ("setting", "first", "second")
-    )
-    blocks = [Table(columns, rows)] if rows else [Paragraph("All settings are equal.")]
-    return Section("Settings", "Those that differ.", blocks)
-
-
-def _warning_section(comparison: ReportComparison) -> Section:
-    messages = tuple(
-        Message(f"{which}: {text}")
-        for which, result in (("first", comparison.first), ("second", comparison.second))
-        for text in result.entry("warnings", [])
-    )
-    return Section("Warnings", "", [Messages(messages, empty="Neither has any.")])
-
-
-def _flat(document: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Nested entries as texts, named by their path."""
-    for name, value in document.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{above}{name}.")
-        else:
-            yield f"{above}{name}", json.dumps(value, ensure_ascii=False)
+def _compared_sections(comparison: ReportComparison) -> Iterator[Section]:
+    """Yield how sections differ, in the order of the page; what is said of the data stands last."""
+    kinds = sorted(Report.kinds, key=lambda kind: (kind.position < 10, kind.position))
+    for kind in kinds:
+        pair = (comparison.first.section(kind.name), comparison.second.section(kind.name))
+        if (section := kind.compared(pair)) is not None:
+            yield section
 
 
 def _size(row: Mapping[str, Any]) -> float:

@@ -6,8 +6,8 @@ from typing import Any
 from ...derivation import StructuralIdentifiability, structural_identifiability
 from ...network import CSLC
 from ._coefficient_table import coefficient_rows, coefficient_text
+from ._model_description import expression_legend, joint_lines, legend_text
 from ._output import all_or_nothing, write_csv, write_json
-from ._report_text import expression_text, joint_lines
 
 
 # Counting the tables of 12 right-angled joints takes ten times as long as all the rest.
@@ -89,7 +89,7 @@ class DerivationReport:
         heading = "\n".join([str(network), *joint_lines(network)])
         lines = [
             f"{heading}\n{sizes}\n\n{coefficient_text(coefficient_rows(network))}\n",
-            f"{expression_text(network)}\n",
+            f"{legend_text(expression_legend(network))}\n",
             _identifiability(self.identifiability),
             *([_COUPLED] if network.robot.coupled else []),
             *([_FOLLOWING] if network.joint_count < network.robot.joint_count else []),

@@ -1,3 +1,5 @@
+"""Files of reports: a folder of them, all or none; CSV and JSON."""
+
 import contextlib
 import csv
 import json
@@ -5,12 +7,21 @@ import math
 import os
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Array
 
 from ..._scratch import scratch_folder
+from ...page import render
+
+
+if TYPE_CHECKING:
+    from ._report import AbstractReport
+
+
+_RECORDINGS = ("training", "validation")
+_FILES = ("index.html", "coefficients.csv", "identification.json", "charts.json")
 
 
 def check_output_folder(folder: Path) -> None:
@@ -40,6 +51,80 @@ def all_or_nothing(folder: Path) -> Generator[Path]:
         folder.mkdir(exist_ok=True)
         for path in sorted(scratch.iterdir()):
             os.replace(path, folder / path.name)
+
+
+def write_report(
+    folder: Path, report: "AbstractReport[Any]", *, pictures: bool
+) -> tuple[Path, ...]:
+    """Writes a report into a folder: all of its files or, if writing fails, none.
+
+    Files of these names that an earlier report left and this one does not have are removed.
+
+    **Returns** the files. **Raises** as `Report.save`.
+    """
+    with all_or_nothing(folder) as scratch:
+        page = render(report.page(charts=pictures))
+        (scratch / "index.html").write_text(page, encoding="utf-8")
+        for section in report.sections:
+            for name, rows in section.tables(report).items():
+                write_csv(scratch / name, rows)
+        for name, entries in report.documents(charts=pictures).items():
+            write_json(scratch / name, entries)
+        for name in report.patterns:
+            _write_torque(scratch / _torque_file(name, report.model.output_quantity), report, name)
+        names = sorted(path.name for path in scratch.iterdir())
+    for path in replaced_files(folder):
+        if path.name not in names:
+            path.unlink(missing_ok=True)
+    return tuple(folder / name for name in sorted(names, key=_order))
+
+
+def _order(name: str) -> tuple[int, str]:
+    """The page first, then what all reports have, then files of recordings."""
+    return (_FILES.index(name) if name in _FILES else len(_FILES), name.partition("_")[2] + name)
+
+
+def _torque_file(recording: str, quantity: str) -> str:
+    return f"{quantity.replace(' ', '_')}_{recording}.csv"
+
+
+def replaced_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that a report written into it may replace or remove."""
+    of_recordings = [
+        name
+        for recording in _RECORDINGS
+        for name in (
+            f"errors_{recording}.csv",
+            *(_torque_file(recording, quantity) for quantity in ("torque", "known sides")),
+        )
+    ]
+    return [folder / name for name in (*_FILES, *of_recordings)]
+
+
+def _write_torque(path: Path, report: "AbstractReport[Any]", recording: str) -> None:
+    """Writes measured and predicted torque of every sample, and what is masked."""
+    patterns, labels = report.patterns[recording], report.model.output_labels
+    header = [f"{name}_{label}" for name in ("measured", "predicted", "mask") for label in labels]
+    numbers = np.concatenate(
+        [
+            np.asarray(patterns.time)[:, None],
+            np.asarray(patterns.torque),
+            report.predicted(recording),
+        ],
+        axis=1,
+    )
+    # As `numpy.savetxt` writes them, in half of the time; a mask is one character.
+    row = "%.10g," * numbers.shape[1] + "%s"
+    mask = np.asarray(patterns.mask)
+    masks = np.full((len(mask), 2 * mask.shape[1]), ord(","), np.uint8)
+    masks[:, ::2] = np.where(mask, ord("1"), ord("0"))
+    masks[:, -1] = ord("\n")
+    ends = masks.view(f"S{masks.shape[1]}").ravel().astype(str).tolist()
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(["time", *header]) + "\n")
+        file.writelines(
+            row % (*values, end) for values, end in zip(numbers.tolist(), ends, strict=True)
+        )
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -1,40 +1,341 @@
+"""The report of an identification: a fit, and a list of sections that say all else.
+
+What a report shows is in its sections (`_section.py`, `sections/`); here are the coefficients,
+the order of sections, and how reports are written. `_load.py` reads them back.
+"""
+
+import abc
+import copy
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+import html
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..._environment import require
 from ...motion import Patterns
-from ...network import CSLC
-from .._held_out import HeldOut
+from ...network import CSLC, AbstractLinearNetwork
+from ...page import Message, Page, Section, Tone, render
 from .._settings import Settings
-from ..checks import DataCheck
-from ..friction import PreSlidingFit, SlopeFit, along_motion
-from ..likelihood import EstimatorComparison
-from ..possible import PhysicalParameters, PossibleFit
-from ..prediction import HorizonError
-from ..prior import Prior
-from ..selection import FrictionChoice, Selection
-from ..several import SeveralFit
+from ..friction import along_motion
 from ..solver import Identification
-from ..systematic import SystematicError
-from ._coefficient_table import coefficient_rows, coefficient_text
-from ._errors import ErrorTable
-from ._excitation import Excitation
-from ._report_files import report_document, save_report
-from ._report_text import determination_lines, expression_text, held_out_lines, joint_lines
-from .page import report_data, summary_text
+from ..systematic import standard_uncertainty
+from ._coefficient_table import coefficient_rows
+from ._errors import predicted_torque
+from ._model_description import ModelDescription
+from ._output import write_report
+from ._saved_network import saved_network
+from ._section import AbstractSection, counted
+from .sections import SECTIONS
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Report:
-    """The result of `identify`: coefficients, their uncertainty, and torque errors.
+N = TypeVar("N", bound=AbstractLinearNetwork)
 
-    `print` shows what `jaxcslc identify` prints; `save` writes what it writes.
+_HEADLINES: dict[Tone, str] = {
+    "good": "The identified model can be used.",
+    "caution": "The identified model can be used with care: see the points marked !.",
+    "bad": "Do not rely on the identified model before the points marked ✗ are settled.",
+}
+_MARKS: dict[Tone, str] = {"good": "✓", "caution": "!", "bad": "✗", "plain": " "}
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, init=False)
+class AbstractReport(abc.ABC, Generic[N]):
+    """Coefficients with their uncertainty, and a list of sections.
+
+    Results are attributes by the names that sections give them: `report.held_out`.
+
+    **Attributes**
+
+    - `network`: that was identified.
+    - `settings`: of preparation and fit; None of a file without them.
+    - `fit`: the `Identification`.
+    - `patterns`: by recording; empty of a report that was loaded.
+    - `results`: by name, what sections are made of.
+    - `document`: what the files hold of a report that was loaded; None of others.
+    - `kinds`: of sections, in the order of the text.
+    """
+
+    kinds: ClassVar[tuple[type[AbstractSection], ...]]
+
+    network: N
+    settings: Settings
+    fit: Identification
+    patterns: Mapping[str, Patterns]
+    results: Mapping[str, Any]
+    document: Mapping[str, Any] | None
+
+    def __init__(
+        self,
+        network: N | None,
+        settings: Settings | None,
+        fit: Identification,
+        patterns: Mapping[str, Patterns],
+        results: Mapping[str, Any] = MappingProxyType({}),
+        document: Mapping[str, Any] | None = None,
+        **named: Any,
+    ) -> None:
+        """**Arguments**: the attributes; `named`: further results by their names.
+
+        - `network`: None to derive it from `document` when it is asked for.
+        """
+        if unknown := sorted(named.keys() - {name for kind in self.kinds for name in kind.results}):
+            raise TypeError(f"{type(self).__name__}: no section has a result {unknown[0]!r}")
+        fields = {"settings": settings, "fit": fit, "patterns": patterns, "document": document}
+        fields["results"] = MappingProxyType({**results, **named})
+        for name, value in (fields if network is None else {**fields, "network": network}).items():
+            object.__setattr__(self, name, value)
+
+    @abc.abstractmethod
+    def network_along(self, recording: str) -> N:
+        """Return the network that predicts along a recording's motion by `k`."""
+
+    @abc.abstractmethod
+    def derived_network(self) -> N:
+        """Return the network that `document` describes.
+
+        **Raises** `AttributeError` where it describes none.
+        """
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "network":
+            object.__setattr__(self, name, self.derived_network())
+            return self.network
+        kind = next((kind for kind in self.kinds if name in kind.results), None)
+        if kind is None:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        if name in self.results:
+            return self.results[name]
+        section = None if self.document is None else kind.from_document(self.document)
+        return kind.results[name] if section is None else section.result(name, self)
+
+    @cached_property
+    def sections(self) -> tuple[AbstractSection, ...]:
+        """What the report shows, in the order of its text."""
+        sections = (
+            kind.of(self)
+            if self.document is None or self.results.keys() & kind.results.keys()
+            else kind.from_document(self.document)
+            for kind in self.kinds
+        )
+        return tuple(section for section in sections if section is not None)
+
+    def section(self, name: str) -> AbstractSection | None:
+        """Return the section of a name; None if the report has none."""
+        return next((section for section in self.sections if section.name == name), None)
+
+    @cached_property
+    def model(self) -> ModelDescription:
+        """Names and units of outputs and coefficients."""
+        if self.document is not None:
+            return ModelDescription.from_document(self.document, self.fit)
+        return ModelDescription.of(self.network)
+
+    @property
+    def k(self) -> Float[Array, " coefficients"]:
+        """(p,) identified coefficients, in the order of `names`."""
+        return self.fit.k
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return self.fit.names
+
+    @property
+    def covariance(self) -> Float[Array, "coefficients coefficients"]:
+        """(p, p) of the coefficients, without systematic errors."""
+        return self.fit.covariance
+
+    @property
+    def standard_errors(self) -> Float[np.ndarray, " coefficients"]:
+        """(p,) standard uncertainty of each coefficient in its unit, systematic errors included."""
+        return standard_uncertainty(self.fit, self.results_or_none("systematic"))
+
+    def results_or_none(self, name: str) -> Any:
+        """Return a result by its name; None where no kind of section has it."""
+        return getattr(self, name) if any(name in kind.results for kind in self.kinds) else None
+
+    def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]:
+        """Return one row per coefficient: value, interval, verdict and expression.
+
+        **Arguments**
+
+        - `level`: of the confidence intervals; see `coefficient_rows`.
+        """
+        return coefficient_rows(
+            self.model,
+            self.fit,
+            excitation=self.results_or_none("excitation"),
+            systematic=self.results_or_none("systematic"),
+            level=level,
+        )
+
+    def __getitem__(self, name: str) -> dict[str, str | float | bool]:
+        """Return the row of a coefficient: its value, standard error, interval and verdict.
+
+        **Raises** `KeyError` for a name that no coefficient has.
+        """
+        if name not in self.names:
+            raise KeyError(f"{name}: expected a coefficient, {self.names[0]} to {self.names[-1]}")
+        return self.rows()[self.names.index(name)]
+
+    def to_pandas(self, level: float = 0.95) -> Any:
+        """Return `rows()` as a `pandas.DataFrame` indexed by coefficient.
+
+        **Arguments**
+
+        - `level`: of the confidence intervals.
+        """
+        pandas = require("pandas", "tables")
+
+        return pandas.DataFrame(self.rows(level)).set_index("name").rename_axis("coefficient")
+
+    def sample(self, n: int, seed: int = 0) -> Float[np.ndarray, "draws coefficients"]:
+        """Return coefficients drawn from the normal distribution of `k` and `covariance`, (n, p).
+
+        Combinations that the patterns do not determine stay as they are in `k`.
+
+        **Arguments**
+
+        - `n`: number of draws.
+        - `seed`: of the random numbers.
+        """
+        covariance = np.asarray(self.covariance)
+        scale = np.sqrt(np.diag(covariance))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        variance, directions = np.linalg.eigh(covariance / scale[:, None] / scale)
+        root = scale[:, None] * directions * np.sqrt(np.maximum(variance, 0.0))
+        draws = np.random.default_rng(seed).normal(size=(n, len(scale)))
+        return np.asarray(self.k) + draws @ root.T
+
+    def predicted(self, recording: str) -> Float[np.ndarray, "samples outputs"]:
+        """Return the torque, or the known sides, that `k` predicts along a recording."""
+        if recording not in self._predicted:
+            torque = predicted_torque(
+                self.network_along(recording), self.patterns[recording], self.fit.k
+            )
+            self._predicted[recording] = np.asarray(torque)
+        return self._predicted[recording]
+
+    @cached_property
+    def _predicted(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def page(self, charts: bool = True) -> Page:
+        """Return the report as a page for `jaxcslc.page.render`.
+
+        **Arguments**
+
+        - `charts`: whether it has drawings.
+        """
+        tone, messages = self._judgement
+        parts: dict[str, Section] = {}
+        for section in sorted(self.sections, key=lambda section: section.position):
+            for part in section.blocks(self, charts):
+                before = parts.get(part.title, Section(part.title, part.lead, ()))
+                blocks = (*before.blocks, *part.blocks)
+                parts[part.title] = dataclasses.replace(before, blocks=blocks)
+        outputs = counted(len(self.model.output_names), self.model.output_kind)
+        return Page(
+            title=f"Identification of {self.model.name}",
+            subtitle=f"{outputs}, {counted(len(self.names), 'coefficient')}",
+            headline=_HEADLINES[tone],
+            tone=tone,
+            summary=messages,
+            sections=tuple(parts.values()),
+        )
+
+    @cached_property
+    def _judgement(self) -> tuple[Tone, tuple[Message, ...]]:
+        """The worst tone, and what it rests on; what is said of the data stands last."""
+        ordered = sorted(self.sections, key=lambda part: (part.position < 10, part.position))
+        messages = tuple(message for part in ordered for message in part.messages(self))
+        tones = {message.tone for message in messages}
+        tone: Tone = "bad" if "bad" in tones else "caution" if "caution" in tones else "good"
+        return tone, messages
+
+    @property
+    def verdict(self) -> str:
+        """Whether the model can be used, and what that rests on: the first lines of the page."""
+        tone, messages = self._judgement
+        return "\n".join(
+            [_HEADLINES[tone], *(f"  {_MARKS[line.tone]} {line.text}" for line in messages)]
+        )
+
+    def documents(self, charts: bool = True) -> dict[str, dict[str, Any]]:
+        """Return what the report's JSON files hold, by their names.
+
+        **Arguments**
+
+        - `charts`: whether to return what only drawings need.
+        """
+        files = {"identification.json": {**self.model.document(), **self.fit.document()}}
+        for section in self.sections:
+            if charts or section.file == "identification.json":
+                files.setdefault(section.file, {}).update(section.data)
+        return files
+
+    def save(
+        self, folder: str | Path, *, pictures: bool = True, command: str | None = None
+    ) -> tuple[Path, ...]:
+        """Writes the report into a folder: all of its files or, if writing fails, none.
+
+        `index.html`, a page to read and to show, in one file; `coefficients.csv`;
+        `identification.json` and, of the page's drawings, `charts.json`, which `load_report`
+        reads; and for each recording `errors_NAME.csv` and `torque_NAME.csv`. Files of these names
+        that an earlier report left and this one does not have are removed. A report that was
+        loaded has no `torque_NAME.csv` to write.
+
+        The page's pictures can be zoomed with the extra `report`; without it they are static, and
+        without the extra `plot` too there are none.
+
+        **Arguments**
+
+        - `folder`: is made if it is missing.
+        - `pictures`: whether the page has pictures.
+        - `command`: that repeats the identification, for the page.
+
+        **Returns** the files.
+
+        **Raises**
+
+        - `ValueError`: `folder` is a file; or the settings have a smoothing that is not
+          registered and has no name in a file.
+        - `OSError`: the folder cannot be written.
+        """
+        report = self if command is None else self._with_results(command=command)
+        return write_report(Path(folder), report, pictures=pictures)
+
+    def _with_results(self, **results: Any) -> "AbstractReport[N]":
+        """Return the same with other results; everything else that was computed is kept."""
+        changed = copy.copy(self)
+        object.__setattr__(changed, "results", MappingProxyType({**self.results, **results}))
+        vars(changed).pop("sections", None)
+        return changed
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.model.name}; {self.fit!r})"
+
+    def __str__(self) -> str:
+        paragraphs = (lines for section in self.sections for lines in section.text(self))
+        return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
+
+    def _repr_html_(self) -> str:
+        """Return the page without drawings, for notebooks."""
+        text = html.escape(render(self.page(charts=False), interactive=False))
+        return f'<iframe srcdoc="{text}" style="width: 100%; height: 40em; border: 0"></iframe>'
+
+
+class Report(AbstractReport[CSLC]):
+    """The result of `identify`: coefficients, their uncertainty, and a list of sections.
+
+    `print` shows what `jaxcslc identify` prints; `save` writes what it writes, and `load_report`
+    reads it back. A notebook shows the page. `report["kd1"]` is the row of a coefficient.
 
     **Attributes**
 
@@ -42,36 +343,45 @@ class Report:
     - `settings`: of preparation and fit.
     - `fit`: the `Identification`, with standard errors and covariance; its coefficients are those
       of possible bodies if `possible.used`.
-    - `patterns`: by recording, `"training"` and, if there was one, `"validation"`.
+    - `patterns`: by recording, `"training"` and, if there was one, `"validation"`; empty of a
+      report that was loaded.
+    - `motion`: states of the training recording; of a report that was loaded some of them.
+    - `sections`: what the report shows.
+    - `results`: by name, what sections are made of.
+    - `document`: what the files hold of a report that was loaded; None of others.
+
+    Results are attributes too; None, or empty, where there are none:
+
     - `errors`: torque errors, by recording. The first vector of each `ErrorTable` is `"fit"`; after
       a re-identification the second is `"before"`.
     - `excitation`: of the training recording; None after a re-identification.
     - `held_out`: errors of the validation recording beside those of the training recording; without
       a validation recording by cross-validation within the training recording. None after a
       re-identification without a validation recording.
-    - `slopes`: the fit of the slopes of static friction; None if there was none.
-    - `systematic`: errors of the fit that no residual shows; None if they were not computed.
+    - `slopes`: the fit of the slopes of static friction.
+    - `systematic`: errors of the fit that no residual shows.
     - `groups`: groups or names of the re-identified coefficients; None if all were fitted.
     - `warnings`: one sentence each.
     - `selection`: of the settings, with every trial; None if they were set.
     - `bodies`: possible bodies nearest to the fit, for the page; see `physical_parameters`.
-    - `possible`: those bodies beside the free fit, and whether their coefficients are the report's;
-      None if they were not computed.
-    - `prior`: what was known before; None if nothing was said.
+    - `possible`: those bodies beside the free fit, and whether their coefficients are the report's.
+    - `prior`: what was known before.
     - `several`: of several training recordings: noise and offsets of each, and whether they agree.
       `patterns["training"]` then holds all of them, one after the other.
     - `judged_part`: in words, the part of a long recording that settings are chosen on and fits
       judged on; None if that is all of it.
-    - `data_check`: what was read, and what looks wrong with it; None if it was not checked.
+    - `data_check`: what was read, and what looks wrong with it.
     - `notes`: what readers of the robot and of the recordings decided, one sentence each.
     - `estimators`: least squares and maximum likelihood beside each other; None unless asked for.
     - `horizon`: position error of open-loop simulation; None unless asked for.
-    - `friction`: friction terms that were tried joint by joint, pre-sliding included; None unless
-      asked for.
+    - `friction`: friction terms that were tried joint by joint; None unless asked for.
     - `pre_sliding`: dry friction that yields before it slides; None unless it was tried and
       predicts motion better that was left out, at one joint at least, or its lengths were given.
       Of least squares, its coefficients are those of a free fit beside `fit`; of maximum
       likelihood, `fit` is of it, and so are all errors of this report (`lengths`).
+
+    Files do not hold all of `slopes`, `selection`, `bodies`, `possible`, `several`, `estimators`
+    and `friction`: of a report that was loaded these are errors, and sections have what files hold.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -83,49 +393,34 @@ class Report:
     >>> report = jc.identify(network, recording, settings=jc.Settings())
     >>> report.to_pandas().index.tolist()
     ['kB1', 'kB2', 'kB3', 'kv1', 'kd1']
-    >>> tuple(report.errors)
-    ('training',)
+    >>> tuple(report.errors), report["kv1"]["unit"], report.sample(64).shape
+    (('training',), 'N m s/rad', (64, 5))
     """
 
-    network: CSLC
-    settings: Settings
-    fit: Identification
-    patterns: Mapping[str, Patterns]
-    errors: Mapping[str, ErrorTable]
-    excitation: Excitation | None = None
-    held_out: HeldOut | None = None
-    slopes: SlopeFit | None = None
-    systematic: SystematicError | None = None
-    groups: tuple[str, ...] | None = None
-    warnings: tuple[str, ...] = ()
-    selection: Selection | None = None
-    bodies: PhysicalParameters | None = None
-    possible: PossibleFit | None = None
-    prior: Prior | None = None
-    several: SeveralFit | None = None
-    data_check: DataCheck | None = None
-    judged_part: str | None = None
-    notes: tuple[str, ...] = ()
-    estimators: EstimatorComparison | None = None
-    horizon: HorizonError | None = None
-    friction: FrictionChoice | None = None
-    pre_sliding: PreSlidingFit | None = None
-
-    @property
-    def k(self) -> Float[Array, " coefficients"]:
-        """(p,) identified coefficients, in the order of `network.coefficients`."""
-        return self.fit.k
+    kinds: ClassVar[tuple[type[AbstractSection], ...]] = SECTIONS
 
     @property
     def lengths(self) -> Float[np.ndarray, " joints"]:
         """(n,) lengths of pre-sliding that the coefficients go with [rad or m]; 0 where their dry
         friction follows the sign of velocity."""
-        if self.estimators is None or self.estimators.used != "maximum-likelihood":
-            return np.zeros(self.network.joint_count)
-        return self.estimators.likelihood.lengths
+        section = self.section("estimators")
+        data = {} if section is None else section.data["estimators"]
+        used = data.get("used") == "maximum-likelihood" and data["lengths"] is not None
+        return np.array(data["lengths"]) if used else np.zeros(len(self.model.output_names))
+
+    @property
+    def motion(self) -> Patterns | None:
+        """Patterns of the training recording; of a report that was loaded, some states of it."""
+        return self.patterns["training"] if self.patterns else self.states
+
+    @property
+    def fixed_names(self) -> tuple[str, ...]:
+        """Coefficients that were not fitted, but kept from a previous identification."""
+        section = self.section("groups")
+        return () if section is None else tuple(section.data["fixed"])
 
     def network_along(self, recording: str) -> CSLC:
-        """The network that predicts torque along a recording's motion by the coefficients `k`.
+        """Return the network that predicts torque along a recording's motion by `k`.
 
         **Arguments**
 
@@ -136,160 +431,6 @@ class Report:
         """
         return along_motion(self.network, self.patterns[recording], self.lengths)
 
-    def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]:
-        """One row a coefficient: value, interval, verdict and expression; see
-        `coefficient_rows`."""
-        return coefficient_rows(
-            self.network,
-            self.fit,
-            excitation=self.excitation,
-            systematic=self.systematic,
-            level=level,
-        )
-
-    def to_pandas(self, level: float = 0.95) -> Any:
-        """`rows()` as a `pandas.DataFrame` indexed by coefficient.
-
-        **Arguments**
-
-        - `level`: of the confidence intervals.
-        """
-        pandas = require("pandas", "tables")
-
-        return pandas.DataFrame(self.rows(level)).set_index("name").rename_axis("coefficient")
-
-    def save(
-        self,
-        folder: str | Path,
-        *,
-        pictures: bool = True,
-        findings: Sequence[str] = (),
-        command: str | None = None,
-    ) -> tuple[Path, ...]:
-        """Writes the report into a folder: all of its files or, if writing fails, none.
-
-        `index.html`, a page to read and to show, in one file; `coefficients.csv`;
-        `identification.json`, which `load_report` reads; and for each recording
-        `errors_NAME.csv` and `torque_NAME.csv`. Files of these names that an
-        earlier report left and this one does not have are removed.
-
-        The page's pictures can be zoomed with the extra `report`; without it they are static, and
-        without the extra `plot` too there are none.
-
-        **Arguments**
-
-        - `folder`: is made if it is missing.
-        - `pictures`: whether the page has pictures.
-        - `findings`: about the recordings, a sentence each, for the page.
-        - `command`: that repeats the identification, for the page.
-
-        **Returns** the files.
-
-        **Raises**
-
-        - `ValueError`: `folder` is a file; or the settings have a smoothing that is not
-          registered and has no name in a file.
-        - `OSError`: the folder cannot be written.
-        """
-        data = self._data | {"findings": [*findings, *self._findings], "command": command}
-        document = report_document(self, data)
-        return save_report(Path(folder), self, document, data, pictures=pictures)
-
-    @property
-    def verdict(self) -> str:
-        """Whether the model can be used, and what that rests on: the first lines of the page."""
-        return summary_text(self._data)
-
-    @cached_property
-    def _data(self) -> dict[str, Any]:
-        """What the page shows."""
-        return report_data(
-            self,
-            selection=self.selection,
-            bodies=self.bodies,
-            possible=self.possible,
-            several=self.several,
-            judged_part=self.judged_part,
-            estimators=self.estimators,
-            horizon=self.horizon,
-            friction=self.friction,
-            findings=self._findings,
-            notes=self.notes,
-        )
-
-    @property
-    def _findings(self) -> list[str]:
-        return [] if self.data_check is None else list(map(str, self.data_check.findings))
-
-    def __repr__(self) -> str:
-        return f"Report({self.network.robot.name}; {self.fit!r})"
-
-    def __str__(self) -> str:
-        return "\n\n".join("\n".join(section) for section in self._sections() if section)
-
-    def _sections(self) -> Iterator[list[str]]:
-        yield [str(self.network), *joint_lines(self.network), f"settings: {self.settings}"]
-        if self.judged_part is not None:
-            yield [self.judged_part]
-        if self.groups is not None:
-            yield [
-                f"re-identified: {', '.join(self.groups)}; all other coefficients are fixed at"
-                " those of the previous identification"
-            ]
-        if self.prior is not None:
-            yield [f"known before: {self.prior}"]
-        if self.several is not None:
-            yield [str(self.several)]
-        yield [coefficient_text(self.rows())]
-        if self.slopes is not None and self.network.static_slopes is not None:
-            yield [_slopes(self.slopes)]
-        yield self._determination()
-        for name, table in self.errors.items():
-            yield [f"torque error, {name} recording", str(table)]
-        yield held_out_lines(self.held_out)
-        if self.estimators is not None:
-            yield [str(self.estimators)]
-        if self.horizon is not None:
-            yield ["simulated open loop, median absolute error of positions", str(self.horizon)]
-        if self.possible is not None:
-            yield [str(self.possible)]
-        if self._findings:
-            yield [f"warning: {finding}" for finding in self._findings]
-        yield [f"warning: {warning}" for warning in self.warnings]
-        tried = () if self.friction is None else self.friction.sentences
-        yield [f"note: {note}" for note in (*tried, *self.notes)]
-
-    @property
-    def fixed_names(self) -> tuple[str, ...]:
-        """Coefficients that were not fitted, but kept from a previous identification."""
-        if self.groups is None:
-            return ()
-        return tuple(
-            coefficient.name
-            for coefficient in self.network.coefficients
-            if coefficient.group not in self.groups and coefficient.name not in self.groups
-        )
-
-    def _determination(self) -> list[str]:
-        fitted = self.network.size - len(self.fixed_names)
-        lines = determination_lines(self.fit, fitted, self.excitation, self.systematic)
-        return [expression_text(self.network), *lines]
-
-
-def _slopes(fit: SlopeFit) -> str:
-    network = fit.network
-    listed = ", ".join(
-        f"{name} {slope:.4g} ± {error:.2g}"
-        for name, slope, error, terms in zip(
-            network.output_names,
-            fit.slopes.tolist(),
-            fit.slope_error.tolist(),
-            network.friction_per_joint,
-            strict=True,
-        )
-        if "static" in terms
-    )
-    return (
-        f"slopes of static friction [s/rad or s/m]: {listed};"
-        " the intervals above allow for their errors"
-    )
+    def derived_network(self) -> CSLC:
+        """Return the network of the robot that the files describe."""
+        return saved_network(self.document or {}, self.fit, "identification.json", None)

@@ -7,6 +7,7 @@ from ...network import AbstractLinearNetwork
 from ..solver import Identification
 from ..systematic import SystematicError, uncertainty_interval
 from ._excitation import Excitation
+from ._model_description import ModelDescription
 
 
 VerdictKind = Literal[
@@ -60,7 +61,7 @@ class Verdict:
 
 
 def verdicts(
-    network: AbstractLinearNetwork,
+    network: AbstractLinearNetwork | ModelDescription,
     fit: Identification,
     excitation: Excitation | None = None,
     *,

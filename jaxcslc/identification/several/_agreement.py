@@ -1,5 +1,5 @@
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -93,12 +93,22 @@ class RecordingAgreement:
         return tuple(sentences)
 
     def __str__(self) -> str:
-        if not any(self.differing.values()):
-            return f"the {len(self.difference)} recordings agree in all coefficients"
-        return "\n".join(
-            f"{recording}: {', '.join(names) or 'no coefficient'} beyond chance"
-            for recording, names in self.differing.items()
-        )
+        return agreement_text(self.differing)
+
+
+def agreement_text(differing: Mapping[str, Sequence[str]]) -> str:
+    """Return whether recordings agree, in words.
+
+    **Arguments**
+
+    - `differing`: by recording, the coefficients in which it differs beyond chance.
+    """
+    if not any(differing.values()):
+        return f"the {len(differing)} recordings agree in all coefficients"
+    return "\n".join(
+        f"{recording}: {', '.join(names) or 'no coefficient'} beyond chance"
+        for recording, names in differing.items()
+    )
 
 
 def agreement_of(

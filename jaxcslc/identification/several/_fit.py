@@ -11,7 +11,7 @@ from ...motion import Patterns
 from ...network import AbstractLinearNetwork
 from ..solver import Equations, Identification, LeastSquares
 from ..systematic import SystematicError
-from ._agreement import RecordingAgreement, agreement_of
+from ._agreement import RecordingAgreement, agreement_of, agreement_text
 from ._recording_equations import RecordingEquations
 from ._systematic import combined_systematic
 
@@ -81,14 +81,30 @@ class SeveralFit:
         }
 
     def __str__(self) -> str:
-        lines = [str(self.agreement)]
-        for name, patterns in self.patterns.items():
-            noise = ", ".join(f"{size:.3g}" for size in self.noise[name])
-            lines.append(f"{name}: {patterns.samples} samples, RMS residual of each joint {noise}")
-            if self.offsets[name].any():
-                listed = ", ".join(f"{offset:.3g}" for offset in self.offsets[name])
-                lines.append(f"    torque offsets {listed}")
-        return "\n".join(lines)
+        return several_text(self.document())
+
+
+def several_text(document: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what a report says of several recordings.
+
+    **Arguments**
+
+    - `document`: a `SeveralFit.document`.
+
+    >>> entry = {"samples": 800, "noise": [0.1], "offsets": [0.0], "differing": []}
+    >>> print(several_text({"morning": entry, "evening": entry}))
+    the 2 recordings agree in all coefficients
+    morning: 800 samples, RMS residual of each joint 0.1
+    evening: 800 samples, RMS residual of each joint 0.1
+    """
+    lines = [agreement_text({name: entry["differing"] for name, entry in document.items()})]
+    for name, entry in document.items():
+        noise = ", ".join(f"{size:.3g}" for size in entry["noise"])
+        lines.append(f"{name}: {entry['samples']} samples, RMS residual of each joint {noise}")
+        if any(entry["offsets"]):
+            listed = ", ".join(f"{offset:.3g}" for offset in entry["offsets"])
+            lines.append(f"    torque offsets {listed}")
+    return "\n".join(lines)
 
 
 def fit_recordings(

@@ -1,3 +1,5 @@
+"""Curves and clouds of a report, thinned to what a page can draw."""
+
 from typing import Any
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Errors of a prediction in units of the torque, in % of its RMS, and as R²."""
+
 from collections.abc import Mapping
 from typing import Any
 

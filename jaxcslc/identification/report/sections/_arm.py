@@ -1,3 +1,5 @@
+"""Robots drawn as lines from joint to joint, with an ellipsoid per body."""
+
 from collections.abc import Sequence
 from typing import Any
 

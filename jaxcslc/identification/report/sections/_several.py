@@ -1,0 +1,47 @@
+"""Section on several training recordings: each against all others together."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from ....page import Column, Section, Table
+from ...several import SeveralFit, several_text
+from .._section import AbstractSection, axis_title
+
+
+if TYPE_CHECKING:
+    from .._report import AbstractReport
+
+
+class SeveralSection(AbstractSection):
+    """Noise and offsets of each recording, and coefficients in which it differs."""
+
+    name = "several"
+    results = MappingProxyType({"several": None})
+    entries = MappingProxyType({"recordings": dict})
+    position = 2
+
+    @classmethod
+    def document_of(cls, result: SeveralFit, report: "AbstractReport[Any]") -> Mapping[str, Any]:
+        return {"recordings": result.document()}
+
+    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+        yield [several_text(self.data["recordings"])]
+
+    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+        model = report.model
+        columns = [
+            Column("recording", numeric=False),
+            Column("samples"),
+            Column("differs in", "coefficients, beyond chance", numeric=False, wide=True),
+            *(
+                Column(f"RMS residual, {axis_title(joint, unit)}", digits=3)
+                for joint, unit in zip(model.output_names, model.output_units, strict=True)
+            ),
+        ]
+        rows = tuple(
+            (name, entry["samples"], ", ".join(entry["differing"]) or "none", *entry["noise"])
+            for name, entry in self.data["recordings"].items()
+        )
+        caption = "Training recordings, each against all others together"
+        yield Section("Data check", "", [Table(tuple(columns), rows, caption, "several")])
