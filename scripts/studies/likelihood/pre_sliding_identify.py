@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import EstimatorChoice, FrictionChoice
+from jaxcslc.identification import FrictionChoice
 from jaxcslc.identification.report import text_table, write_csv
 from scripts.studies import command
 from scripts.studies.likelihood.dahl_pendulum import (
@@ -72,7 +72,7 @@ def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     (network, true), recorded = pendulum(), controlled(length, seed, samples)
     expected = dict(zip(network.names, true.tolist(), strict=True))
     terms: jc.CSLC | None = None
-    reports: dict[str, EstimatorChoice] = {
+    reports: dict[str, str] = {
         "regression": "least-squares",
         "likelihood": "maximum-likelihood",
     }
