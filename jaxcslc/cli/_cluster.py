@@ -1,7 +1,10 @@
+"""`jaxcslc identify --dask`: many recordings on the workers of a cluster."""
+
 import contextlib
 import functools
 import glob
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,47 +17,47 @@ from ..identification import (
 )
 from ..identification.report import load_settings
 from ..network import CSLC
-from ._common import CommandContext, is_system, network_of, robot_named, typed_options
+from ._common import CommandContext, is_system, network_of, typed_options
+from ._identify_options import IdentifyOptions
 from ._recording_options import RecordingOptions
+from ._robot_options import RobotOptions
 
 
 # What `identify` does on a cluster besides fitting is to read, prepare and settings.
 _OPTIONS = {
-    *("robot", "train", "output", "lengths", "base", "tip", "fix", "mimic", "friction"),
-    *(
-        "coupled",
-        "settings",
-        "columns",
-        "between",
-        "every",
-        "period",
-        "drop_stale",
-        "despike",
-        "measured",
-    ),
-    *("dask", "fleet"),
+    *(field.name for kind in (RobotOptions, RecordingOptions) for field in fields(kind)),
+    *("train", "output", "settings", "dask", "fleet"),
 }
 # Fits of a fleet that are printed; all are in the file.
 _PRINTED = 20
 
 
-def identified_on_cluster(context: CommandContext, step: Callable[[str], None]) -> str:
+def identified_on_cluster(
+    context: CommandContext,
+    robot: RobotOptions,
+    options: IdentifyOptions,
+    recordings: RecordingOptions,
+    step: Callable[[str], None],
+) -> str:
     """Identifies from many recordings on a cluster and writes the result.
 
     **Returns** what is printed of it.
     """
-    options = context.params
-    _check_options(context)
-    tip, fix, coupled = (_listed(options[name]) for name in ("tip", "fix", "coupled"))
-    arm = robot_named(options["robot"], options["base"], tip, fix, options["mimic"])
-    network = network_of(arm, options["lengths"], options["friction"], coupled)
-    paths = _expanded(options["train"])
-    read = functools.partial(RecordingOptions.of(options).read, robot=network.robot)
-    settings = _settings(network, options["settings"], paths[0], read, step)
-    output: Path = options["output"]
-    with _connected(options["dask"]) as client:
+    if options.dask is None:
+        raise ValueError("--fleet: only with --dask")
+    if is_system(robot.robot):
+        raise ValueError("--dask: expected a robot; other systems are identified in one process")
+    if others := sorted(typed_options(context) - _OPTIONS):
+        raise ValueError(f"--{others[0].replace('_', '-')}: not with --dask")
+    arm = robot.manipulator()
+    network = network_of(arm, robot.lengths, robot.friction, robot.coupled)
+    paths = _expanded(options.train)
+    read = functools.partial(recordings.read, robot=network.robot)
+    settings = _settings(network, options.settings, paths[0], read, step)
+    output = options.output
+    with _connected(options.dask) as client:
         arguments: dict[str, Any] = {"client": client, "read": read, "progress": step}
-        if options["fleet"]:
+        if options.fleet:
             fleet = fit_fleet_on_cluster(network, paths, settings, **arguments)
             output.mkdir(parents=True, exist_ok=True)
             fleet.save(output / "fleet.csv")
@@ -63,20 +66,6 @@ def identified_on_cluster(context: CommandContext, step: Callable[[str], None]) 
     output.mkdir(parents=True, exist_ok=True)
     fit.save(output / "fit.json")
     return f"{fit}\n\n{settings}\n{len(paths)} recordings\n\nwrote {output / 'fit.json'}"
-
-
-def _listed(values: Sequence[str] | None) -> list[str] | None:
-    """Values of an option that may be repeated, as commands are called with them."""
-    return list(values) if values else None
-
-
-def _check_options(context: CommandContext) -> None:
-    if context.params["dask"] is None:
-        raise ValueError("--fleet: only with --dask")
-    if is_system(context.params["robot"]):
-        raise ValueError("--dask: expected a robot; other systems are identified in one process")
-    if others := sorted(typed_options(context) - _OPTIONS):
-        raise ValueError(f"--{others[0].replace('_', '-')}: not with --dask")
 
 
 def _expanded(paths: Sequence[Path]) -> list[Path]:

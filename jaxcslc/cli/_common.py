@@ -175,7 +175,10 @@ def command_text(context: CommandContext) -> str:
     """The command line that a command was called by: what was typed, defaults left out."""
     words = ["jaxcslc", context.info_name or ""]
     typed = typed_options(context)
-    for parameter in context.command.params:
+    arguments_first = sorted(
+        context.command.params, key=lambda parameter: parameter.param_type_name != "argument"
+    )
+    for parameter in arguments_first:
         name = parameter.name or ""
         if name not in typed:
             continue

@@ -1,15 +1,17 @@
+"""Options of commands that say what to do with a recording once it is read."""
+
 import contextlib
 import dataclasses
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from ..identification import without_outliers
 from ..manipulator import Manipulator
 from ..motion import Recording, fresh_rows, restore_clock, without_stale_rows
-from ._common import recording_of
+from ._common import ColumnsOption, recording_of
 
 
 BetweenOption = Annotated[
@@ -60,22 +62,13 @@ class RecordingOptions:
     - `measured`: whether torques are measurements; None for what the format says.
     """
 
-    columns: Path | None = None
-    between: str | None = None
-    every: int | None = None
-    period: float | None = None
-    drop_stale: bool = False
-    despike: bool = False
-    measured: bool | None = None
-
-    @classmethod
-    def of(cls, parameters: Mapping[str, Any]) -> "RecordingOptions":
-        """Those that a command was called with.
-
-        - `parameters`: of the command, by name.
-        """
-        names = [field.name for field in dataclasses.fields(cls)]
-        return cls(**{name: parameters[name] for name in names if name in parameters})
+    columns: ColumnsOption = None
+    between: BetweenOption = None
+    every: EveryOption = None
+    period: PeriodOption = None
+    drop_stale: DropStaleOption = False
+    despike: DespikeOption = False
+    measured: MeasuredOption = None
 
     def read(self, path: Path, robot: Manipulator) -> Recording:
         """The recording in a file, its joints in the robot's order.

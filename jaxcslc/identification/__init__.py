@@ -32,7 +32,7 @@ from .cluster import (
     fit_fleet_on_cluster as fit_fleet_on_cluster,
     fit_on_cluster as fit_on_cluster,
 )
-from .estimators import EstimatorChoice as EstimatorChoice
+from .estimators import ESTIMATORS as ESTIMATORS, AbstractEstimator as AbstractEstimator
 from .friction import (
     LoadFit as LoadFit,
     PreSlidingFit as PreSlidingFit,

@@ -1,31 +1,42 @@
+"""`identify`: from recordings of a robot to a report, by one sequence of steps.
+
+    request ──► friction? ──► problem ──► estimator ──► judgement ──► report
+    _exclusions               _problem    estimators/                  `_report`
+
+One recording is several of one. What is not combined is said in one table (`_exclusions`).
+"""
+
 import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal, get_args
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
 
 from .._processes import can_fork, computed_beside
 from ..motion import Recording
 from ..network import CSLC
-from ._identify_friction import ChosenFriction, choose_friction_terms
-from ._identify_one import identify_one, without_lag, without_progress
-from ._identify_several import identify_several
-from ._settings import Settings
-from .checks import DataCheck, check
-from .estimators import (
-    EstimatorChoice,
-    check_estimator,
-    fits_beside,
-    with_instruments,
-    with_likelihood,
-    within_memory,
+from ._exclusions import Request, check_request
+from ._identify_friction import (
+    ChosenFriction,
+    FrictionStates,
+    choose_friction_terms,
+    friction_states,
 )
+from ._problem import TRAINING, VALIDATION, prepare, with_friction, without_lag
+from ._settings import Settings
+from .checks import AGREEMENT_KINDS, DataCheck, check
+from .estimators import ESTIMATORS, AbstractEstimator, Judged
+from .friction import along_motion
 from .likelihood import MaximumLikelihood
 from .possible import Choice
-from .prediction import file_coefficients, prediction_error
+from .prediction import HorizonError, file_coefficients, prediction_error
 from .prior import Prior
-from .report import Report
+from .report import Report, compare, degree_of_excitation, fit_warnings
 from .selection import PRE_SLIDING
+from .several import SeveralFit
 from .solver import Previous, computed_on_host
 
 
@@ -40,7 +51,7 @@ def identify(
     validation: Recording | None = None,
     settings: Settings | None = None,
     *,
-    estimator: EstimatorChoice = "least-squares",
+    estimator: str | AbstractEstimator = "least-squares",
     likelihood: MaximumLikelihood | None = None,
     offsets: bool = False,
     previous: Previous | None = None,
@@ -136,263 +147,210 @@ def identify(
     >>> np.round(report.k, 3).tolist()
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
-    _check_arguments(network, previous, groups, possible, prior, friction)
-    step = progress or without_progress
-    by_name = (
-        {"training recording": training} if isinstance(training, Recording) else _by_name(training)
-    )
-    check_estimator(
-        estimator,
-        previous=previous is not None,
-        offsets=offsets,
-        recordings=len(by_name),
-        possible=possible,
-        horizon=horizon,
-        likelihood=likelihood,
-    )
-    if estimator == "instrumental-variables":
-        possible, systematic = "never", False
-    choice: ChosenFriction | None = None
-    if friction == "auto":
-        choice = choose_friction_terms(
-            network,
-            by_name,
-            settings,
-            estimator=estimator,
-            likelihood=likelihood,
-            prior=prior,
-            options=options or {},
-            memory=memory,
-            horizon=horizon,
-            step=step,
-        )
-        network, likelihood = choice.terms.network, choice.likelihood
-    _check_load(network, estimator, len(by_name), horizon)
-    lag = 0.0 if settings is None else settings.preparation.torque_lag
-    lag = (options or {}).get("torque_lag", lag)
-    together = len(by_name) > 1
-    longest = max(by_name.values(), key=lambda recording: recording.samples)
-    beside = checks and not together
-    threads = beside and longest.samples >= _SAMPLES_OF_THREADS
-    forked = beside and can_fork() and computed_on_host(network, longest.position)
-    progress_of_checks = without_progress if threads or forked else step
-    with fits_beside(
+    if isinstance(estimator, str) and estimator not in ESTIMATORS:
+        raise ValueError(f"estimator: expected {', '.join(ESTIMATORS)}, got {estimator!r}")
+    chosen = ESTIMATORS[estimator] if isinstance(estimator, str) else estimator
+    request = Request(
         network,
-        by_name,
-        likelihood or MaximumLikelihood(),
-        held_out=validation is None,
-        allowed=(
-            not together
-            and estimator in ("maximum-likelihood", "auto")
-            and not _with_bodies(possible, prior, likelihood)
-            and within_memory(network, by_name, memory)
-        ),
-    ) as fits:
-        with _computed(
-            lambda: (
-                _checked(network, by_name, validation, lag, progress_of_checks) if checks else None
-            ),
-            forked=forked,
-            threads=threads,
-        ) as data_check:
-            if together:
-                if previous is not None:
-                    raise ValueError("identify: previous is for one recording, got several")
-                report = identify_several(
-                    network,
-                    by_name,
-                    validation,
-                    settings,
-                    options=options or {},
-                    folds=folds,
-                    memory=memory,
-                    offsets=offsets,
-                    systematic=systematic,
-                    possible=possible,
-                    prior=prior,
-                    data_check=data_check(),
-                    step=step,
-                )
-            else:
-                if offsets:
-                    raise ValueError(
-                        "identify: offsets are of several recordings; for one use the friction term"
-                        " 'offset'"
-                    )
-                report = identify_one(
-                    network,
-                    next(iter(by_name.values())),
-                    validation,
-                    settings,
-                    previous=previous,
-                    groups=groups,
-                    options=options or {},
-                    folds=folds,
-                    systematic=systematic,
-                    possible=possible,
-                    prior=prior,
-                    memory=memory,
-                    data_check=data_check,
-                    step=step,
-                    with_settings=(lambda settings: None) if fits is None else fits.begin,
-                )
-        if estimator == "instrumental-variables":
-            recording = next(iter(by_name.values()))
-            report = with_instruments(report, recording, prior=prior, step=step)
-        elif estimator != "least-squares":
-            report = with_likelihood(
-                report,
-                network,
-                by_name,
-                validation,
-                estimator=estimator,
-                likelihood=likelihood,
-                possible=possible,
-                prior=prior,
-                memory=memory,
-                step=step,
-                beside=fits,
-            )
-    if choice is not None:
-        report = choice.of_report(report, step)
-    if report.pre_sliding is not None:
-        report = dataclasses.replace(report, notes=(*report.notes, _note_of_states(report)))
-    if horizon:
-        step("simulating")
-        report = _with_horizon(report, validation or longest)
-    return report
+        _by_name(training),
+        validation,
+        settings,
+        estimator=estimator if isinstance(estimator, str) else type(estimator).__name__,
+        supports=chosen.supports,
+        likelihood=likelihood,
+        offsets=offsets,
+        previous=previous,
+        groups=None if groups is None else tuple(groups),
+        friction=friction,
+        options=options or {},
+        folds=folds,
+        checks=checks,
+        systematic=systematic,
+        possible=possible,
+        prior=prior,
+        memory=memory,
+        horizon=horizon,
+    )
+    check_request(request)
+    return _identified(request, chosen, progress or (lambda words: None))
 
 
-def _note_of_states(report: Report) -> str:
-    """What has states of dry friction, and what has it as a step."""
-    assert report.pre_sliding is not None
-    joints = ", ".join(report.pre_sliding.joint_names)
-    if report.lengths.any():
-        return (
-            f"{PRE_SLIDING} of {joints}: a state along the motion, in the coefficients and errors"
-            " of this report, simulated motion and C code; robot files have dry friction as a step"
+def _identified(
+    request: Request, estimator: AbstractEstimator, step: Callable[[str], None]
+) -> Report:
+    """The report of a request that has been checked."""
+    friction: ChosenFriction | None = None
+    if request.friction == "auto":
+        friction = choose_friction_terms(request, step)
+        request = friction.request
+    with estimator.beside(request) as fits, _checked_beside(request, step) as data_check:
+        problem = prepare(request, None if friction is None else friction.settings, step)
+        if fits is not None:
+            fits.begin(problem.settings)
+            problem = dataclasses.replace(problem, beside=fits)
+        step("preparing patterns")
+        _ = problem.patterns, problem.judged_patterns  # what is wrong with recordings is said now
+        judged = estimator.judged(with_friction(problem))
+        checked = data_check()
+    states = friction_states(judged, friction)
+    return _report(judged, states, checked)
+
+
+def _report(judged: Judged, friction: FrictionStates, data_check: DataCheck | None) -> Report:
+    """The report of a fit, with errors of all recordings."""
+    problem, fit, several = judged.problem, judged.fit, judged.several
+    request, network = problem.request, judged.fit.network
+    errors = {
+        name: compare(
+            along_motion(network, patterns, fit.lengths),
+            patterns,
+            {"fit": fit.k, **judged.vectors},
         )
-    return (
-        f"{PRE_SLIDING} of {joints}: a state along the motion, in report.pre_sliding,"
-        " identification.json, simulated motion and C code; all else, robot files included, has"
-        " dry friction as a step"
+        for name, patterns in problem.patterns.items()
+    }
+    excitation = None
+    if request.previous is None:
+        # Slopes of an estimator of its own change the columns of static friction alone.
+        same = network.names == problem.network.names
+        excited = problem.network if same and not network.load_terms else network
+        excitation = degree_of_excitation(excited, problem.patterns["training"])
+    if several is not None and data_check is not None:
+        data_check, several = _one_message_each(data_check, several)
+    held_out = judged.held_out
+    consequences = [
+        *judged.consequences,
+        *(() if held_out is None else held_out.warnings),
+        *fit_warnings(network, _recording_of(judged), fit.identification, errors["training"]),
+    ]
+    warnings = (
+        *judged.warnings,
+        *(() if several is None else several.agreement.warnings),
+        *(consequences if data_check is None else data_check.unexplained(consequences)),
+    )
+    bodies = judged.bodies
+    return Report(
+        network=network,
+        settings=problem.settings,
+        fit=fit.identification,
+        patterns=problem.patterns,
+        errors=MappingProxyType(errors),
+        excitation=excitation,
+        held_out=held_out,
+        slopes=judged.slopes,
+        systematic=judged.systematic,
+        groups=request.groups,
+        warnings=warnings,
+        selection=problem.selection,
+        bodies=None if bodies is None else bodies.parameters,
+        possible=bodies,
+        prior=request.prior,
+        several=several,
+        data_check=data_check,
+        judged_part=None if problem.section is None else problem.section.description,
+        notes=(*problem.notes, *fit.notes, *friction.notes),
+        estimators=judged.comparison,
+        horizon=_horizon(judged, friction) if request.horizon else None,
+        friction=friction.terms,
+        pre_sliding=friction.pre_sliding,
     )
 
 
-def _with_horizon(report: Report, recording: Recording) -> Report:
-    """The report with errors of simulated motion: of its coefficients, of those with a state of dry
-    friction, and of those of the robot's file."""
-    coefficients, lengths = {"fit": report.k}, {}
-    if report.lengths.any():
-        lengths["fit"] = report.lengths
-    elif report.pre_sliding is not None:
-        coefficients[PRE_SLIDING] = report.pre_sliding.fit.k
-        lengths[PRE_SLIDING] = report.pre_sliding.lengths
-    coefficients |= file_coefficients(report.network)
-    error = prediction_error(
-        report.network, coefficients, recording, report.settings, lengths=lengths
-    )
-    return dataclasses.replace(report, horizon=error)
+def _recording_of(judged: Judged) -> Recording:
+    """What was fitted, as one recording: several as they were smoothed, one after the other."""
+    if len(judged.problem.recordings) == 1:
+        return judged.problem.main.recording
+    together = judged.problem.patterns["training"]
+    return Recording(together.time, together.q, together.torque)
 
 
-def _with_bodies(
-    possible: Choice, prior: Prior | None, likelihood: MaximumLikelihood | None
-) -> bool:
-    """Whether the search of maximum likelihood may be one of possible bodies."""
-    priors = (prior, None if likelihood is None else likelihood.prior)
-    return possible == "always" or any(prior is not None and prior.links for prior in priors)
-
-
-def _check_arguments(
-    network: CSLC,
-    previous: Previous | None,
-    groups: Sequence[str] | None,
-    possible: Choice,
-    prior: Prior | None,
-    friction: Literal["auto"] | None,
-) -> None:
-    """**Raises** `ValueError` for arguments that exclude each other or are not the network's."""
-    if any(inertia.has_known for inertia in network.robot.inertia):
-        raise ValueError(
-            f"identify: {network.name!r} has known masses or centres of gravity in its algebra,"
-            " which LeastSquares.fit takes; here say them as links of the prior"
-        )
-    if (previous is None) != (groups is None):
-        raise ValueError("identify: got one of previous and groups; expected both or neither")
-    if friction not in ("auto", None):
-        raise ValueError(
-            f"friction: expected 'auto' or None, got {friction!r}; terms are those of the network"
-        )
-    if friction is not None and previous is not None:
-        raise ValueError("friction: is of a fit of all coefficients, not with previous")
-    if possible not in get_args(Choice):
-        raise ValueError(f"possible: expected {', '.join(get_args(Choice))}, got {possible!r}")
-    if possible == "always" and previous is not None:
-        raise ValueError("possible: bodies are of a fit of all coefficients, not with previous")
-    if prior is not None:
-        if previous is not None:
-            raise ValueError("prior: is of a fit of all coefficients, not with previous")
-        if prior.links and possible == "never":
-            raise ValueError("prior, links: possible bodies alone can follow it; got 'never'")
-        prior.coefficient_values(network)
-        prior.link_values(network.robot)
-
-
-def _check_load(network: CSLC, estimator: str, recordings: int, horizon: bool) -> None:
-    """**Raises** `ValueError` for what knows no friction that follows the load."""
-    if not network.load_terms:
-        return
-    others = (
-        (estimator != "least-squares", f"the estimator {estimator!r}"),
-        (recordings > 1, "several recordings in one fit"),
-        (horizon, "prediction over a horizon"),
-    )
-    for wanted, what in others:
-        if wanted:
-            kinds = " and ".join(repr(term.kind) for term in network.load_terms)
-            raise ValueError(f"identify: friction of kind {kinds} is not for {what}")
-
-
-def _checked(
-    network: CSLC,
-    training: Mapping[str, Recording],
-    validation: Recording | None,
-    lag: float,
-    step: Callable[[str], None],
-) -> DataCheck:
-    """The check of all recordings, torques so much earlier [s]."""
-    name = "validation recording"
-    listed = training if validation is None else {**training, name: validation}
-    on_time = [without_lag(recording, lag) for recording in listed.values()]
-    page = check(network, on_time, list(listed), progress=step)
-    # Nothing is fitted to the validation recording: it need not move much.
-    judged = [f for f in page.findings if f.kind != "tame motion" or f.recording != name]
-    return dataclasses.replace(page, findings=tuple(judged))
+def _horizon(judged: Judged, friction: FrictionStates) -> HorizonError:
+    """Errors of simulated motion: of the coefficients, of those with a state of dry friction, and
+    of those of the robot's file."""
+    problem, fit = judged.problem, judged.fit
+    problem.step("simulating")
+    coefficients: dict[str, Any] = {"fit": fit.k}
+    lengths: dict[str, np.ndarray] = {}
+    if fit.lengths.any():
+        lengths["fit"] = fit.lengths
+    elif friction.pre_sliding is not None:
+        coefficients[PRE_SLIDING] = friction.pre_sliding.fit.k
+        lengths[PRE_SLIDING] = friction.pre_sliding.lengths
+    coefficients |= file_coefficients(fit.network)
+    request = problem.request
+    recording = request.validation or request.training[request.longest]
+    return prediction_error(fit.network, coefficients, recording, problem.settings, lengths=lengths)
 
 
 @contextlib.contextmanager
-def _computed(
-    compute: Callable[[], DataCheck | None], *, forked: bool, threads: bool
+def _checked_beside(
+    request: Request, step: Callable[[str], None]
 ) -> Generator[Callable[[], DataCheck | None]]:
-    """A function that returns what `compute` does: at once, or beside other work."""
-    if forked:
-        with computed_beside(compute) as result:
+    """A function that returns the check of all recordings: computed at once, or beside other work
+    in a process or a thread."""
+    longest = request.training[request.longest]
+    if not request.checks:
+        yield lambda: None
+    elif can_fork() and computed_on_host(request.network, longest.position):
+        with computed_beside(lambda: _checked(request)) as result:
             yield result
-    elif threads:
+    elif longest.samples >= _SAMPLES_OF_THREADS:
         with ThreadPoolExecutor(1) as pool:
-            yield pool.submit(compute).result
+            yield pool.submit(_checked, request).result
     else:
-        value = compute()
+        value = _checked(request, step)
         yield lambda: value
 
 
-def _by_name(training: Sequence[Recording] | Mapping[str, Recording]) -> dict[str, Recording]:
-    """Recordings by name, or by number from 1."""
-    named = (
-        dict(training)
-        if isinstance(training, Mapping)
-        else {f"recording {i}": recording for i, recording in enumerate(training, start=1)}
+def _checked(request: Request, step: Callable[[str], None] = lambda words: None) -> DataCheck:
+    """The check of all recordings, torques without the lag that is said of them."""
+    settings = request.settings
+    lag = 0.0 if settings is None else settings.preparation.torque_lag
+    lag = request.options.get("torque_lag", lag)
+    listed = dict(request.training)
+    if request.validation is not None:
+        listed[VALIDATION] = request.validation
+    on_time = [without_lag(recording, lag) for recording in listed.values()]
+    page = check(request.network, on_time, list(listed), progress=step)
+    # Nothing is fitted to the validation recording: it need not move much.
+    judged = [f for f in page.findings if f.kind != "tame motion" or f.recording != VALIDATION]
+    return dataclasses.replace(page, findings=tuple(judged))
+
+
+def _one_message_each(data_check: DataCheck, several: SeveralFit) -> tuple[DataCheck, SeveralFit]:
+    """One message of each disagreement: the test says which recordings, the check the cause.
+
+    The check compares each recording with the first, so that a first one that differs from all
+    others has their cause.
+    """
+    agreement, training = several.agreement, list(several.patterns)
+    findings = {
+        finding.recording: finding
+        for finding in data_check.findings
+        if finding.kind in AGREEMENT_KINDS and finding.recording in training
+    }
+    if not findings or not any(agreement.differing.values()):
+        return data_check, several
+    findings.setdefault(training[0], next(iter(findings.values())))
+    causes = {
+        name: f"likely cause: {finding.cause}; remedy: {finding.remedy}"
+        for name, finding in findings.items()
+    }
+    others = [some for some in data_check.findings if some is not findings.get(some.recording)]
+    agreement = dataclasses.replace(agreement, causes=MappingProxyType(causes))
+    return (
+        dataclasses.replace(data_check, findings=tuple(others)),
+        dataclasses.replace(several, agreement=agreement),
     )
-    if not named:
-        raise ValueError("identify: got no recording; expected one or more")
+
+
+def _by_name(
+    training: Recording | Sequence[Recording] | Mapping[str, Recording],
+) -> Mapping[str, Recording]:
+    """Recordings by name, or by number from 1."""
+    if isinstance(training, Recording):
+        return {TRAINING: training}
+    if isinstance(training, Mapping):
+        named = dict(training)
+    else:
+        named = {f"recording {i}": recording for i, recording in enumerate(training, start=1)}
     return named

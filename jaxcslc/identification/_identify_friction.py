@@ -1,25 +1,19 @@
+"""Steps of `identify` that choose friction: terms joint by joint, and pre-sliding."""
+
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from ..motion import Patterns, Recording
+from ..motion import Patterns
 from ..network import CSLC
 from ..network.terms import DIRECTIONAL_LOAD, LOAD
-from ._settings import Settings
-from .estimators import EstimatorChoice, within_memory
+from ._exclusions import LOAD_FRICTION, Request, excluded
+from ._problem import ChosenSettings, basic_settings, select_settings
+from .estimators import Judged, within_memory
 from .friction import PreSlidingFit, fit_pre_sliding, fit_slopes
-from .likelihood import MaximumLikelihood
-from .prior import Prior
-from .report import Report
-from .selection import (
-    FRICTION_CANDIDATES,
-    PRE_SLIDING,
-    FrictionChoice,
-    choose_friction,
-    choose_settings,
-)
+from .selection import FRICTION_CANDIDATES, PRE_SLIDING, FrictionChoice, choose_friction
 from .solver import LeastSquares
 
 
@@ -32,100 +26,110 @@ _TOO_LONG = "the recording is too long to be fitted in one piece"
 
 @dataclasses.dataclass(frozen=True)
 class ChosenFriction:
-    """What `identify` fits of friction where it is chosen by the data.
+    """Friction that is chosen by the data.
 
+    - `request`: with the terms in its network and, with maximum likelihood, lengths of pre-sliding
+      and static friction of joints without.
+    - `settings`: that terms were judged by; None if the request has its own.
     - `terms`: joint by joint, and what each was worth.
-    - `likelihood`: the options of maximum likelihood, with lengths of pre-sliding where they were
-      chosen; None if nothing is said of them.
     - `tried`: pre-sliding as it was tried before all fits; None if it was not.
     - `not_tried`: why it was not, in words; None if it is to be tried beside the fit.
     """
 
+    request: Request
+    settings: ChosenSettings | None
     terms: FrictionChoice
-    likelihood: MaximumLikelihood | None
     tried: PreSlidingFit | None = None
     not_tried: str | None = None
 
-    def of_report(self, report: Report, step: Callable[[str], None]) -> Report:
-        """The report with what was tried of friction.
 
-        With least squares alone, pre-sliding is tried now: beside the report's terms, with its
-        patterns, masks and settings.
-        """
-        terms, not_tried = self.terms, self.not_tried or _too_long(report)
-        tried = self.tried
-        if tried is not None:
-            states = report.pre_sliding
-            if states is not None:
-                states = dataclasses.replace(
-                    states, relative=tried.relative, tried_lengths=tried.tried_lengths
-                )
-            return dataclasses.replace(report, friction=terms, pre_sliding=states)
-        if not_tried is None:
-            solver = report.settings.solver
-            tried, not_tried = _tried(report.network, report.patterns["training"], solver, step)
-        if tried is None:
-            note = f"{PRE_SLIDING} was not tried: {not_tried}"
-            return dataclasses.replace(report, friction=terms, notes=(*report.notes, note))
-        terms = terms.with_pre_sliding(tried)
-        states = tried if tried.joint_names else None
-        return dataclasses.replace(report, friction=terms, pre_sliding=states)
+class FrictionStates(NamedTuple):
+    """What is reported of friction.
 
-
-def choose_friction_terms(
-    network: CSLC,
-    training: Mapping[str, Recording],
-    settings: Settings | None,
-    *,
-    estimator: EstimatorChoice,
-    likelihood: MaximumLikelihood | None,
-    prior: Prior | None,
-    options: Mapping[str, Any],
-    memory: float,
-    horizon: bool,
-    step: Callable[[str], None],
-) -> ChosenFriction:
-    """Friction that `identify` fits, joint by joint, chosen on the longest recording.
-
-    With maximum likelihood, lengths of pre-sliding too, which its fits have to know, and static
-    friction of joints without. Arguments as of `identify`.
+    - `terms`: that were tried; None if friction was not chosen.
+    - `pre_sliding`: dry friction with states; None if none is used.
+    - `notes`: one sentence each.
     """
-    longest = max(training.values(), key=lambda recording: recording.samples)
-    # What `identify` fits by other ways than one least-squares fit knows no friction of the load.
-    plain = estimator == "least-squares" and not horizon and len(training) == 1
+
+    terms: FrictionChoice | None
+    pre_sliding: PreSlidingFit | None
+    notes: tuple[str, ...] = ()
+
+
+def choose_friction_terms(request: Request, step: Callable[[str], None]) -> ChosenFriction:
+    """Choose friction joint by joint, on the longest recording.
+
+    Where maximum likelihood is fitted, lengths of pre-sliding are chosen now, for its fits have to
+    know them.
+    """
+    longest = request.training[request.longest]
+    unfit = excluded(request, LOAD_FRICTION)
     candidates = [
-        kind for kind in FRICTION_CANDIDATES if plain or kind not in (LOAD, DIRECTIONAL_LOAD)
+        kind for kind in FRICTION_CANDIDATES if not unfit or kind not in (LOAD, DIRECTIONAL_LOAD)
     ]
-    if settings is None:
-        step("choosing settings")
-        settings = choose_settings(network, longest).settings
-    terms = choose_friction(network, longest, settings, candidates=candidates, progress=step)
-    tried, not_tried = None, _not_tried(terms.network, training, estimator, likelihood, prior)
-    of_likelihood = estimator in ("maximum-likelihood", "auto")
-    if of_likelihood and not_tried is None:
-        if within_memory(terms.network, training, memory):
-            suited = settings.with_options(**options).for_network(terms.network)
-            tried, not_tried = _tried_before(terms.network, longest, suited, step)
+    chosen = select_settings(request, step) if request.settings is None else None
+    terms = choose_friction(
+        request.network,
+        longest,
+        basic_settings(request, chosen),
+        candidates=candidates,
+        progress=step,
+    )
+    request = dataclasses.replace(request, network=terms.network)
+    tried, not_tried = None, excluded(request, PRE_SLIDING)
+    if request.estimator in ("maximum-likelihood", "auto") and not_tried is None:
+        if within_memory(terms.network, request.training, request.memory):
+            settings = basic_settings(request, chosen).for_network(terms.network)
+            patterns = settings.patterns(longest)
+            network = terms.network
+            if "static" in network.robot.friction_terms:
+                network = fit_slopes(network, patterns, solver=settings.solver).network
+            tried, not_tried = _tried(network, patterns, settings.solver, step)
         else:
             not_tried = _TOO_LONG
     if tried is not None:
         terms = terms.with_pre_sliding(tried)
         if tried.joint_names:
-            lengths = tuple(tried.lengths.tolist())
-            likelihood = dataclasses.replace(likelihood or MaximumLikelihood(), lengths=lengths)
-    if estimator == "maximum-likelihood":
+            options = dataclasses.replace(
+                request.likelihood_options, lengths=tuple(tried.lengths.tolist())
+            )
+            request = dataclasses.replace(request, likelihood=options)
+    if request.estimator == "maximum-likelihood":
         terms = terms.with_static_friction()
-    return ChosenFriction(terms, likelihood, tried, not_tried)
+        request = dataclasses.replace(request, network=terms.network)
+    if chosen is not None:
+        chosen = chosen._replace(motion=None)
+    return ChosenFriction(request, chosen, terms, tried, not_tried)
 
 
-def _tried_before(
-    network: CSLC, recording: Recording, settings: Settings, step: Callable[[str], None]
-) -> tuple[PreSlidingFit | None, str | None]:
-    """As `_tried`, with slopes of static friction of a fit without states."""
-    patterns = settings.patterns(recording)
-    if "static" in network.robot.friction_terms:
-        network = fit_slopes(network, patterns, solver=settings.solver).network
-    return _tried(network, patterns, settings.solver, step)
+def friction_states(judged: Judged, chosen: ChosenFriction | None) -> FrictionStates:
+    """Return what is reported of friction; with least squares alone, try pre-sliding now.
+
+    It is tried beside the terms that were fitted, with their patterns, masks and settings.
+
+    - `chosen`: None if friction was not chosen.
+    """
+    problem, states = judged.problem, judged.pre_sliding
+    terms, notes = None if chosen is None else chosen.terms, ()
+    if chosen is not None and chosen.tried is not None:
+        tried = chosen.tried
+        if states is not None:
+            states = dataclasses.replace(
+                states, relative=tried.relative, tried_lengths=tried.tried_lengths
+            )
+    elif chosen is not None:
+        tried, not_tried = None, chosen.not_tried or (None if problem.part is None else _TOO_LONG)
+        if not_tried is None:
+            patterns = problem.patterns["training"]
+            tried, not_tried = _tried(judged.fit.network, patterns, problem.solver, problem.step)
+        if tried is None:
+            notes = (f"{PRE_SLIDING} was not tried: {not_tried}",)
+        else:
+            terms = chosen.terms.with_pre_sliding(tried)
+            states = tried if tried.joint_names else None
+    if states is not None:
+        notes = (*notes, _note_of(states, fitted=bool(judged.fit.lengths.any())))
+    return FrictionStates(terms, states, notes)
 
 
 def _tried(
@@ -145,30 +149,16 @@ def _tried(
         return None, str(error)
 
 
-def _too_long(report: Report) -> str | None:
-    return None if report.judged_part is None else _TOO_LONG
-
-
-def _not_tried(
-    network: CSLC,
-    training: Mapping[str, Recording],
-    estimator: EstimatorChoice,
-    likelihood: MaximumLikelihood | None,
-    prior: Prior | None,
-) -> str | None:
-    """Why pre-sliding is not tried, if it is not."""
-    options = likelihood or MaximumLikelihood()
-    reasons = {
-        "several recordings are fitted together": len(training) > 1,
-        f"it is not for the estimator {estimator!r}": estimator == "instrumental-variables",
-        "its lengths are given": bool(options.lengths),
-        "it is not for gears that give way": bool(
-            options.transmission or "transmission" in options.unknowns
-        ),
-        "coefficients are known beforehand": prior is not None or options.prior is not None,
-        "friction follows the load": bool(network.load_terms),
-        "no joint has friction of kind 'dry'": not any(
-            "dry" in kinds for kinds in network.friction_per_joint
-        ),
-    }
-    return next((reason for reason, applies in reasons.items() if applies), None)
+def _note_of(states: PreSlidingFit, *, fitted: bool) -> str:
+    """What has states of dry friction, and what has it as a step."""
+    joints = ", ".join(states.joint_names)
+    if fitted:
+        return (
+            f"{PRE_SLIDING} of {joints}: a state along the motion, in the coefficients and errors"
+            " of this report, simulated motion and C code; robot files have dry friction as a step"
+        )
+    return (
+        f"{PRE_SLIDING} of {joints}: a state along the motion, in report.pre_sliding,"
+        " identification.json, simulated motion and C code; all else, robot files included, has"
+        " dry friction as a step"
+    )

@@ -4,8 +4,8 @@ import numpy as np
 
 from ..motion import Recording
 from ..network import CSLC
-from ._identify_one import recording_named, without_progress
 from ._offline import fit_payload
+from ._problem import recording_named
 from ._settings import Settings
 from .report import PayloadReport, compare
 from .selection import choose_settings
@@ -56,9 +56,9 @@ def identify_payload(
     >>> round(float(report.fit.mass), 2)
     1.5
     """
-    step = progress or without_progress
+    step = progress or (lambda words: None)
     network = network.with_payload() if network.payload is None else network
-    with recording_named("loaded"):
+    with recording_named("loaded recording"):
         if settings is None:
             step("choosing settings")
             settings = choose_settings(network, loaded).settings
@@ -67,7 +67,7 @@ def identify_payload(
         patterns = settings.patterns(loaded)
     arm = None
     if unloaded is not None:
-        with recording_named("unloaded"):
+        with recording_named("unloaded recording"):
             arm = settings.patterns(unloaded)
     step("fitting coefficients")
     fit = fit_payload(network, patterns, arm, previous=previous, solver=settings.solver)

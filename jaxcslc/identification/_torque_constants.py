@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from ..motion import Patterns, Recording
 from ..network import CSLC
-from ._identify_one import recording_named, without_progress
+from ._problem import recording_named
 from ._settings import Settings
 from .solver import Equations, Identification, LeastSquares, Unknowns, regressor_of
 
@@ -133,12 +133,12 @@ def identify_torque_constants(
 
     An example stands at `TorqueConstants`.
     """
-    step = progress or without_progress
+    step = progress or (lambda words: None)
     settings = (settings or Settings()).for_network(network)
     step("preparing patterns")
     patterns: list[Patterns] = []
     for name, recording in (("unloaded", unloaded), ("loaded", loaded)):
-        with recording_named(name):
+        with recording_named(f"{name} recording"):
             patterns.append(settings.patterns(recording))
     step("fitting torque constants")
     return fit_torque_constants(network, patterns[0], patterns[1], mass, solver=settings.solver)

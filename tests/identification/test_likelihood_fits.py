@@ -1,5 +1,6 @@
 """Fits of maximum likelihood that begin before least squares are done."""
 
+import dataclasses
 import pickle
 
 import numpy as np
@@ -7,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.estimators import _likelihood_fits
-from jaxcslc.identification.estimators._likelihood_fits import fits_beside
+from jaxcslc.identification._exclusions import Request
+from jaxcslc.identification.estimators import Likelihood, _maximum_likelihood
 from jaxcslc.identification.likelihood import MaximumLikelihood
 
 
@@ -31,24 +32,32 @@ def recording(network: jc.CSLC) -> jc.Recording:
     return jc.Recording(t[:, 0], 1e-3 * np.round(q / 1e-3), torque + noise)
 
 
+@pytest.fixture
+def request_of(network: jc.CSLC, recording: jc.Recording) -> Request:
+    return Request(network, {"swing": recording}, likelihood=OPTIONS, possible="never")
+
+
 def test_they_are_those_of_one_process(
-    network: jc.CSLC, recording: jc.Recording, monkeypatch: pytest.MonkeyPatch
+    network: jc.CSLC,
+    recording: jc.Recording,
+    request_of: Request,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Computed at once, for XLA has threads here; sent as from another process.
-    monkeypatch.setattr(_likelihood_fits, "can_fork", lambda: True)
+    monkeypatch.setattr(_maximum_likelihood, "can_fork", lambda: True)
     monkeypatch.setattr(
-        _likelihood_fits,
+        _maximum_likelihood,
         "_with_network",
-        lambda network, fields, made=_likelihood_fits._with_network: made(
+        lambda network, fields, made=_maximum_likelihood._with_network: made(
             network, pickle.loads(pickle.dumps(fields))
         ),
     )
     settings = jc.Settings()
-    with fits_beside(network, {"swing": recording}, OPTIONS, held_out=True, allowed=True) as beside:
+    with Likelihood().beside(request_of) as beside:
         assert beside is not None
         beside.begin(settings)
         whole, before = beside.result()
-    expected = _likelihood_fits.estimator_for(OPTIONS, settings).fit(network, recording)
+    expected = _maximum_likelihood.options_for(OPTIONS, settings).fit(network, recording)
     assert_allclose(whole.k, expected.k)
     assert_allclose(whole.slopes, expected.slopes)
     assert whole.network.static_slopes is not None
@@ -58,11 +67,10 @@ def test_they_are_those_of_one_process(
 
 
 def test_least_squares_are_waited_for_where_a_fit_starts_from_them(
-    network: jc.CSLC, recording: jc.Recording, monkeypatch: pytest.MonkeyPatch
+    network: jc.CSLC, request_of: Request, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_likelihood_fits, "can_fork", lambda: True)
+    monkeypatch.setattr(_maximum_likelihood, "can_fork", lambda: True)
     without = network.without_law("static", (1,))
-    for which, allowed in ((without, True), (network, False)):
-        training = {"swing": recording}
-        with fits_beside(which, training, OPTIONS, held_out=True, allowed=allowed) as beside:
+    for change in ({"network": without}, {"possible": "always"}):
+        with Likelihood().beside(dataclasses.replace(request_of, **change)) as beside:
             assert beside is None

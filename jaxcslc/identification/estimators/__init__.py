@@ -1,9 +1,30 @@
-from ._calibration import calibrated as calibrated
-from ._checks import (
-    EstimatorChoice as EstimatorChoice,
-    check_estimator as check_estimator,
+"""Estimators by name: objects that `identify` fits a problem with."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from ._estimator import (
+    AbstractEstimator as AbstractEstimator,
+    Fit as Fit,
+    Judged as Judged,
+    held_out_of as held_out_of,
+    residual as residual,
+)
+from ._instruments import SimulatedMotion as SimulatedMotion
+from ._least_squares import Regression as Regression
+from ._maximum_likelihood import (
+    Likelihood as Likelihood,
+    calibrated as calibrated,
     within_memory as within_memory,
 )
-from ._likelihood_fits import fits_beside as fits_beside
-from ._with_instruments import with_instruments as with_instruments
-from ._with_likelihood import with_likelihood as with_likelihood
+
+
+ESTIMATORS: Mapping[str, AbstractEstimator] = MappingProxyType(
+    {
+        "least-squares": Regression(),
+        "maximum-likelihood": Likelihood(),
+        "instrumental-variables": SimulatedMotion(),
+        "auto": Likelihood(always=False),
+    }
+)
+"""Estimators of `identify` and of the command, by name."""

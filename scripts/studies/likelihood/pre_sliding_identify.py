@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import EstimatorChoice, FrictionChoice, uncertainty_interval
+from jaxcslc.identification import FrictionChoice, uncertainty_interval
 from jaxcslc.identification.report import text_table, write_csv
 from scripts.studies import command
 from scripts.studies.likelihood.dahl_pendulum import (
@@ -71,7 +71,7 @@ def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     (network, true), recorded = pendulum(), controlled(length, seed, samples)
     expected = dict(zip(network.names, true.tolist(), strict=True))
     terms: jc.CSLC | None = None
-    reports: dict[str, EstimatorChoice] = {
+    reports: dict[str, str] = {
         "regression": "least-squares",
         "likelihood": "maximum-likelihood",
     }

@@ -10,13 +10,14 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.identification import (
-    EstimatorChoice,
     EstimatorComparison,
     Prior,
     pre_sliding,
     prediction_error,
 )
+from jaxcslc.identification._exclusions import Request
 from jaxcslc.identification._identify_friction import choose_friction_terms
+from jaxcslc.identification.estimators import ESTIMATORS
 from jaxcslc.identification.friction import state_at
 
 
@@ -56,7 +57,7 @@ def swing(network: jc.CSLC, seed: int, *, yields: bool) -> jc.Recording:
 def identified(
     recording: jc.Recording,
     validation: jc.Recording | None = None,
-    estimator: EstimatorChoice = "maximum-likelihood",
+    estimator: str = "maximum-likelihood",
     likelihood: jc.MaximumLikelihood = OPTIONS,
     friction: bool = True,
     horizon: bool = False,
@@ -252,22 +253,19 @@ class TestFrictionThatDoesNotYield:
     ],
 )
 def test_what_pre_sliding_is_not_tried_with(
-    estimator: EstimatorChoice,
+    estimator: str,
     likelihood: jc.MaximumLikelihood | None,
     reason: str,
     recordings: tuple[jc.Recording, jc.Recording],
 ) -> None:
-    friction = choose_friction_terms(
+    request = Request(
         jc.derive(pendulum(), lengths="numeric"),
         {"swing": recordings[0]},
-        jc.Settings(),
+        settings=jc.Settings(),
         estimator=estimator,
+        supports=ESTIMATORS[estimator].supports,
         likelihood=likelihood,
-        prior=None,
-        options={},
-        memory=2.0,
-        horizon=False,
-        step=lambda _: None,
     )
+    friction = choose_friction_terms(request, lambda _: None)
     assert friction.tried is None and friction.not_tried == reason
-    assert friction.likelihood is likelihood
+    assert friction.request.likelihood is likelihood

@@ -1,0 +1,244 @@
+"""What is asked of `identify`, and the one table of what is not combined.
+
+Each row of `EXCLUSIONS` names features and holds the text of the error. What an estimator can be
+combined with, it declares itself (`AbstractEstimator.supports`). `check_request` is called once,
+before any work.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, NamedTuple, get_args
+
+from ..motion import Recording
+from ..network import CSLC
+from ._settings import Settings
+from .likelihood import MaximumLikelihood
+from .possible import Choice
+from .prior import Prior
+from .selection import PRE_SLIDING
+from .solver import Previous
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Request:
+    """What is asked of `identify`; fields as its arguments.
+
+    - `network`: with the friction that is fitted, once that is chosen.
+    - `training`: by name.
+    - `estimator`: its name; `supports`: features that it can be combined with.
+    """
+
+    network: CSLC
+    training: Mapping[str, Recording]
+    validation: Recording | None = None
+    settings: Settings | None = None
+    estimator: str = "least-squares"
+    supports: frozenset[str] = frozenset()
+    likelihood: MaximumLikelihood | None = None
+    offsets: bool = False
+    previous: Previous | None = None
+    groups: tuple[str, ...] | None = None
+    friction: Literal["auto"] | None = None
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    folds: int | None = None
+    checks: bool = True
+    systematic: bool = True
+    possible: Choice = "auto"
+    prior: Prior | None = None
+    memory: float = 2.0
+    horizon: bool = False
+
+    @property
+    def longest(self) -> str:
+        """The name of the longest training recording."""
+        return max(self.training, key=lambda name: self.training[name].samples)
+
+    @property
+    def load_kinds(self) -> str:
+        """Kinds of friction that follows the load, in words."""
+        return " and ".join(repr(term.kind) for term in self.network.load_terms)
+
+    @property
+    def likelihood_options(self) -> MaximumLikelihood:
+        """How maximum likelihood is fitted."""
+        return self.likelihood or MaximumLikelihood()
+
+
+# Features that estimators may support.
+PREVIOUS, OFFSETS, SEVERAL, BODIES, LIKELIHOOD, LOAD_FRICTION = (
+    "previous",
+    "offsets",
+    "several recordings",
+    "possible bodies",
+    "options of maximum likelihood",
+    "friction of the load",
+)
+
+FEATURES: Mapping[str, Callable[[Request], bool]] = {
+    PREVIOUS: lambda r: r.previous is not None,
+    OFFSETS: lambda r: r.offsets,
+    SEVERAL: lambda r: len(r.training) > 1,
+    BODIES: lambda r: r.possible == "always",
+    LIKELIHOOD: lambda r: r.likelihood is not None,
+    LOAD_FRICTION: lambda r: bool(r.network.load_terms),
+    # It is not asked for, but tried where no row excludes it.
+    PRE_SLIDING: lambda r: False,
+    "recordings": lambda r: bool(r.training),
+    "groups": lambda r: r.groups is not None,
+    "chosen friction": lambda r: r.friction is not None,
+    "no bodies": lambda r: r.possible == "never",
+    "prior": lambda r: r.prior is not None,
+    "prior of links": lambda r: r.prior is not None and bool(r.prior.links),
+    "prior of the likelihood": lambda r: r.likelihood_options.prior is not None,
+    "bodies of the likelihood": lambda r: r.likelihood_options.possible,
+    "torque gains": lambda r: "torque_gains" in r.likelihood_options.unknowns,
+    "elastic gears": lambda r: bool(
+        r.likelihood_options.transmission or "transmission" in r.likelihood_options.unknowns
+    ),
+    "lengths": lambda r: bool(r.likelihood_options.lengths),
+    "horizon": lambda r: r.horizon,
+    "known masses": lambda r: any(inertia.has_known for inertia in r.network.robot.inertia),
+    "dry friction": lambda r: any("dry" in kinds for kinds in r.network.friction_per_joint),
+}
+"""Features by name: whether a request has them."""
+
+
+class Exclusion(NamedTuple):
+    """Features that are not combined.
+
+    - `features`: names in `FEATURES`; after `"not "`, of one that a request lacks; after
+      `"unsupported "`, of one that it has and that its estimator does not support.
+    - `text`: of the error, a format of the request `r`.
+    """
+
+    features: tuple[str, ...]
+    text: str
+
+
+EXCLUSIONS = (
+    Exclusion(("not recordings",), "identify: got no recording; expected one or more"),
+    Exclusion(
+        ("known masses",),
+        "identify: {r.network.name!r} has known masses or centres of gravity in its algebra,"
+        " which LeastSquares.fit takes; here say them as links of the prior",
+    ),
+    *(
+        Exclusion(
+            features,
+            "groups and previous (--reidentify and --previous): got one of them; expected both or"
+            " neither",
+        )
+        for features in ((PREVIOUS, "not groups"), ("groups", f"not {PREVIOUS}"))
+    ),
+    *(
+        Exclusion((PREVIOUS, feature), f"{name} of a fit of all coefficients, not with previous")
+        for feature, name in (
+            ("chosen friction", "friction: is"),
+            (BODIES, "possible: bodies are"),
+            ("prior", "prior: is"),
+        )
+    ),
+    Exclusion(
+        ("no bodies", "prior of links"),
+        "prior, links: possible bodies alone can follow it; got 'never'",
+    ),
+    Exclusion(
+        ("torque gains", "horizon"), "horizon: is of recorded torques, not with torque gains"
+    ),
+    Exclusion(
+        ("bodies of the likelihood",),
+        "likelihood: possible bodies are asked for by possible='always'",
+    ),
+    Exclusion(
+        (f"unsupported {LIKELIHOOD}",),
+        "estimator {r.estimator!r}: takes no options of maximum likelihood",
+    ),
+    *(
+        Exclusion(
+            (f"unsupported {feature}",),
+            f"estimator {{r.estimator!r}}: not with {feature}, which is of least-squares",
+        )
+        for feature in (PREVIOUS, OFFSETS)
+    ),
+    Exclusion(
+        (f"unsupported {SEVERAL}",),
+        "estimator {r.estimator!r}: is for one recording, got {recordings}",
+    ),
+    Exclusion(
+        (f"unsupported {BODIES}",),
+        "estimator {r.estimator!r}: fits no possible bodies; got 'always'",
+    ),
+    Exclusion((PREVIOUS, SEVERAL), "identify: previous is for one recording, got several"),
+    Exclusion(
+        (OFFSETS, f"not {SEVERAL}"),
+        "identify: offsets are of several recordings; for one use the friction term 'offset'",
+    ),
+    *(
+        Exclusion(features, f"identify: friction of kind {{r.load_kinds}} is not for {what}")
+        for features, what in (
+            ((f"unsupported {LOAD_FRICTION}",), "the estimator {r.estimator!r}"),
+            ((LOAD_FRICTION, SEVERAL), "several recordings in one fit"),
+            ((LOAD_FRICTION, "horizon"), "prediction over a horizon"),
+        )
+    ),
+    *(
+        Exclusion((PRE_SLIDING, feature), why)
+        for feature, why in (
+            (SEVERAL, "several recordings are fitted together"),
+            (f"unsupported {PRE_SLIDING}", "it is not for the estimator {r.estimator!r}"),
+            ("lengths", "its lengths are given"),
+            ("elastic gears", "it is not for gears that give way"),
+            ("prior", "coefficients are known beforehand"),
+            ("prior of the likelihood", "coefficients are known beforehand"),
+            (LOAD_FRICTION, "friction follows the load"),
+            ("not dry friction", "no joint has friction of kind 'dry'"),
+        )
+    ),
+)
+"""What is not combined, in the order in which it is looked for."""
+
+
+def check_request(request: Request) -> None:
+    """Check what is asked of `identify`.
+
+    **Raises** `ValueError`: a choice that there is not, features that are not combined, or a prior
+    that is not of the network.
+    """
+    if request.friction not in ("auto", None):
+        raise ValueError(
+            f"friction: expected 'auto' or None, got {request.friction!r}; terms are those of the"
+            " network"
+        )
+    if request.possible not in get_args(Choice):
+        raise ValueError(
+            f"possible: expected {', '.join(get_args(Choice))}, got {request.possible!r}"
+        )
+    for row in EXCLUSIONS:
+        if all(_has(request, name) for name in row.features):
+            raise ValueError(_text(row, request))
+    if request.prior is not None:
+        request.prior.coefficient_values(request.network)
+        request.prior.link_values(request.network.robot)
+
+
+def excluded(request: Request, feature: str) -> str | None:
+    """Return why a request cannot have a feature besides those that it has; None if it can."""
+    for row in EXCLUSIONS:
+        named = any(name.endswith(feature) for name in row.features)
+        if named and all(_has(request, name, feature) for name in row.features):
+            return _text(row, request)
+    return None
+
+
+def _has(request: Request, name: str, besides: str | None = None) -> bool:
+    """Return whether a request has a feature of a row, `besides` counting as one that it has."""
+    word, _, feature = name.partition(" ")
+    if word == "not":
+        return not _has(request, feature, besides)
+    if word == "unsupported":
+        return feature not in request.supports and _has(request, feature, besides)
+    return name == besides or FEATURES[name](request)
+
+
+def _text(row: Exclusion, request: Request) -> str:
+    return row.text.format(r=request, recordings=len(request.training))
