@@ -1,5 +1,4 @@
 from ._arrays import array_outputs as array_outputs
-from ._c_library import c_library as c_library, kept_c_library as kept_c_library
 from ._closed_form import ClosedForm as ClosedForm, nested as nested
 from ._compiled_program import CompiledProgram as CompiledProgram
 from ._cuda import Kernel as Kernel, assembly as assembly, kernels_run as kernels_run

@@ -1,13 +1,11 @@
-import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ._c_library import kept_c_library
+from ...codegen import LONG, CArray, CFunction, CRows
 from ._expressions import Motion, Operation, Value
 from ._kernel_text import KernelText
 from ._program import Program
@@ -26,7 +24,7 @@ class CompiledProgram:
     """A `Program` whose sums and products C code computes, as soon as that is compiled.
 
     NumPy's operations go through memory one by one; those of C stay in registers. Until there is a
-    compiled library (`kept_c_library`), NumPy computes everything, with the same results.
+    compiled library (`CFunction.is_kept`), NumPy computes everything, with the same results.
 
     **Attributes**
 
@@ -63,17 +61,20 @@ class CompiledProgram:
         qdd: Float[np.ndarray, "joints samples"],
     ) -> None:
         """Writes the values at all samples into rows, each of numbers one behind the other."""
-        library = kept_c_library(self.source, _OPTIONS) if q.dtype == np.float64 else None
-        if library is None:
+        if q.dtype != np.float64 or not self.columns.is_kept:
             for row, values in zip(rows, self.program(q, qd, qdd), strict=True):
                 row[...] = values
             return
-        functions = self.functions(q, qd, qdd)
-        inputs = [np.ascontiguousarray(row) for x in (q, qd, qdd, functions) for row in x]
+        inputs = [row for x in (q, qd, qdd, self.functions(q, qd, qdd)) for row in x]
         memory = np.zeros((len(inputs) + len(rows), _BLOCK))
-        library.columns(
-            _addresses(inputs), _addresses(rows), _address(memory), ctypes.c_long(q.shape[1])
-        )
+        self.columns(inputs, rows, memory, q.shape[1])
+
+    @cached_property
+    def columns(self) -> CFunction:
+        """All of it but sines and cosines by C code, for rows of inputs and rows of outputs."""
+        rows = CRows("samples"), CRows("samples", written=True)
+        kinds = (*rows, CArray("rows block", written=True), LONG)
+        return CFunction(self.source, "columns", kinds, _OPTIONS)
 
     @cached_property
     def program(self) -> Program:
@@ -116,15 +117,6 @@ class CompiledProgram:
         operations = self.motion.graph.operations
         needed = self.motion.graph.needed(self.outputs)
         return tuple(index for index in needed if operations[index].name in _OF_NUMPY)
-
-
-def _address(array: np.ndarray) -> Any:
-    return array.ctypes.data_as(ctypes.c_void_p)
-
-
-def _addresses(rows: Sequence[np.ndarray]) -> Any:
-    """Of rows of numbers that lie one behind the other."""
-    return (ctypes.c_void_p * len(rows))(*(row.ctypes.data for row in rows))
 
 
 _SOURCE = """#include <math.h>
