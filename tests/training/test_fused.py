@@ -14,8 +14,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
-from jaxcslc.codegen import LONG, CArray, CFunction
-from jaxcslc.network.straight_line import Expressions, assembly, traced
+from jaxcslc.codegen import LONG, CArray, CFunction, Expressions, assembly, traced
 from jaxcslc.training import (
     PERAL,
     AbstractRule,

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.codegen import CArray, CFunction
+from jaxcslc.codegen import (
+    CArray,
+    CFunction,
+    KernelText,
+    Motion as Symbols,
+    Operation,
+    kernels_run,
+)
 from jaxcslc.identification.solver import Preconditioner
 from jaxcslc.identification.solver.fused import (
     fused_gram_matrices,
@@ -17,12 +24,6 @@ from jaxcslc.identification.solver.fused import (
     gram_kernel,
     packed_inverses,
     unpacked_products,
-)
-from jaxcslc.network.straight_line import (
-    KernelText,
-    Motion as Symbols,
-    Operation,
-    kernels_run,
 )
 
 from ..conftest import ORDINARY, Motion, patterns_of

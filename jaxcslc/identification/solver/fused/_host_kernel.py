@@ -5,9 +5,17 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ....codegen import LONG, CArray, CFunction
+from ....codegen import (
+    LONG,
+    SINES_TEXT,
+    CArray,
+    CFunction,
+    KernelText,
+    Motion,
+    Operation,
+    Value,
+)
 from ....network import CSLC, AbstractLinearNetwork
-from ....network.straight_line import SINES_TEXT, KernelText, Motion, Operation, Value
 from ._weighted_columns import weighted_columns
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from jaxcslc.codegen import LONG, CArray, CFunction
-from jaxcslc.network.straight_line import SINES_TEXT
+from jaxcslc.codegen import LONG, SINES_TEXT, CArray, CFunction
 
 
 mpmath: Any = pytest.importorskip("mpmath")

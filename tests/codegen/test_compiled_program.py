@@ -10,8 +10,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc._processes import processes_beside
-from jaxcslc.codegen import _c_function
-from jaxcslc.network.straight_line import CompiledProgram, Motion
+from jaxcslc.codegen import CompiledProgram, Motion, _c_function
 
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
