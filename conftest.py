@@ -29,6 +29,7 @@ os.environ["MPLBACKEND"] = "Agg"
 # worker, for later runs, and for this worker after it has forgotten its programs: reading one takes
 # half the time of compiling the smallest.
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
+os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parent / ".cache")
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parent / ".cache" / "jax")
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"

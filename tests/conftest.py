@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("gpu") is None:
         return
-    from jaxcslc.network.straight_line import kernels_run
+    from jaxcslc.codegen import kernels_run
 
     if not kernels_run():
         pytest.skip("gpu: there is no NVIDIA GPU with matrix units for float64")

@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[1]
 COMMON = {
     *(
         "_bounded_search",
+        "_cache",
         "_chunks",
         "_environment",
         "_field_types",
@@ -40,7 +41,8 @@ COMMON = {
 LAYERS = {
     "manipulator": set[str](),
     "derivation": {"manipulator"},
-    "network": {"derivation"},
+    "codegen": set[str](),
+    "network": {"derivation", "codegen"},
     "motion": set[str](),
     "inertia": {"derivation"},
     "adaptive": {"network", "motion"},

@@ -1,15 +1,14 @@
-import os
 import sys
 import warnings
 from collections.abc import Iterable
 from importlib import import_module
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import jax
 import typer
 
+from .._cache import cache_folder
 from ._process import collect_garbage
 
 
@@ -49,8 +48,8 @@ def run() -> None:
     # Overflow inside a computation is no news for a user: the report judges what comes out.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     jax.config.update("jax_enable_x64", True)  # identification is float64 work
-    cache = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    jax.config.update("jax_compilation_cache_dir", str(Path(cache) / "jaxcslc" / "jax"))
+    if (cache := cache_folder()) is not None:
+        jax.config.update("jax_compilation_cache_dir", str(cache / "jax"))
     # Keep even the quickest compilations: there are dozens of them, and a second run has none.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

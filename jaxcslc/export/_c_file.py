@@ -4,8 +4,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..codegen import Value
 from ..network import CSLC
-from ..network.straight_line import Value
 from ._c_functions import CFunction
 from ._c_text import definitions, statements
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..codegen import Expressions, Motion, Value
 from ..identification.friction import state_after
 from ..network import CSLC
-from ..network.straight_line import Expressions, Motion, Value
 from ..network.terms import ExpressionFunctions, JointProjection
 from ._c_inputs import input_entries, input_inertias
 from ._rigid_body import (

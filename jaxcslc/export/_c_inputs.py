@@ -3,8 +3,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from ..codegen import Motion, Value
 from ..network import CSLC
-from ..network.straight_line import Motion, Value
 from ..network.terms import term_entries
 
 

@@ -1,6 +1,6 @@
 from collections.abc import Sequence
 
-from ..network.straight_line import Expressions, Operation, Value
+from ..codegen import Expressions, Operation, Value
 
 
 _PRECEDENCE = {"add": 1, "subtract": 1, "negate": 2, "multiply": 3}

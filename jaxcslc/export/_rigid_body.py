@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .._rank import numerical_rank
+from ..codegen import Motion, Value
 from ..derivation import BODY, NewtonEuler
 from ..inertia import body_map
 from ..network import CSLC
-from ..network.straight_line import ClosedForm, Motion, Value, newton_euler
 from ..network.terms import JointProjection
+from ..network.terms.rigid_body import ClosedForm, newton_euler
 
 
 # Coefficients that bodies can have are reproduced by bodies to this part of the largest.

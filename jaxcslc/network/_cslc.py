@@ -5,12 +5,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..codegen import Motion, Value
 from ..derivation import Algebra, constant_values
 from ..manipulator import LinkParameters, Manipulator
 from ._coefficient_values import coefficient_values
 from ._counts import counts_of, order_per_joint
 from ._term_sum import AbstractTermSum
-from .straight_line import Motion, Value
 from .terms import (
     AbstractInputTerm,
     AbstractManipulatorTerm,

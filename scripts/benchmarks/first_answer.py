@@ -86,7 +86,7 @@ def steps(folder: Path, robot: str, recording: Path) -> dict[str, float]:
         check=True,
         capture_output=True,
         text=True,
-        env=_environment(),
+        env=_environment(XDG_CACHE_HOME=arguments[0]),
     )
     return json.loads(done.stdout.splitlines()[-1])
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import jaxcslc
+from jaxcslc.codegen import array_outputs, named
 from jaxcslc.manipulator import LinkParameters, Manipulator
 from jaxcslc.network import RigidBodyRecursion
-from jaxcslc.network.straight_line import array_outputs, named, torque_code
+from jaxcslc.network.terms.rigid_body import torque_code
 
 
 # Of the largest torque among a robot's samples. Both sides round at 1e-15 per operation.

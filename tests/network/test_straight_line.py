@@ -9,17 +9,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import jaxcslc
+from jaxcslc.codegen import StraightLine, array_outputs, by_platform, named
 from jaxcslc.manipulator import Manipulator
 from jaxcslc.network import RigidBodyRecursion
-from jaxcslc.network._compilation import by_platform
-from jaxcslc.network.straight_line import (
-    StraightLine,
-    array_outputs,
-    columns_code,
-    mass_matrix_code,
-    named,
-    torque_code,
-)
+from jaxcslc.network.terms.rigid_body import columns_code, mass_matrix_code, torque_code
 
 
 ROUNDING = 1e-12

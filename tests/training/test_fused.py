@@ -1,6 +1,5 @@
 """Changes of many trainings by generated code: those of the rules themselves."""
 
-import ctypes
 import shutil
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +14,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
-from jaxcslc.network.straight_line import Expressions, assembly, c_library, traced
+from jaxcslc.codegen import LONG, CArray, CFunction, Expressions, assembly, traced
 from jaxcslc.training import (
     PERAL,
     AbstractRule,
@@ -108,10 +107,9 @@ def changed_by_c(statements: RuleStatements, weights: np.ndarray, patterns: Exam
         f"double row[{len(statements.rows)}];\n"
         "for (long i = 0; i < patterns; ++i) {\n"
     ) + "\n".join(["{", *rows, "}", *stages, "}", *factors, "}"])
-    library: Any = c_library(source)
+    kinds = CArray("inputs patterns"), CArray("weights"), CArray("sums", written=True), LONG
     sums = np.zeros(len(statements.sums))
-    arrays = (x.ctypes.data_as(ctypes.c_void_p) for x in (inputs, weights, sums))
-    library.change(*arrays, ctypes.c_long(PATTERNS))
+    CFunction(source, "change", kinds)(inputs, weights, sums, PATTERNS)
     change = np.zeros(statements.shape)
     change.flat[list(statements.entries)] = sums
     return change

@@ -1,7 +1,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ..straight_line import Expressions, Motion, Value
+from ...codegen import Expressions, Motion, Value
 from ._input_term import AbstractFunctions, AbstractInputTerm
 from ._joint_projection import ProjectedTerm
 

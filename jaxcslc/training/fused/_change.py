@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...adaptive import AdaptiveNetwork, Signals
-from ...network.straight_line import Kernel, kernels_run
+from ...codegen import Kernel, kernels_run
 from .._rules import AbstractRule, Counts, Numbers, Weights
 from ._batching import batched_by
 from ._kernel_source import ROW_THREADS, launch_of, row_length, rows_source, source

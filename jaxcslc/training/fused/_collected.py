@@ -1,6 +1,6 @@
 from collections.abc import Iterable
 
-from ...network.straight_line import Expressions, Operation, Value
+from ...codegen import Expressions, Operation, Value
 
 
 # Values that weights take part in, as factors of a product, by their indices in ascending order;

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...adaptive import LINEAR_COMBINER, AdaptiveNetwork
-from ...network.straight_line import Kernel, kernels_run
+from ...codegen import Kernel, kernels_run
 from .._costs import Cost, ErrorSum, error_sum
 
 

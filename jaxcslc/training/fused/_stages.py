@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
-from ...network.straight_line import Expressions, Value
+from ...codegen import Expressions, Value
 
 
 # Weights and sums that a thread's registers hold beside the values of nodes: with all 43 and 62 of

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...adaptive import AdaptiveNetwork, Signals
-from ...network.straight_line import (
+from ...codegen import (
     Expressions,
     KernelText,
     Operation,

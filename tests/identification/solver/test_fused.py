@@ -1,6 +1,5 @@
 """The kernel that multiplies columns where it computes them: what of it runs without a GPU."""
 
-import ctypes
 import shutil
 from typing import Any
 
@@ -10,6 +9,14 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.codegen import (
+    CArray,
+    CFunction,
+    KernelText,
+    Motion as Symbols,
+    Operation,
+    kernels_run,
+)
 from jaxcslc.identification.solver import Preconditioner
 from jaxcslc.identification.solver.fused import (
     fused_gram_matrices,
@@ -17,13 +24,6 @@ from jaxcslc.identification.solver.fused import (
     gram_kernel,
     packed_inverses,
     unpacked_products,
-)
-from jaxcslc.network.straight_line import (
-    KernelText,
-    Motion as Symbols,
-    Operation,
-    c_library,
-    kernels_run,
 )
 from tests.patterns import ORDINARY, Motion, patterns_of
 
@@ -77,9 +77,8 @@ def statements_in_c(network: jc.CSLC) -> Any:
             "}",
         ]
     )
-    library = c_library(source)
-    assert library is not None
-    return library.columns, entries
+    kinds = (*(CArray("joints"),) * 3, CArray("entries", written=True))
+    return CFunction(source, "columns", kinds), entries
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
@@ -91,7 +90,7 @@ def test_statements_compute_the_columns(name: str, rng: np.random.Generator) -> 
     function, entries = statements_in_c(network)
     q, qd, qdd = rng.uniform(-3, 3, (3, network.joint_count, 1))
     out = np.empty(len(entries))
-    function(*(np.ascontiguousarray(x).ctypes.data_as(ctypes.c_void_p) for x in (q, qd, qdd, out)))
+    function(q[:, 0], qd[:, 0], qdd[:, 0], out)
     columns = [np.zeros(network.size) for _ in network.support]
     for (joint, index, _), value in zip(entries, out, strict=True):
         columns[joint][index] += value

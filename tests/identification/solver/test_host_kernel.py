@@ -1,8 +1,6 @@
 """The C code that multiplies columns where it computes them: against NumPy, and without it."""
 
 import shutil
-from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -12,7 +10,6 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.identification.solver import Preconditioner
 from jaxcslc.identification.solver.fused import host_kernel_of
-from jaxcslc.network.straight_line import c_library
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
@@ -85,49 +82,8 @@ def test_a_fit_is_the_same_without_a_compiler(
     noise = 0.1 * rng.normal(size=(3000, 6))
     patterns = patterns_of(puma, puma_k, exciting_motion, noise)
     compiled = ORDINARY.fit_stream(puma, [patterns])
-    c_library.cache_clear()
     monkeypatch.setenv("CC", "")
     assert host_kernel_of(puma) is None
     without = ORDINARY.fit_stream(puma, [patterns])
-    c_library.cache_clear()
     error = np.abs(np.asarray(compiled.k) - np.asarray(without.k))
     assert np.max(error / np.asarray(without.standard_error)) < 1e-9
-
-
-def test_what_cannot_be_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A compiler that is missing, that fails, and a program that is wrong."""
-    for command in ("", "no-such-compiler", "false"):
-        c_library.cache_clear()
-        monkeypatch.setenv("CC", command)
-        assert c_library("int one(void) { return 1; }") is None
-    c_library.cache_clear()
-    monkeypatch.delenv("CC")
-    assert c_library("int one(void) { return") is None
-
-
-@needs_compiler
-def test_programs_are_kept_where_jax_keeps_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = f"int number(void) {{ return {42}; }}"
-    config: Any = jax.config
-    before = config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
-    try:
-        c_library.cache_clear()
-        library = c_library(source)
-        assert library is not None and library.number() == 42
-        (kept,) = (tmp_path / "cache").iterdir()
-        kept.chmod(0o600)
-        written = kept.stat().st_mtime_ns
-        c_library.cache_clear()
-        assert c_library(source) is not None and kept.stat().st_mtime_ns == written
-        damaged = kept.with_name("damaged")
-        damaged.write_bytes(b"half a library")
-        damaged.replace(kept)
-        c_library.cache_clear()
-        again = c_library(source)
-        assert again is not None and again.number() == 42
-    finally:
-        jax.config.update("jax_compilation_cache_dir", before)
-        c_library.cache_clear()

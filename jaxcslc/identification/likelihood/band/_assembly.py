@@ -1,10 +1,8 @@
-import ctypes
-
 import numpy as np
 from jaxtyping import Float, Int
 
 from ...._chunks import over_chunks
-from ....network.straight_line import c_library
+from ....codegen import INTEGERS, LONG, CArray, CFunction
 from ._columns import JointColumns
 from ._source import SOURCE
 
@@ -13,6 +11,19 @@ from ._source import SOURCE
 _BLOCK = 256
 # Equations that a thread adds.
 _CHUNK = 4096
+
+_ADD = CFunction(
+    SOURCE,
+    "add_equations",
+    (
+        *(CArray("samples", INTEGERS), CArray("equations joints")),
+        *(CArray("equations joints stencil"), CArray("equations entries")),
+        *(CArray("entries", INTEGERS), CArray("entries", INTEGERS)),
+        *(CArray("unknowns width", written=True), CArray("unknowns border", written=True)),
+        *(CArray("numbers", written=True), CArray("integers", INTEGERS, written=True)),
+        *[LONG] * 8,
+    ),
+)
 
 
 def add_equations(
@@ -35,30 +46,19 @@ def add_equations(
     - `by_position`: derivatives by the positions at so many samples, the first of them `order`
       before an equation's three; `by_border`: by the border.
     """
-    library = c_library(SOURCE)
-    if library is None:
+    if not _ADD.is_available:
         _add_in_blocks(band, mixed, position, weight, by_position, by_border.dense, order)
         return
     count, n, stencil = by_position.shape
-    long, columns = np.dtype(ctypes.c_long), mixed.shape[1]
-    arrays = (
-        np.ascontiguousarray(position[:, 0], long),
-        *(np.ascontiguousarray(x, float) for x in (weight, by_position, by_border.values)),
-        *(np.ascontiguousarray(x, long) for x in (by_border.joints, by_border.columns)),
-        band,
-        mixed,
-    )
-    addresses = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
+    columns = mixed.shape[1]
+    of_border = by_border.values, by_border.joints, by_border.columns
+    bound = _ADD.bound(position[:, 0], weight, by_position, *of_border, band, mixed)
     sizes = (n, stencil // n, order, band.shape[1], columns, len(by_border.joints))
 
     def add(first: int, last: int) -> None:
         memory = np.zeros((stencil + columns + 8) * n)
-        integers = np.zeros((n + 1) * (columns // 2 + 1) + stencil, long)
-        library.add_equations(
-            *addresses,
-            *(x.ctypes.data_as(ctypes.c_void_p) for x in (memory, integers)),
-            *map(ctypes.c_long, (first, last, *sizes)),
-        )
+        integers = np.zeros((n + 1) * (columns // 2 + 1) + stencil, INTEGERS)
+        bound(memory, integers, first, last, *sizes)
 
     # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
     shared = stencil // n - 1

@@ -1,11 +1,8 @@
-import ctypes
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Float
 
 from ...._chunks import over_chunks
-from ....network.straight_line import c_library
+from ....codegen import INTEGERS, LONG, CArray, CFunction
 from ._columns import JointColumns
 from ._source import SOURCE
 
@@ -16,6 +13,28 @@ _CHUNK = 4096
 ByPosition = Float[np.ndarray, "equations joints positions"]
 Rows = Float[np.ndarray, "equations joints"]
 Samples = Float[np.ndarray, "samples joints"]
+
+_DERIVATIVES = (
+    CArray("equations joints stencil"),
+    CArray("equations entries"),
+    CArray("ends", INTEGERS),
+)
+_CHANGE = CFunction(
+    SOURCE,
+    "change_equations",
+    (
+        *(*_DERIVATIVES, CArray("samples joints"), CArray("entries")),
+        *(CArray("equations joints", written=True), *[LONG] * 5),
+    ),
+)
+_ADD_GRADIENTS = CFunction(
+    SOURCE,
+    "add_gradients",
+    (
+        *(*_DERIVATIVES, CArray("equations joints"), CArray("samples joints", written=True)),
+        *(CArray("entries", written=True), *[LONG] * 5),
+    ),
+)
 
 
 def equation_changes(
@@ -39,14 +58,12 @@ def equation_changes(
     >>> equation_changes(by_position, by_border, position, np.array([1.0])).tolist()
     [[1321.0], [2864.0]]
     """
-    library = c_library(SOURCE)
-    if library is None:
+    if not _CHANGE.is_available:
         return _changes_in_parts(by_position, by_border, position, border)
     result = np.empty(by_position.shape[:2])
-    of_entries = np.ascontiguousarray(border[by_border.columns])
-    changes = (np.ascontiguousarray(position, float), of_entries, result)
-    call = _Call(library.change_equations, by_position, by_border, changes)
-    over_chunks(call, len(result), _CHUNK)
+    derivatives, sizes = _derivatives(by_position, by_border)
+    change = _CHANGE.bound(*derivatives, position, border[by_border.columns], result)
+    over_chunks(lambda first, last: change(first, last, *sizes), len(result), _CHUNK)
     return result
 
 
@@ -62,18 +79,17 @@ def equation_gradients(
     >>> of_positions.ravel().tolist(), of_border.tolist()
     ([1.0, 12.0, 120.0, 200.0], [3000.0])
     """
-    library = c_library(SOURCE)
-    if library is None:
+    if not _ADD_GRADIENTS.is_available:
         return _gradients_in_parts(by_position, by_border, force)
     count, n, stencil = by_position.shape
     of_positions = np.zeros((count + 2, n))
-    force = np.ascontiguousarray(force, float)
     shared = stencil // n - 1
+    derivatives, sizes = _derivatives(by_position, by_border)
+    bound = _ADD_GRADIENTS.bound(*derivatives, force, of_positions)
 
     def add(first: int, last: int) -> np.ndarray:
         of_entries = np.zeros(len(by_border.columns))
-        sums = (force, of_positions, of_entries)
-        _Call(library.add_gradients, by_position, by_border, sums)(first, last)
+        bound(of_entries, first, last, *sizes)
         return of_entries
 
     # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
@@ -86,33 +102,14 @@ def equation_gradients(
     return of_positions, of_border
 
 
-class _Call:
-    """A function of C for some equations, whose first three arguments are derivatives."""
-
-    def __init__(
-        self,
-        function: Callable[..., object],
-        by_position: ByPosition,
-        by_border: JointColumns,
-        others: tuple[np.ndarray, ...],
-    ) -> None:
-        n = by_position.shape[1]
-        firsts = np.searchsorted(by_border.joints, np.arange(n + 1))
-        # Kept here, for C has only their addresses.
-        self._arrays = (
-            np.ascontiguousarray(by_position, float),
-            np.ascontiguousarray(by_border.values, float),
-            np.ascontiguousarray(firsts, np.dtype(ctypes.c_long)),
-            *others,
-        )
-        slots = by_position.shape[2] // n
-        self._function, self._sizes = function, (n, slots, slots - 3)
-
-    def __call__(self, first: int, last: int) -> None:
-        self._function(
-            *(array.ctypes.data_as(ctypes.c_void_p) for array in self._arrays),
-            *map(ctypes.c_long, (first, last, *self._sizes)),
-        )
+def _derivatives(
+    by_position: ByPosition, by_border: JointColumns
+) -> tuple[tuple[np.ndarray, ...], tuple[int, int, int]]:
+    """The first arguments of both functions, and the last ones: joints, slots and order."""
+    n = by_position.shape[1]
+    firsts = np.searchsorted(by_border.joints, np.arange(n + 1))
+    slots = by_position.shape[2] // n
+    return (by_position, by_border.values, firsts), (n, slots, slots - 3)
 
 
 def _changes_in_parts(

@@ -1,11 +1,9 @@
-import ctypes
-
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dtbtrs
 
 from ...._chunks import over_chunks
-from ....network.straight_line import c_library
+from ....codegen import LONG, CArray, CFunction
 from ._source import SOURCE
 
 
@@ -13,6 +11,10 @@ from ._source import SOURCE
 _COLUMNS = 32
 # Unknowns from which on threads are worth their start.
 _LONG = 20_000
+
+_SOLVE = CFunction(
+    SOURCE, "solve", (CArray("size width"), CArray("size columns", written=True), *[LONG] * 6)
+)
 
 
 def solved(
@@ -38,17 +40,12 @@ def solved(
     >>> solved(factor, np.array([[4.0], [7.0]])).tolist()
     [[2.0], [1.0]]
     """
-    library = c_library(SOURCE)
-    if library is None:
+    if not _SOLVE.is_available:
         return dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")[0]
     columns = np.ascontiguousarray(factor.T)
     whole = overwrite and right.flags.c_contiguous
     result = right if whole else np.array(right, float, order="C")
     sizes = (*result.shape[:1], columns.shape[1], result.shape[1], int(transposed))
-    addresses = [x.ctypes.data_as(ctypes.c_void_p) for x in (columns, result)]
-
-    def solve(first: int, last: int) -> None:
-        library.solve(*addresses, *map(ctypes.c_long, (*sizes, first, last)))
-
+    solve = _SOLVE.bound(columns, result, *sizes)
     over_chunks(solve, result.shape[1], _COLUMNS if len(result) >= _LONG else result.shape[1])
     return result

@@ -3,8 +3,8 @@ from typing import NamedTuple
 
 import jax
 
+from ....codegen import KernelText, Motion, Operation, Value, derivatives
 from ....network import CSLC
-from ....network.straight_line import KernelText, Motion, Operation, Value, derivatives
 from ....network.terms import ExpressionFunctions, JointTerm, StaticFriction
 
 

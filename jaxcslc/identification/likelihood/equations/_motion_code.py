@@ -1,14 +1,13 @@
-import ctypes
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ...._chunks import over_chunks
+from ....codegen import LONG, CArray, CFunction
 from ....network import CSLC
-from ....network.straight_line import c_library
 from ..band import JointColumns
 from ._friction_code import friction_code
 from ._friction_mean import NODES, SLOWEST
@@ -27,6 +26,7 @@ _QUICKLY = 5000
 # XLA needs more than 30 GB for that, and did not end in five minutes.
 _MOST_OPERATIONS, _MOST_WITHOUT_COMPILER = 25_000, 5000
 
+_ROWS = "equations joints"
 Samples = Float[np.ndarray, "samples joints"]
 Rows = Float[np.ndarray, "equations joints"]
 
@@ -54,10 +54,29 @@ class MotionCode:
     entries: tuple[tuple[int, int], ...]
     operations: int
 
+    @cached_property
+    def torques(self) -> CFunction:
+        """The function of positions at all samples."""
+        samples = CArray("samples joints"), CArray("intervals"), CArray(_ROWS), CArray(_ROWS)
+        outputs = "equations joints positions", "equations entries", _ROWS
+        kinds = (
+            *(CArray("coefficients"), CArray("joints"), *samples, CArray(_ROWS, optional=True)),
+            CArray(_ROWS, written=True),
+            *(CArray(axes, written=True, optional=True) for axes in outputs),
+            LONG,
+        )
+        return CFunction(self.source, "torques", kinds, self._options)
+
+    @cached_property
+    def smooth_torques(self) -> CFunction:
+        """The function of motion at instants."""
+        motion = (CArray(_ROWS),) * 3
+        kinds = (CArray("coefficients"), *motion, CArray(_ROWS, written=True), LONG)
+        return CFunction(self.source, "smooth", kinds, self._options)
+
     @property
-    def library(self) -> ctypes.CDLL | None:
-        """The source, compiled and loaded; None where there is no C compiler."""
-        return c_library(self.source, ("-O1",) if self.operations > _QUICKLY else ())
+    def _options(self) -> tuple[str, ...]:
+        return ("-O1",) if self.operations > _QUICKLY else ()
 
     def torque(
         self,
@@ -71,7 +90,7 @@ class MotionCode:
         """(equations, n)."""
         torque = np.empty((len(q) - 2, self.joints))
         motion = q, intervals, turn, direction, None
-        self._call("torques", (k, np.exp(slopes)), motion, (torque, None, None, None))
+        self._call(self.torques, (k, np.exp(slopes)), motion, (torque, None, None, None))
         return torque
 
     def linearised(
@@ -90,7 +109,7 @@ class MotionCode:
         by_entry = np.empty((count, len(self.entries)))
         motion = q, intervals, turn, direction, None
         outputs = torque, by_position, by_entry, by_turn
-        self._call("torques", (k, np.exp(slopes)), motion, outputs)
+        self._call(self.torques, (k, np.exp(slopes)), motion, outputs)
         joints, columns = np.array(self.entries, int).reshape(-1, 2).T
         shape = n, self.coefficients + n
         of_entries = JointColumns(by_entry, joints, columns, shape)
@@ -101,7 +120,7 @@ class MotionCode:
     ) -> Rows:
         """Torque of all terms but friction, at instants, (equations, n)."""
         torque = np.empty_like(q)
-        self._call("smooth", (k,), (q, velocity, acceleration), (torque,))
+        self._call(self.smooth_torques, (k,), (q, velocity, acceleration), (torque,))
         return torque
 
     def friction(
@@ -117,31 +136,25 @@ class MotionCode:
         """Torque of friction alone, for velocities that are larger by `shift`."""
         torque = np.empty_like(turn)
         motion = q, intervals, turn, direction, shift
-        self._call("torques", (k, np.exp(slopes)), motion, (torque, None, None, None))
+        self._call(self.torques, (k, np.exp(slopes)), motion, (torque, None, None, None))
         return torque
 
     def _call(
         self,
-        name: str,
+        function: CFunction,
         constants: tuple[np.ndarray, ...],
         motion: tuple[np.ndarray | None, ...],
         outputs: tuple[np.ndarray | None, ...],
     ) -> None:
         """Calls a function of the library: the first rows of `motion` and of `outputs` are those of
         the first equation, and so on."""
-        library = self.library
-        if library is None:
-            raise OSError("there is no C compiler: cc, or what the environment's CC names")
-        function = getattr(library, name)
-        numbers = [np.ascontiguousarray(x, float) for x in constants]
+        bound = function.bound(*constants)
         rows = [None if x is None else np.ascontiguousarray(x, float) for x in motion]
         rows += outputs
         assert outputs[0] is not None
 
         def compute(first: int, last: int) -> None:
-            arrays = (*numbers, *(None if x is None else x[first:] for x in rows))
-            addresses = [None if x is None else x.ctypes.data_as(ctypes.c_void_p) for x in arrays]
-            function(*addresses, ctypes.c_long(last - first))
+            bound(*(None if x is None else x[first:] for x in rows), last - first)
 
         over_chunks(compute, len(outputs[0]), _CHUNK, align=_BLOCK)
 
@@ -161,7 +174,7 @@ def motion_code(network: CSLC) -> MotionCode | None:
     if code is None:
         return None
     # Not compiled at all if it is too much.
-    without = code.operations > _MOST_OPERATIONS or code.library is None
+    without = code.operations > _MOST_OPERATIONS or not code.torques.is_available
     if without and code.operations > _MOST_WITHOUT_COMPILER:
         raise ValueError(
             f"{network.name!r}: equations of motion of {code.operations:,} operations are too many"

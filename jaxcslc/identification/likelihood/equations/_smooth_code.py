@@ -1,8 +1,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from ....codegen import KernelText, Motion, Operation, Value
 from ....network import CSLC
-from ....network.straight_line import KernelText, Motion, Operation, Value
 from ....network.terms import JointTerm
 
 

@@ -1,14 +1,21 @@
-import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ....codegen import (
+    LONG,
+    SINES_TEXT,
+    CArray,
+    CFunction,
+    KernelText,
+    Motion,
+    Operation,
+    Value,
+)
 from ....network import CSLC, AbstractLinearNetwork
-from ....network.straight_line import SINES_TEXT, KernelText, Motion, Operation, Value, c_library
 from ._weighted_columns import weighted_columns
 
 
@@ -59,22 +66,25 @@ class HostKernel:
 
         **Raises** `OSError` where there is no C compiler. See `host_kernel_of`.
         """
-        library = c_library(self.source)
-        if library is None:
-            raise OSError("there is no C compiler: cc, or what the environment's CC names")
         packed, rows = self._packed(inverses)
         tiles = np.empty((sum(_tiles(size) for size in self.sizes), _TILE * _TILE))
         counts = np.empty(len(self.sizes))
-        motion = [np.ascontiguousarray(x, float) for x in (q, qd, qdd, torque)]
-        weights = np.ascontiguousarray(weight, bool if weight.dtype == bool else float)
-        memory = np.empty(self.memory)
-        library.grams(
-            *map(_address, (*motion, weights)),
-            ctypes.c_int(weights.dtype == bool),
-            ctypes.c_long(len(q)),
-            *map(_address, (packed, rows, memory, tiles, counts)),
-        )
+        is_bool = weight.dtype == bool
+        weights = weight if is_bool else np.asarray(weight, float)
+        arrays = packed, rows, np.empty(self.memory), tiles, counts
+        self.grams(q, qd, qdd, torque, weights, is_bool, len(q), *arrays)
         return *self._unpacked(tiles), counts
+
+    @property
+    def grams(self) -> CFunction:
+        """The function."""
+        motion, joints = CArray("samples motion"), "samples joints"
+        arrays = CArray("packed"), CArray("rows", np.intc)
+        written = "memory", "tiles numbers", "joints"
+        outputs = (CArray(axes, written=True) for axes in written)
+        weight = CArray(joints, dtype=None), LONG, LONG
+        kinds = (motion, motion, motion, CArray(joints), *weight, *arrays, *outputs)
+        return CFunction(self.source, "grams", kinds)
 
     def _packed(self, inverses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the inverses' transposes, and the rows of columns in the order of pivots.
@@ -120,7 +130,7 @@ def host_kernel_of(network: AbstractLinearNetwork) -> HostKernel | None:
     if not network.has_column_entries:
         return None
     kernel = host_kernel(network)
-    return None if c_library(kernel.source) is None else kernel
+    return kernel if kernel.grams.is_available else None
 
 
 @lru_cache(maxsize=16)
@@ -214,10 +224,6 @@ def _tiles(size: int) -> int:
     """Of a lower triangle."""
     high = -(-size // _TILE)
     return high * (high + 1) // 2
-
-
-def _address(array: np.ndarray) -> Any:
-    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 _KERNEL = """#include <math.h>
@@ -331,7 +337,7 @@ static void products(
 
 /* The products of all patterns, tile by tile, and how many of each joint have a weight. */
 void grams(const double* q, const double* qd, const double* qdd, const double* torque,
-           const void* weight, int weight_is_bytes, long samples,
+           const void* weight, long weight_is_bytes, long samples,
            const double* inverses, const int* rows, double* memory,
            double* results, double* counts)
 {{

@@ -2,8 +2,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from ....codegen import Kernel, KernelText, Motion, Operation, Value
 from ....network import CSLC
-from ....network.straight_line import Kernel, KernelText, Motion, Operation, Value
 from ._weighted_columns import WeightedColumn, weighted_columns
 
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ....codegen import kernels_run
 from ....network import CSLC, AbstractLinearNetwork
-from ....network.straight_line import kernels_run
 from ._kernel import GramKernel, gram_kernel, tiles_of
 
 

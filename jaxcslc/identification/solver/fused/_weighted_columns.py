@@ -1,7 +1,7 @@
 from typing import NamedTuple
 
+from ....codegen import Motion, Value
 from ....network import CSLC
-from ....network.straight_line import Motion, Value
 
 
 class WeightedColumn(NamedTuple):

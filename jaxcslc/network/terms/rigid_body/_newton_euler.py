@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._compilation import in_blocks
+from ....codegen import in_blocks
 from .._term import Joints, Matrices
 from ._link_motion import Bodies, Geometry, LinkMotion, Links, cross, link_motion, links_of
 

@@ -9,20 +9,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ....codegen import CompiledProgram, Motion, StraightLine, Value, in_blocks
 from ....derivation import BODY, Algebra, Coefficient
 from ....manipulator import Joint
-from ..._compilation import in_blocks
-from ...straight_line import (
-    CompiledProgram,
-    LinkedBodies,
-    Motion,
-    StraightLine,
-    Value,
-    columns_code,
-    mass_matrix_code,
-    regressor_rows,
-    torque_code,
-)
 from .._term import (
     AbstractManipulatorTerm,
     Coefficients,
@@ -34,6 +23,13 @@ from .._term import (
 )
 from ._link_motion import Bodies, Geometry, by_link, geometry_of, paths_of
 from ._newton_euler import mass_matrix_of, samples_last, torque_of
+from ._straight_line import (
+    LinkedBodies,
+    columns_code,
+    mass_matrix_code,
+    regressor_rows,
+    torque_code,
+)
 from ._unit_torques import pairs_of, unit_torques
 from ._unrolled import is_quicker_unrolled, unrolled
 

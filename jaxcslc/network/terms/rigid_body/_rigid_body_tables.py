@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...._environment import array_namespace
+from ....codegen import CompiledProgram, Motion, Value, in_stage
 from ....derivation import Algebra, Coefficient, PositionRing, Table
-from ..._compilation import in_stage
-from ...straight_line import ClosedForm, CompiledProgram, Motion, Value
 from .._input_term import by_joint
 from .._term import (
     AbstractManipulatorTerm,
@@ -23,6 +22,7 @@ from .._term import (
     Regressor,
     Rows,
 )
+from ._closed_form import ClosedForm
 
 
 Samples = Float[Array | np.ndarray, "*batch"]

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...._environment import platform_of
-from ..._compilation import in_blocks
-from ...straight_line import StraightLine, array_outputs, named
+from ....codegen import StraightLine, array_outputs, in_blocks, named
 
 
 # Straight-line code of so many joints compiles within seconds; its operations grow with the square

@@ -1,3 +1,5 @@
+"""Expressions of functions of JAX's arrays."""
+
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -48,7 +50,7 @@ def traced(
     that expressions have no counterpart of, or needs numbers that are not known.
 
     >>> import jax.numpy as jnp, numpy as np
-    >>> from jaxcslc.network.straight_line import Expressions, traced
+    >>> from jaxcslc.codegen import Expressions, traced
     >>> graph = Expressions()
     >>> x = np.array([graph.input("x"), graph.input("y")])
     >>> [total] = traced(graph, lambda x: jnp.array([[2.0, 0.0]]) @ x, [x])

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from jaxcslc.network.straight_line import (
+from jaxcslc.codegen import (
     Expressions,
     Motion,
     Program,
     Value,
     derivatives,
-    nested,
 )
+from jaxcslc.network.terms.rigid_body import nested
 
 
 def value(graph: Expressions, index: int, inputs: dict[str, float]) -> float:

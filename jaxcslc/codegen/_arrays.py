@@ -1,11 +1,13 @@
+"""Values of a graph, of arrays of NumPy's or JAX's."""
+
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from ..._environment import array_namespace
-from .._compilation import by_platform, in_stage
+from .._environment import array_namespace
+from ._compilation import by_platform, in_stage
 from ._expressions import Expressions, Operation, Value
 
 

@@ -1,9 +1,11 @@
+"""Newton and Euler's recursion over expressions."""
+
 import math
 from collections.abc import Sequence
 
-from ...derivation import Chain, NewtonEuler, link_frames
-from ...manipulator import Joint
-from ._expressions import Expressions, Motion, Value
+from ....codegen import Expressions, Motion, Value
+from ....derivation import Chain, NewtonEuler, link_frames
+from ....manipulator import Joint
 
 
 # An angle this close to a multiple of 90 degrees is meant to be it [rad].

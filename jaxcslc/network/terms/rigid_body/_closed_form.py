@@ -1,11 +1,13 @@
+"""A network's tables over expressions."""
+
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 import numpy as np
 from jaxtyping import Float
 
-from ...derivation import PositionRing, Table
-from ._expressions import Expressions, Motion, Value
+from ....codegen import Expressions, Motion, Value
+from ....derivation import PositionRing, Table
 
 
 Monomial = tuple[int, ...]

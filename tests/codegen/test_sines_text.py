@@ -1,6 +1,5 @@
 """Sines and cosines of generated C: against those in numbers of 200 bits."""
 
-import ctypes
 import shutil
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from jaxcslc.network.straight_line import SINES_TEXT, c_library
+from jaxcslc.codegen import LONG, SINES_TEXT, CArray, CFunction
 
 
 mpmath: Any = pytest.importorskip("mpmath")
@@ -18,7 +17,7 @@ SOURCE = """#include <math.h>
 #define LANES 4
 typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
 {sines}
-void both(const double* x, double* sines, double* cosines, int length)
+void both(const double* x, double* sines, double* cosines, long length)
 {{
     sines_and_cosines(x, sines, cosines, length);
 }}
@@ -29,10 +28,10 @@ pytestmark = pytest.mark.skipif(
 
 
 def sines_and_cosines(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    library: Any = c_library(SOURCE.format(sines=SINES_TEXT))
+    written = CArray("x", written=True)
+    both = CFunction(SOURCE.format(sines=SINES_TEXT), "both", (CArray("x"), written, written, LONG))
     sines, cosines = np.empty((2, len(x)))
-    pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in (x, sines, cosines))
-    library.both(*pointers, len(x))
+    both(x, sines, cosines, len(x))
     return sines, cosines
 
 

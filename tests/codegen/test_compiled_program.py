@@ -4,31 +4,26 @@ import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import jax
 import numpy as np
 import pytest
 
 import jaxcslc as jc
 from jaxcslc._processes import processes_beside
-from jaxcslc.network.straight_line import CompiledProgram, Motion, c_library, kept_c_library
+from jaxcslc.codegen import CompiledProgram, Motion, _c_function
 
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
 @pytest.fixture
-def cache(tmp_path: Path) -> Iterator[Path]:
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of compiled programs, which are none yet."""
-    config: Any = jax.config
-    before = config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
-    kept_c_library.cache_clear()
-    yield tmp_path / "cache"
-    jax.config.update("jax_compilation_cache_dir", before)
-    kept_c_library.cache_clear()
-    c_library.cache_clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    _c_function._kept_library.cache_clear()
+    yield tmp_path / "jaxcslc"
+    _c_function._kept_library.cache_clear()
+    _c_function._library.cache_clear()
 
 
 def of_arm(joints: int = 3) -> tuple[Motion, CompiledProgram]:
@@ -49,7 +44,7 @@ def wait_for_compiler() -> None:
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:
             thread.join(60.0)
-    kept_c_library.cache_clear()
+    _c_function._kept_library.cache_clear()
 
 
 def compiled(
@@ -88,7 +83,7 @@ def test_columns_of_a_robot_are_those_of_numpy(cache: Path, rng: np.random.Gener
     motion = rng.normal(size=(3, network.joint_count, 40))
     before = network.columns(*motion)
     with processes_beside():
-        kept_c_library.cache_clear()
+        _c_function._kept_library.cache_clear()
         network.columns(*motion)
     wait_for_compiler()
     assert list(cache.glob("*.so"))
@@ -99,7 +94,7 @@ def test_columns_of_a_robot_are_those_of_numpy(cache: Path, rng: np.random.Gener
 def test_nothing_is_compiled_unless_it_is_allowed(cache: Path, rng: np.random.Generator) -> None:
     motion, program = of_arm()
     program(*rng.normal(size=(3, len(motion.q), 5)))
-    assert not cache.exists()
+    assert not list(cache.glob("*"))
 
 
 def test_single_precision_is_numpys(cache: Path, rng: np.random.Generator) -> None:
@@ -107,4 +102,4 @@ def test_single_precision_is_numpys(cache: Path, rng: np.random.Generator) -> No
     single = rng.normal(size=(3, len(motion.q), 5)).astype(np.float32)
     with processes_beside():
         assert program(*single).dtype == np.float32
-    assert not cache.exists()
+    assert not list(cache.glob("*"))

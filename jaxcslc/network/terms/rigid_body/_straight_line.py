@@ -1,10 +1,11 @@
-from collections.abc import Iterable
+"""Expressions of the dynamics of linked bodies: torque, mass matrix, columns of the regressor."""
+
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from ...manipulator import Joint
-from ._expressions import Expressions, Motion, Value
+from ....codegen import Expressions, Motion, StraightLine, Value
+from ....manipulator import Joint
 from ._recursion import newton_euler
 
 
@@ -44,23 +45,6 @@ class LinkedBodies:
         for joint, index in self.motors:
             motors[joint] = k[index]
         return bodies, motors
-
-
-@dataclass(frozen=True)
-class StraightLine:
-    """Values of a graph that are computed together, of inputs `k[i]`, `q[i]`, `qd[i]`, `qdd[i]`."""
-
-    motion: Motion
-    outputs: tuple[Value, ...]
-
-    @property
-    def graph(self) -> Expressions:
-        return self.motion.graph
-
-    @property
-    def cost(self) -> int:
-        """Additions, multiplications and calls of functions."""
-        return self.graph.cost(self.outputs)
 
 
 @lru_cache(maxsize=64)
@@ -114,8 +98,3 @@ def regressor_rows(motion: Motion, bodies: LinkedBodies) -> list[dict[int, Value
     for joint, index in bodies.motors:
         rows[joint][index] = motion.qdd[joint]
     return rows
-
-
-def named(name: str, values: Iterable[Any]) -> dict[str, Any]:
-    """Inputs of a graph: `name[0]`, `name[1]` and so on."""
-    return {f"{name}[{i}]": value for i, value in enumerate(values)}

@@ -1,3 +1,5 @@
+"""Functions for NVIDIA GPUs, compiled by NVIDIA's run-time compiler and called by JAX."""
+
 import ctypes
 import importlib.util
 from collections.abc import Sequence

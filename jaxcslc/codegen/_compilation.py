@@ -1,3 +1,5 @@
+"""How JAX compiles: for a platform, in blocks of samples, in stages."""
+
 from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import jaxcslc as jc
-from jaxcslc.network.straight_line import Motion, Program, Value, _program as program_module
+from jaxcslc.codegen import Motion, Program, Value, _programs as program_module
 
 
 # Sums of products of numbers of the order of ten, in another order.

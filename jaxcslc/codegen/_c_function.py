@@ -1,0 +1,266 @@
+"""Functions of C code: compiled for this processor, kept on disk, loaded, called with arrays.
+
+Everything that is compiled for a processor goes through `CFunction`: it declares the arguments once
+and checks every array that it hands to C. `jaxcslc._cache` says where compiled code is kept, and
+what is checked of it.
+"""
+
+import ctypes
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from threading import Thread
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from .._cache import load_kept, make_kept
+from .._processes import allows_processes
+
+
+# Loops of arithmetic become instructions on several numbers, products and sums one instruction.
+_OPTIONS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+# What makes a compiler use all that this processor has, by the compiler.
+_OF_PROCESSOR = (("-march=native",), ("-mcpu=native",), ())
+# A generated program of a thousand lines takes one or two seconds.
+_LONGEST_SECONDS = 120.0
+_SUFFIX = ".so"
+
+LONG = ctypes.c_long
+"""The kind of a whole number."""
+INTEGERS = np.dtype(LONG)
+"""Whole numbers in arrays, as `LONG`."""
+
+
+@dataclass(frozen=True)
+class CArray:
+    """The kind of an argument that is an array, of which C gets the address.
+
+    **Attributes**
+
+    - `axes`: their names; those of one name have one length in a call.
+    - `dtype`: of the numbers; None for those that the array has.
+    - `written`: whether C writes into it. What C only reads is copied if it is not contiguous, or
+      has numbers of another type.
+    - `optional`: whether None may stand for it, C's null pointer.
+    """
+
+    axes: str
+    dtype: Any = float
+    written: bool = False
+    optional: bool = False
+
+    def passed(self, x: Any, lengths: dict[str, int]) -> Any:
+        """Return what C gets. The lengths of axes are added to those of the arguments before it.
+
+        **Raises** `ValueError` for an array of another kind.
+        """
+        if x is None and self.optional:
+            return None
+        x = x if self.written else np.ascontiguousarray(x, self.dtype)
+        names = self.axes.split()
+        if (
+            x.ndim != len(names)
+            or any(lengths.setdefault(i, n) != n for i, n in zip(names, x.shape, strict=True))
+            or (self.written and not (x.dtype == self.dtype and x.flags.carray))
+        ):
+            known = ", ".join(f"{name} {lengths[name]}" for name in names if name in lengths)
+            dtype = np.dtype(self.dtype or x.dtype)
+            raise ValueError(
+                f"expected a contiguous {dtype} array of ({known or self.axes}),"
+                f" got a {x.dtype} one of {x.shape}"
+            )
+        return x.ctypes.data_as(ctypes.c_void_p)  # which keeps the array
+
+
+@dataclass(frozen=True)
+class CRows:
+    """The kind of an argument that is rows of float64, of which C gets an array of addresses.
+
+    **Attributes**
+
+    - `axis`: the name of their length.
+    - `written`: as of `CArray`.
+    """
+
+    axis: str
+    written: bool = False
+
+    def passed(self, rows: Sequence[np.ndarray], lengths: dict[str, int]) -> Any:
+        """As of `CArray`."""
+        of_row = CArray(self.axis, written=self.written)
+        pointers = [of_row.passed(row, lengths) for row in rows]
+        addresses: Any = (ctypes.c_void_p * len(rows))(*(x.value for x in pointers))
+        addresses.kept = pointers  # as long as the addresses
+        return addresses
+
+
+Kind: TypeAlias = CArray | CRows | type[Any]
+
+
+@dataclass(frozen=True)
+class CFunction:
+    """A function of C code that is compiled when it is first needed, and called with arrays.
+
+    **Attributes**
+
+    - `source`: C code; the function in it returns nothing.
+    - `name`: of the function.
+    - `arguments`: the kind of each: an `CArray`, `CRows`, or a type of `ctypes`, such as `LONG`.
+    - `options`: of the compiler, after the usual ones: `-O1` for code that optimising hardly helps.
+
+    >>> import numpy as np
+    >>> source = "void twice(double* x, long n) { for (long i = 0; i < n; ++i) x[i] *= 2.0; }"
+    >>> twice = CFunction(source, "twice", (CArray("numbers", written=True), LONG))
+    >>> x = np.array([1.0, 2.0])
+    >>> if twice.is_available:
+    ...     twice(x, len(x))
+    ...     assert x.tolist() == [2.0, 4.0]
+    """
+
+    source: str
+    name: str
+    arguments: tuple[Kind, ...]
+    options: tuple[str, ...] = ()
+
+    @property
+    def is_available(self) -> bool:
+        """Whether it can be called, compiled now if it has to be: there is a compiler."""
+        return _library(self.source, self.options, _compiler()) is not None
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether it can be called without waiting for a compiler.
+
+        If not, a thread begins to compile it for a later process, which the end of this one waits
+        for: only in programs that allow processes beside them.
+        """
+        return _kept_library(self.source, self.options, _compiler()) is not None
+
+    def __call__(self, *arguments: Any) -> None:
+        """Call it.
+
+        **Raises**
+
+        - `OSError`: if there is no C compiler.
+        - `TypeError`: for another number of arguments.
+        - `ValueError`: for an array that is not of its argument's kind.
+        """
+        self.bound()(*arguments)
+
+    def bound(self, *first: Any) -> Callable[..., None]:
+        """Return the function of the arguments that follow the first ones, which are checked once.
+
+        **Raises** as a call.
+        """
+        library = _library(self.source, self.options, _compiler())
+        if library is None:
+            raise OSError("there is no C compiler: cc, or what the environment's CC names")
+        lengths: dict[str, int] = {}
+        values = self._passed(self.arguments[: len(first)], first, lengths)
+        remaining = self.arguments[len(first) :]
+
+        def call(*others: Any) -> None:
+            function(*values, *self._passed(remaining, others, dict(lengths)))
+
+        function = getattr(library, self.name)
+        function.restype = None
+        function.argtypes = [
+            ctypes.c_void_p if isinstance(kind, CArray | CRows) else kind for kind in self.arguments
+        ]
+        return call
+
+    def _passed(
+        self, kinds: Sequence[Kind], arguments: Sequence[Any], lengths: dict[str, int]
+    ) -> list[Any]:
+        if len(kinds) != len(arguments):
+            raise TypeError(f"{self.name}: expected {len(kinds)} arguments, got {len(arguments)}")
+        try:
+            return [
+                kind.passed(x, lengths) if isinstance(kind, CArray | CRows) else x
+                for kind, x in zip(kinds, arguments, strict=True)
+            ]
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+
+
+@lru_cache(maxsize=32)
+def _library(source: str, options: tuple[str, ...], compiler: str) -> ctypes.CDLL | None:
+    """Return C code compiled for this processor and loaded; None where there is no compiler.
+
+    A program that does not compile is as good as no compiler: what calls it has another way, which
+    is slower.
+    """
+    command, key = _command(source, options, compiler)
+    if not command:
+        return None
+    try:
+        loaded = load_kept(key, _SUFFIX, _loaded)
+        if loaded is not None:
+            return loaded
+        return make_kept(key, _SUFFIX, partial(_compile, source, command), _loaded)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+
+
+@lru_cache(maxsize=32)
+def _kept_library(source: str, options: tuple[str, ...], compiler: str) -> ctypes.CDLL | None:
+    command, key = _command(source, options, compiler)
+    loaded = load_kept(key, _SUFFIX, _loaded) if command else None
+    if command and loaded is None and allows_processes():
+        Thread(target=_library, args=(source, options, compiler)).start()
+    return loaded
+
+
+def _compiler() -> str:
+    """The environment's `CC`, or `cc`; an empty `CC` asks for none."""
+    return os.environ.get("CC", "cc")
+
+
+def _command(source: str, options: tuple[str, ...], compiler: str) -> tuple[list[str], str]:
+    """The compiler's command, empty without one, and the key under which the library is kept."""
+    command = shlex.split(compiler)
+    program = shutil.which(command[0]) if command else None
+    if program is None:
+        return [], ""
+    command += [*_OPTIONS, *options]
+    # A program for one processor may not run on another that shares the folder.
+    what = (source, *command, os.stat(program).st_mtime_ns, _processor())
+    return command, hashlib.sha256(repr(what).encode()).hexdigest()[:32]
+
+
+def _loaded(library: Path) -> ctypes.CDLL | None:
+    """None for a file that is not a library, as when a disk was full."""
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError:
+        return None
+
+
+def _compile(source: str, command: list[str], library: Path) -> bool:
+    text = library.with_suffix(".c")
+    text.write_text(source)
+    for of_processor in _OF_PROCESSOR:
+        arguments = [*command, *of_processor, text, "-o", library, "-lm"]
+        done = subprocess.run(arguments, capture_output=True, check=False, timeout=_LONGEST_SECONDS)
+        if done.returncode == 0:
+            return True
+    return False
+
+
+@lru_cache(maxsize=1)
+def _processor() -> str:
+    """What this machine's processor is and can do."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:  # not Linux: one machine's folder
+        return f"{platform.node()} {platform.processor()}"
+    of_interest = ("model name", "flags", "CPU part", "Features", "isa")
+    return "\n".join(sorted({line for line in lines if line.startswith(of_interest)}))
