@@ -9,12 +9,14 @@ from ..motion import Patterns, Recording
 from ..network import CSLC
 from ._problem import recording_named
 from ._settings import Settings
-from .solver import Equations, Identification, LeastSquares, Unknowns, regressor_of
-
-
-# Gauss-Newton from the linear fit: it has ended after five steps in every case that was tried.
-_MOST_STEPS = 30
-_CONVERGED = 1e-9
+from .solver import (
+    Equations,
+    Identification,
+    LeastSquares,
+    Unknowns,
+    gauss_newton,
+    regressor_of,
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -166,19 +168,12 @@ def fit_torque_constants(
     ]
     samples = [len(patterns.time) for patterns in (unloaded, loaded)]
 
-    def fitted(k: np.ndarray | None) -> Identification:
+    def fitted(k: np.ndarray) -> Identification:
         first, second = (some.about(k) for some in equations)
         return solver.fit_equations(first.followed_by(second, samples[0]), sum(samples))
 
     n = whole.joint_count
-    fit = fitted(None)
-    for _ in range(_MOST_STEPS):
-        before = np.asarray(fit.k)
-        if np.any(before[-n:] == 0.0):  # of a joint that nothing is known of
-            break
-        fit = fitted(before)
-        if np.linalg.norm(np.asarray(fit.k) - before) <= _CONVERGED * np.linalg.norm(before):
-            break
+    fit = gauss_newton(fitted, np.zeros(whole.size - 1 + n))
     result = TorqueConstants(
         whole.output_names, np.asarray(fit.k)[-n:], fit, _units(whole.output_units)
     )
@@ -248,20 +243,19 @@ class CurrentEquations:
         fitted = np.asarray(self.patterns.mask)
         return float(np.sum(np.where(fitted, torque * np.asarray(self.patterns.qd), 0.0)))
 
-    def about(self, k: Float[np.ndarray, " unknowns"] | None) -> Equations:
+    def about(self, k: Float[np.ndarray, " unknowns"]) -> Equations:
         """The equations of currents, linear about some unknowns.
 
         With torque tau(k) and constants c, the error in current is i - tau(k) / c; times c, to
         first order about c0 and the current i0 that they predict, c0 (i - i0) - tau(k) + i0 c. With
-        the measured current in place of i0, where nothing is known yet, it is i c - tau(k).
+        the measured current instead of i0, for a constant of 0 (not known yet), it is i c - tau(k).
         """
         current = np.asarray(self.patterns.torque)
         joints = current.shape[1]
-        column, constant_part = current, np.zeros_like(current)
-        if k is not None:
-            constants = k[-joints:]
-            column = (self.regressor @ k[:-joints] + self.mass_torque) / constants
-            constant_part = constants * (current - column)
+        constants = k[-joints:]
+        torque = self.regressor @ k[:-joints] + self.mass_torque
+        column = np.divide(torque, constants, out=current.copy(), where=constants != 0.0)
+        constant_part = constants * (current - column)
         diagonal = -column[:, :, None] * np.eye(joints)
         return Equations.of(
             self.unknowns,

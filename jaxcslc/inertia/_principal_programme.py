@@ -5,7 +5,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 
 from ..manipulator import LinkInertia
 from ._bodies import body_of_pseudo_inertia, central_tensor, principal_body, pseudo_inertia
@@ -221,6 +220,8 @@ def nearest_in_charts(
 
     - Bodies, y, and whether the search converged.
     """
+    from scipy.optimize import least_squares  # 0.07 s of processor time
+
     start = np.concatenate(
         [
             *(chart.start for chart in charts),

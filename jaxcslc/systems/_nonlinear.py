@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._environment import require_float64
 from ..identification import Identification, LeastSquares
-from ..identification.solver import Equations, Unknowns
+from ..identification.solver import Equations, Unknowns, gauss_newton
 from ..motion import Patterns
 from ._network import SystemNetwork
 from ._projected_error import JudgedError, ProjectedError
@@ -31,8 +31,6 @@ _REFINED = 8  # candidates that local searches start from
 _SAME = 1e-4
 _AT_BOUND = 1e-5
 _FINAL_STEPS = 8
-# Of a standard error: steps that are smaller end the final fit.
-_SMALL_STEP = 0.02
 
 
 def search_constants(
@@ -290,25 +288,28 @@ def _together(
     )
     problem = ProjectedError.of(network, patterns, np.ones(network.joint_count), bounds)
     fit = solver.fit(network.with_nonlinear(jnp.asarray(values)), patterns)
-    for _ in range(_FINAL_STEPS):
-        rows, torque, slope = _linearised(problem, jnp.asarray(values), fit.k[: network.size])
+
+    def values_of(k: np.ndarray) -> np.ndarray:
+        moved = values.copy()
+        moved[free] = np.clip(k[network.size :], *(bound[free] for bound in bounds))
+        return moved
+
+    def fitted(k: np.ndarray) -> Identification:
+        at = values_of(k)
+        rows, torque, slope = _linearised(problem, jnp.asarray(at), jnp.asarray(k[: network.size]))
         columns = np.asarray(slope)[..., free]
         equations = Equations.of(
             unknowns,
             np.concatenate([np.asarray(rows), columns], axis=-1),
-            np.asarray(torque) + columns @ values[free],
+            np.asarray(torque) + columns @ at[free],
             np.asarray(patterns.mask),
             time=np.asarray(patterns.time),
             cutoff=solver.cutoff,
         )
-        fit = solver.fit_equations(equations, patterns.samples)
-        after = values.copy()
-        after[free] = np.clip(np.asarray(fit.k)[network.size :], *(x[free] for x in bounds))
-        step = np.abs(after - values)[free] / np.asarray(fit.standard_error)[network.size :]
-        values = after
-        if np.all(step < _SMALL_STEP):
-            break
-    return values, fit
+        return solver.fit_equations(equations, patterns.samples)
+
+    fit = gauss_newton(fitted, np.append(np.asarray(fit.k), values[free]), _FINAL_STEPS)
+    return values_of(np.asarray(fit.k)), fit
 
 
 @eqx.filter_jit

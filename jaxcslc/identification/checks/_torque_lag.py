@@ -5,7 +5,6 @@ import jax
 import numpy as np
 import scipy
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 
 from ...motion import Butterworth, Patterns, Preparation, Recording, zero_phase
 from ...network import CSLC
@@ -122,6 +121,8 @@ def small_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
 
 def _search(evidence: Evidence) -> tuple[float, float]:
     """The best lag of a grid [s], and how much better than no lag it is."""
+    from scipy.interpolate import CubicSpline  # 0.09 s of processor time
+
     patterns = evidence.patterns
     columns = evidence.columns(patterns)
     spline = CubicSpline(evidence.time, evidence.torque)

@@ -8,15 +8,13 @@ from jaxtyping import Array, Float
 from ...motion import Patterns
 from ...network import CSLC
 from ...network.terms import DIRECTIONAL_LOAD, LoadedRigidBody
-from ..solver import Identification, LeastSquares
+from ..solver import Identification, LeastSquares, settled
 from ._slopes import SlopeFit, fit_slopes
 
 
 # The search ends with a step that moves no coefficient by this part of its standard error. Smaller
 # ones may go on for ever: a sample whose load is near zero changes the sign that it counts with.
 _TOLERANCE = 0.02
-# Or by this part of the largest coefficient: a fit without noise.
-_ROUNDING = 1e-10
 _STEPS = 20
 # The first steps leave slopes as they are and drop nothing: they begin at a fit without the load,
 # whose rigid torque, and whose static friction, make up for it.
@@ -118,9 +116,7 @@ def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None =
             network = _with_slopes_of(network, slopes)
         k = np.asarray(fit.k)
         last = np.array([before[name] for name in network.names])
-        error = np.where(np.asarray(fit.determined), np.asarray(fit.standard_error), np.inf)
-        enough = _TOLERANCE * error + _ROUNDING * np.max(np.abs(k))
-        converged = steps > _FIRST_STEPS and bool(np.all(np.abs(k - last) <= enough))
+        converged = steps > _FIRST_STEPS and settled(fit, last, _TOLERANCE)
         if steps > _FIRST_STEPS and (dropped_now := _impossible(network, fit)):
             names = network.names
             for kind, sentences in dropped_now.items():

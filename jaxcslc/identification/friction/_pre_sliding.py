@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..._bounded_search import bounded_minima
 from ...motion import Patterns
 from ...network import CSLC
 from .._held_out import RelativeError
@@ -13,9 +14,10 @@ from ._yielding_friction import dry_term, with_state
 from ._yielding_motion import yielding_motion
 
 
-# Lengths that are tried, as parts of a joint's range of motion; then each is moved by a factor, and
-# by its root, and so on.
-_LENGTHS, _FACTOR, _HALVINGS = np.geomspace(1e-4, 0.3, 12), 1.4, 6
+# Lengths that are tried, as parts of a joint's range of motion. Between the neighbours of the best
+# one, the minimum is found to this part of itself: coefficients of a PUMA 560 then are within 0.004
+# standard errors of those of the exact minimum; to a hundredth, within 0.8.
+_LENGTHS, _TOLERANCE = np.geomspace(1e-4, 0.3, 12), 1e-4
 # Stretches that are predicted by fits to the others.
 _FOLDS = 8
 
@@ -127,7 +129,7 @@ def fit_pre_sliding(
 
     Dry friction counts by its state along the motion. For lengths that are known torque is linear
     in the coefficients; lengths are searched for by the sum of each joint's squared residuals: a
-    grid, then smaller and smaller factors. A joint keeps its length where stretches that were left
+    grid, then Brent's method. A joint keeps its length where stretches that were left
     out of the fit are predicted better by 1 % and by more than chance explains (Student's t,
     one-sided).
 
@@ -175,22 +177,21 @@ def fit_pre_sliding(
         error = np.asarray(patterns.torque) - torque_of(yielding, patterns, k)
         return np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
 
-    lengths = np.zeros(network.joint_count)
-    least = squares(lengths)
+    grid = np.outer([0.0, *_LENGTHS], np.where(dry, reach, 0.0))
+    best = np.argmin([squares(lengths) for lengths in grid], axis=0)
+    lengths = grid[best, np.arange(len(reach))]
+    (moving,) = np.nonzero(lengths)
 
-    def tried(candidate: Float[np.ndarray, " joints"]) -> None:
-        nonlocal lengths, least
-        values = squares(np.where(dry, candidate, 0.0))
-        better = dry & (values < least)
-        lengths, least = np.where(better, candidate, lengths), np.where(better, values, least)
+    def moved(logarithms: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Squares of joints whose lengths are moved, all of them in one fit."""
+        lengths[moving[which]] = np.exp(logarithms)
+        return squares(lengths)[moving[which]]
 
-    for part in _LENGTHS:
-        tried(part * reach)
-    factor = _FACTOR
-    for _ in range(_HALVINGS):
-        tried(lengths * factor)
-        tried(lengths / factor)
-        factor = np.sqrt(factor)
+    # A fit for each joint's length, as `scipy.optimize.minimize_scalar` asks for, would be several
+    # times as many fits.
+    middle, width = np.log(lengths[moving]), np.log(_LENGTHS[1] / _LENGTHS[0])
+    tolerance = np.full(len(moving), _TOLERANCE)
+    lengths[moving] = np.exp(bounded_minima(moved, middle - width, middle + width, tolerance))
     relative = _held_out(network, patterns, solver, lengths, joints, mask)
     kept = [
         relative[j + 1].beyond_chance(chance) if j + 1 in relative else False

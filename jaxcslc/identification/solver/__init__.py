@@ -25,6 +25,7 @@ from ._factors import (
 )
 from ._fixed import Fixed as Fixed, Previous as Previous
 from ._friction_at_rest import friction_averaged_at_rest as friction_averaged_at_rest
+from ._gauss_newton import gauss_newton as gauss_newton, settled as settled
 from ._identification import (
     MEANINGLESS_CONDITION as MEANINGLESS_CONDITION,
     RESULTS as RESULTS,
