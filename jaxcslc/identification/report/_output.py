@@ -68,8 +68,11 @@ def write_report(
         for section in report.sections:
             for name, rows in section.tables(report).items():
                 write_csv(scratch / name, rows)
-        for name, entries in report.documents(charts=pictures).items():
-            write_json(scratch / name, entries)
+        identification, *drawings = report.documents(charts=pictures).items()
+        write_json(scratch / identification[0], identification[1])
+        for name, entries in drawings:  # nobody reads these numbers
+            text = json.dumps(entries, separators=(",", ":"), allow_nan=False)
+            (scratch / name).write_text(text, encoding="utf-8")
         for name in report.patterns:
             _write_torque(scratch / _torque_file(name, report.model.output_quantity), report, name)
         names = sorted(path.name for path in scratch.iterdir())

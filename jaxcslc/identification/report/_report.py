@@ -312,10 +312,15 @@ class AbstractReport(abc.ABC, Generic[N]):
         return write_report(Path(folder), report, pictures=pictures)
 
     def _with_results(self, **results: Any) -> "AbstractReport[N]":
-        """Return the same with other results; everything else that was computed is kept."""
+        """Return the same with other results; sections that have none of them stay the same."""
+        kept = {type(section): section for section in self.sections}
         changed = copy.copy(self)
         object.__setattr__(changed, "results", MappingProxyType({**self.results, **results}))
-        vars(changed).pop("sections", None)
+        sections = (
+            kind.of(changed) if results.keys() & kind.results.keys() else kept.get(kind)
+            for kind in self.kinds
+        )
+        vars(changed)["sections"] = tuple(x for x in sections if x is not None)
         return changed
 
     def __repr__(self) -> str:

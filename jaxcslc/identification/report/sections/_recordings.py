@@ -244,5 +244,5 @@ def _recorded(report: "AbstractReport[Any]", name: str) -> dict[str, Any]:
         "lowest": np.min(q, axis=0) if per_joint else None,
         "highest": np.max(q, axis=0) if per_joint else None,
         "top_speed": np.max(np.abs(qd), axis=0) if per_joint else None,
-        "torque_rms": np.sqrt(np.mean(torque**2, axis=0)),
+        "torque_rms": np.sqrt([np.sum(column**2) / patterns.samples for column in torque.T]),
     }
