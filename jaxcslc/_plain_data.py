@@ -89,6 +89,8 @@ def record_from(kind: Any, document: Any) -> Any:
     if kind is float:
         return float(document)
     if origin is Literal or kind in (str, int, bool):
+        if not (document in parts if origin is Literal else type(document) is kind):
+            raise TypeError(f"expected {parts or kind.__name__}, got {document!r}")
         return document
     return np.array(document, float) if isinstance(document, list) else float(document)
 
