@@ -300,7 +300,7 @@ class AbstractReport(abc.ABC, Generic[N]):
         - `pictures`: whether the page has pictures.
         - `command`: that repeats the identification, for the page.
 
-        **Returns** the files.
+        **Returns** the files, without `charts.json`.
 
         **Raises**
 

@@ -98,6 +98,10 @@ class AbstractSection(abc.ABC):
         if f"{self.name}_text" in self.entries:
             yield self.data.get(f"{self.name}_text", ())
 
+    def notes(self) -> Sequence[str]:
+        """Return what stands among the report's notes, a sentence each."""
+        return ()
+
     def messages(self, report: AnyReport) -> Iterator[Message]:
         """Yield what the section says about whether the model can be used."""
         del report

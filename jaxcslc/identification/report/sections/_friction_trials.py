@@ -23,8 +23,8 @@ class FrictionTrialSection(AbstractSection):
     def document_of(cls, result: FrictionChoice, report: AnyReport) -> Mapping[str, Any]:
         return {"friction_trials": result.document(), "friction_notes": result.sentences}
 
-    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
-        yield [f"note: {note}" for note in self.data.get("friction_notes", ())]
+    def notes(self) -> Sequence[str]:
+        return self.data.get("friction_notes", ())
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         trials = self.data["friction_trials"]

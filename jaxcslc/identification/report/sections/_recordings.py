@@ -61,7 +61,10 @@ class WarningSection(AbstractSection):
         sentences, found = self._sentences(), len(self.data.get("findings", ()))
         yield [f"warning: {sentence}" for sentence in sentences[:found]]
         yield [f"warning: {sentence}" for sentence in sentences[found:]]
-        yield [f"note: {note}" for note in self.data.get("notes", ())]
+        yield [f"note: {note}" for section in report.sections for note in section.notes()]
+
+    def notes(self) -> Sequence[str]:
+        return self.data.get("notes", ())
 
     def messages(self, report: AnyReport) -> Iterator[Message]:
         if count := len(self._sentences()):
