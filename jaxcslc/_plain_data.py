@@ -61,8 +61,8 @@ def record_from(kind: Any, document: Any) -> Any:
 
     **Arguments**
 
-    - `kind`: a dataclass, or an annotation of its fields: numbers, texts, tuples, mappings,
-      arrays, and unions of these.
+    - `kind`: a dataclass, or an annotation of its fields: numbers, texts, tuples, named or not,
+      mappings, arrays, and unions of these.
     - `document`: plain data.
 
     **Raises**
@@ -81,6 +81,10 @@ def record_from(kind: Any, document: Any) -> Any:
         if not isinstance(document, Mapping):
             raise TypeError(f"expected entries, got {document!r}")
         return kind(**{name: record_from(hints[name], value) for name, value in document.items()})  # type: ignore[operator]
+    if fields := getattr(kind, "_fields", None):  # a named tuple
+        hints = get_type_hints(kind)
+        pairs = zip(fields, document, strict=True)
+        return kind(*(record_from(hints[name], value) for name, value in pairs))
     if origin is tuple:
         kinds = parts[:1] * len(document) if parts[1:] == (...,) else parts
         return tuple(record_from(*pair) for pair in zip(kinds, document, strict=True))

@@ -66,6 +66,12 @@ def everything(arm: jc.Manipulator) -> jc.Report:
     return dataclasses.replace(report, horizon=horizon, data_check=gap, judged_part=part)
 
 
+def coupled(arm: jc.Manipulator) -> jc.Report:
+    """Joints that share a motor."""
+    network = jc.derive(arm.with_coupling((1, 2, -1.0)), lengths="numeric")
+    return jc.identify(network, swing(network, 0), settings=jc.Settings(), possible="never")
+
+
 def several(arm: jc.Manipulator) -> jc.Report:
     network = jc.derive(arm, lengths="numeric")
     recordings = {name: swing(network, seed) for seed, name in enumerate(("morning", "evening"))}
@@ -108,7 +114,7 @@ def shown(section: AbstractSection, report: jc.Report, charts: bool) -> str:
     return json.dumps([record_document(part) for part in section.blocks(report, charts)])
 
 
-CASES = (everything, several, refitted, static, yielding, undetermined)
+CASES = (everything, coupled, several, refitted, static, yielding, undetermined)
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: case.__name__)

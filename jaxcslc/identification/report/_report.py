@@ -154,11 +154,7 @@ class AbstractReport(abc.ABC, Generic[N]):
     @property
     def standard_errors(self) -> Float[np.ndarray, " coefficients"]:
         """(p,) standard uncertainty of each coefficient in its unit, systematic errors included."""
-        return standard_uncertainty(self.fit, self.results_or_none("systematic"))
-
-    def results_or_none(self, name: str) -> Any:
-        """Return a result by its name; None where no kind of section has it."""
-        return getattr(self, name) if any(name in kind.results for kind in self.kinds) else None
+        return standard_uncertainty(self.fit, getattr(self, "systematic", None))
 
     def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]:
         """Return one row per coefficient: value, interval, verdict and expression.
@@ -170,8 +166,8 @@ class AbstractReport(abc.ABC, Generic[N]):
         return coefficient_rows(
             self.model,
             self.fit,
-            excitation=self.results_or_none("excitation"),
-            systematic=self.results_or_none("systematic"),
+            excitation=getattr(self, "excitation", None),
+            systematic=getattr(self, "systematic", None),
             level=level,
         )
 

@@ -211,7 +211,7 @@ class ExcitationSection(AbstractSection):
         fit, legend = report.fit, report.model.legend
         fixed = report.section("groups")
         fitted = len(report.names) - (0 if fixed is None else len(fixed.data["fixed"]))
-        systematic = report.results_or_none("systematic")
+        systematic = getattr(report, "systematic", None)
         causes = "" if systematic is None else "; and for systematic errors by "
         causes += "" if systematic is None else ", ".join(systematic.parts)
         text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"
