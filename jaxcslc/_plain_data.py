@@ -27,6 +27,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(name): plain(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
+        if set(map(type, value)) == {float} and all(map(math.isfinite, value)):
+            return list(value)  # ten times as quick for the many numbers of a chart
         return [plain(entry) for entry in value]
     return value
 
@@ -59,8 +61,8 @@ def record_from(kind: Any, document: Any) -> Any:
 
     **Arguments**
 
-    - `kind`: a dataclass, or an annotation of its fields: numbers, texts, tuples, mappings,
-      arrays, and unions of these.
+    - `kind`: a dataclass, or an annotation of its fields: numbers, texts, tuples, named or not,
+      mappings, arrays, and unions of these.
     - `document`: plain data.
 
     **Raises**
@@ -79,6 +81,10 @@ def record_from(kind: Any, document: Any) -> Any:
         if not isinstance(document, Mapping):
             raise TypeError(f"expected entries, got {document!r}")
         return kind(**{name: record_from(hints[name], value) for name, value in document.items()})  # type: ignore[operator]
+    if fields := getattr(kind, "_fields", None):  # a named tuple
+        hints = get_type_hints(kind)
+        pairs = zip(fields, document, strict=True)
+        return kind(*(record_from(hints[name], value) for name, value in pairs))
     if origin is tuple:
         kinds = parts[:1] * len(document) if parts[1:] == (...,) else parts
         return tuple(record_from(*pair) for pair in zip(kinds, document, strict=True))
@@ -87,6 +93,8 @@ def record_from(kind: Any, document: Any) -> Any:
     if kind is float:
         return float(document)
     if origin is Literal or kind in (str, int, bool):
+        if not (document in parts if origin is Literal else type(document) is kind):
+            raise TypeError(f"expected {parts or kind.__name__}, got {document!r}")
         return document
     return np.array(document, float) if isinstance(document, list) else float(document)
 

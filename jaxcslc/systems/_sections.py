@@ -1,14 +1,14 @@
 """Sections of reports on systems: separation, searched constants, noise, simulation."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..identification.report import (
-    AbstractReport,
     AbstractSection,
+    AnyReport,
     CoefficientSection,
     CurveSection,
     ErrorSection,
@@ -37,20 +37,19 @@ class SystemSection(AbstractSection):
             "searched": dict,
         }
     )
+    always = True
 
     @classmethod
-    def of(cls, report: AbstractReport[Any]) -> AbstractSection:
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
         network = report.network
         values = np.asarray(network.nonlinear).tolist()
         searched = zip(network.system.nonlinear, values, strict=True)
-        return cls(
-            lambda: {
-                **separation_document(network),
-                "searched": {constant.name: value for constant, value in searched},
-            }
-        )
+        return {
+            **separation_document(network),
+            "searched": {constant.name: value for constant, value in searched},
+        }
 
-    def text(self, report: AbstractReport[Any]) -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [*report.model.lines, f"settings: {report.settings}"]
 
 
@@ -60,28 +59,23 @@ class SearchSection(AbstractSection):
     name = "search"
     results = MappingProxyType({"search": None})
     entries = MappingProxyType({"minima": list, "search_text": list})
+    always = True
 
     @classmethod
-    def of(cls, report: AbstractReport[Any]) -> AbstractSection:
-        search: ConstantSearch | None = report.results.get(cls.name)
-        if search is None:
-            return cls(lambda: {"minima": []})
-        return cls(
-            lambda: {
-                "minima": [
-                    {
-                        "constants": dict(zip(search.names, minimum.values, strict=True)),
-                        "equation_error_rms": minimum.error,
-                        "starts": minimum.starts,
-                    }
-                    for minimum in search.minima
-                ],
-                "search_text": ["searched constants", str(search)],
-            }
-        )
-
-    def text(self, report: AbstractReport[Any]) -> Iterator[Sequence[str]]:
-        yield self.data.get("search_text", ())
+    def document_of(cls, result: ConstantSearch | None, report: AnyReport) -> Mapping[str, Any]:
+        if result is None:
+            return {"minima": []}
+        return {
+            "minima": [
+                {
+                    "constants": dict(zip(result.names, minimum.values, strict=True)),
+                    "equation_error_rms": minimum.error,
+                    "starts": minimum.starts,
+                }
+                for minimum in result.minima
+            ],
+            "search_text": ["searched constants", str(result)],
+        }
 
 
 class ConstantSection(AbstractSection):
@@ -90,31 +84,31 @@ class ConstantSection(AbstractSection):
     name = "constants"
     results = MappingProxyType({"constants": ()})
     entries = MappingProxyType({"constants": dict, "constants_text": list})
+    always = True
 
     @classmethod
-    def of(cls, report: AbstractReport[Any]) -> AbstractSection:
-        constants: tuple[ConstantEstimate, ...] = report.results.get(cls.name, ())
-        separation = report.network.system.separation
+    def document_of(
+        cls, result: tuple[ConstantEstimate, ...] | None, report: AnyReport
+    ) -> Mapping[str, Any]:
+        constants, separation = result or (), report.network.system.separation
         others = [str(row) for row in constants if row.name not in report.names]
-        return cls(
-            lambda: {
-                "constants": {
-                    row.name: {
-                        "value": row.value,
-                        "standard_error": row.standard_error,
-                        "unit": row.unit,
-                    }
-                    for row in constants
-                },
-                "constants_text": [
-                    *([f"constants: {', '.join(others)}"] if others else []),
-                    *(str(row) for row in separation.identifiability if row.verdict != "alone"),
-                    *separation.notes,
-                ],
-            }
-        )
+        return {
+            "constants": {
+                row.name: {
+                    "value": row.value,
+                    "standard_error": row.standard_error,
+                    "unit": row.unit,
+                }
+                for row in constants
+            },
+            "constants_text": [
+                *([f"constants: {', '.join(others)}"] if others else []),
+                *(str(row) for row in separation.identifiability if row.verdict != "alone"),
+                *separation.notes,
+            ],
+        }
 
-    def result(self, name: str, report: AbstractReport[Any]) -> tuple[ConstantEstimate, ...]:
+    def result(self, name: str, report: AnyReport) -> tuple[ConstantEstimate, ...]:
         return tuple(
             ConstantEstimate(
                 constant,
@@ -122,11 +116,8 @@ class ConstantSection(AbstractSection):
                 float("nan") if entry["value"] is None else entry["value"],
                 float("inf") if entry["standard_error"] is None else entry["standard_error"],
             )
-            for constant, entry in self.data["constants"].items()
+            for constant, entry in self.data.get("constants", {}).items()
         )
-
-    def text(self, report: AbstractReport[Any]) -> Iterator[Sequence[str]]:
-        yield self.data.get("constants_text", ())
 
 
 class CorrectionSection(AbstractSection):
@@ -134,30 +125,25 @@ class CorrectionSection(AbstractSection):
 
     name = "correction"
     results = MappingProxyType({"correction": None})
-    entries = MappingProxyType({"noise": object, "noise_text": list})
+    entries = MappingProxyType({"noise": object, "correction_text": list})
+    always = True
 
     @classmethod
-    def of(cls, report: AbstractReport[Any]) -> AbstractSection:
-        correction: NoiseCorrection | None = report.results.get(cls.name)
-        if correction is None:
-            return cls(lambda: {"noise": None})
-        return cls(
-            lambda: {
-                "noise": {
-                    "deviation": dict(correction.noise),
-                    "bias": correction.bias,
-                    "smoothing_bias": correction.smoothing_bias,
-                    "smoothing_remainder": correction.smoothing_remainder,
-                    "equation_error_ratio": correction.ratio,
-                    "explained": correction.explained,
-                    "draws": correction.draws,
-                },
-                "noise_text": str(correction).splitlines(),
-            }
-        )
-
-    def text(self, report: AbstractReport[Any]) -> Iterator[Sequence[str]]:
-        yield self.data.get("noise_text", ())
+    def document_of(cls, result: NoiseCorrection | None, report: AnyReport) -> Mapping[str, Any]:
+        if result is None:
+            return {"noise": None}
+        return {
+            "noise": {
+                "deviation": dict(result.noise),
+                "bias": result.bias,
+                "smoothing_bias": result.smoothing_bias,
+                "smoothing_remainder": result.smoothing_remainder,
+                "equation_error_ratio": result.ratio,
+                "explained": result.explained,
+                "draws": result.draws,
+            },
+            "correction_text": str(result).splitlines(),
+        }
 
 
 class SimulationSection(AbstractSection):
@@ -166,32 +152,25 @@ class SimulationSection(AbstractSection):
     name = "simulation"
     results = MappingProxyType({"simulation": None})
     entries = MappingProxyType({"simulation": object, "simulation_text": list})
+    always = True
 
     @classmethod
-    def of(cls, report: AbstractReport[Any]) -> AbstractSection:
-        simulation: Simulation | str | None = report.results.get(cls.name)
-        if simulation is None:
-            return cls(lambda: {"simulation": None})
-        if isinstance(simulation, str):
-            return cls(
-                lambda: {
-                    "simulation": {"not_simulated": simulation},
-                    "simulation_text": [f"not simulated: {simulation}"],
-                }
-            )
-        return cls(
-            lambda: {
-                "simulation": {
-                    "seconds": float(simulation.time[-1] - simulation.time[0]),
-                    "rms": dict(zip(simulation.names, simulation.error, strict=True)),
-                    "horizon": simulation.horizon(),
-                },
-                "simulation_text": ["simulation, validation recording", str(simulation)],
+    def document_of(cls, result: Simulation | str | None, report: AnyReport) -> Mapping[str, Any]:
+        if result is None:
+            return {"simulation": None}
+        if isinstance(result, str):
+            return {
+                "simulation": {"not_simulated": result},
+                "simulation_text": [f"not simulated: {result}"],
             }
-        )
-
-    def text(self, report: AbstractReport[Any]) -> Iterator[Sequence[str]]:
-        yield self.data.get("simulation_text", ())
+        return {
+            "simulation": {
+                "seconds": float(result.time[-1] - result.time[0]),
+                "rms": dict(zip(result.names, result.error, strict=True)),
+                "horizon": result.horizon(),
+            },
+            "simulation_text": ["simulation, validation recording", str(result)],
+        }
 
 
 SYSTEM_SECTIONS: tuple[type[AbstractSection], ...] = (

@@ -66,6 +66,12 @@ def everything(arm: jc.Manipulator) -> jc.Report:
     return dataclasses.replace(report, horizon=horizon, data_check=gap, judged_part=part)
 
 
+def coupled(arm: jc.Manipulator) -> jc.Report:
+    """Joints that share a motor."""
+    network = jc.derive(arm.with_coupling((1, 2, -1.0)), lengths="numeric")
+    return jc.identify(network, swing(network, 0), settings=jc.Settings(), possible="never")
+
+
 def several(arm: jc.Manipulator) -> jc.Report:
     network = jc.derive(arm, lengths="numeric")
     recordings = {name: swing(network, seed) for seed, name in enumerate(("morning", "evening"))}
@@ -108,7 +114,7 @@ def shown(section: AbstractSection, report: jc.Report, charts: bool) -> str:
     return json.dumps([record_document(part) for part in section.blocks(report, charts)])
 
 
-CASES = (everything, several, refitted, static, yielding, undetermined)
+CASES = (everything, coupled, several, refitted, static, yielding, undetermined)
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: case.__name__)
@@ -150,8 +156,9 @@ def test_reports_are_read_back(report: jc.Report, tmp_path: Path) -> None:
     assert saved.network.robot == report.network.robot
     assert saved.network.names == report.network.names and saved.rows() == report.rows()
     assert saved[report.names[0]] == report.rows()[0]
-    again = saved.save(tmp_path / "again")
-    written = {path.name for path in again}
+    saved.save(tmp_path / "again")
+    written = {path.name for path in (tmp_path / "again").iterdir()}
+    assert "charts.json" in written
     assert {path.name for path in files} - written == {f"torque_{n}.csv" for n in report.patterns}
     for name in written:
         first, second = ((tmp_path / folder / name).read_text() for folder in ("first", "again"))

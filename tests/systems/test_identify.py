@@ -1,5 +1,6 @@
 """From a recording of a system to its coefficients: patterns, solver, learning rules, report."""
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from jaxcslc.systems import (
     SystemReport,
     identify_system,
     load_system_recording,
+    load_system_report,
     system_derivatives,
     system_patterns,
 )
@@ -143,6 +145,24 @@ def test_report_is_printed_and_saved(report: SystemReport, tmp_path: Path) -> No
     again = jc.Identification.load(tmp_path / "results" / "identification.json")
     np.testing.assert_array_equal(again.k, report.k)
     assert report.to_pandas().loc["mass", "unit"] == "kg"
+
+
+def test_reports_are_read_back(report: SystemReport, tmp_path: Path) -> None:
+    """Text, page and files of the report that was saved; also of one without a simulation."""
+    without = dataclasses.replace(report, simulation="no equation has the mass")
+    for number, written in enumerate((report, without)):
+        folder = tmp_path / str(number)
+        written.save(folder)
+        saved = load_system_report(folder)
+        assert str(saved) == str(written) and saved.verdict == written.verdict
+        np.testing.assert_array_equal(saved.covariance, written.covariance)
+        assert saved.constants == written.constants and saved.rows() == written.rows()
+        with pytest.raises(AttributeError, match="do not hold"):
+            saved.network  # noqa: B018
+        saved.save(tmp_path / "again")
+        for path in (tmp_path / "again").iterdir():
+            assert path.read_text("utf-8") == (folder / path.name).read_text("utf-8")
+    assert "not simulated: no equation has the mass" in str(without)
 
 
 def write_csv(recording: SystemRecording, path: Path, *, without: str = "") -> Path:

@@ -34,7 +34,7 @@ from ._output import (
 )
 from ._payload_report import PayloadReport as PayloadReport
 from ._report import AbstractReport as AbstractReport, Report as Report
-from ._section import AbstractSection as AbstractSection
+from ._section import AbstractSection as AbstractSection, AnyReport as AnyReport
 from ._verdicts import Verdict as Verdict, verdicts as verdicts
 from ._warnings import condition_warning as condition_warning, fit_warnings as fit_warnings
 from .sections import (

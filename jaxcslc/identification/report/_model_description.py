@@ -1,7 +1,7 @@
 """What a report says of its network: names and units of outputs and coefficients."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from textwrap import fill
 from typing import Any
@@ -78,7 +78,7 @@ class ModelDescription:
                 "labels": self.output_labels,
                 "units": self.output_units,
                 "groups": [coefficient.group for coefficient in self.coefficients],
-                "positive": [coefficient.positive for coefficient in self.coefficients],
+                "positive": [some.name for some in self.coefficients if some.positive],
                 "lines": self.lines,
                 "legend": self.legend,
             },
@@ -91,9 +91,10 @@ class ModelDescription:
         entries = document.get("model")
         model: dict[str, Any] = entries if isinstance(entries, dict) else {}
 
-        def texts(entries: Mapping[str, Any], name: str, size: int, default: Sequence[Any]) -> Any:
+        def texts(entries: Mapping[str, Any], name: str, size: int | None, default: Any) -> Any:
             value: Any = entries.get(name)
-            return tuple(value if isinstance(value, list) and len(value) == size else default)
+            fits = isinstance(value, list) and size in (None, len(value))
+            return tuple(map(str, value if fits else default))
 
         labels = texts(model, "labels", joints, [str(i + 1) for i in range(joints)])
         kind = str(model.get("kind", "joint"))
@@ -103,8 +104,8 @@ class ModelDescription:
             texts(model, "groups", count, [""] * count),
             texts(document, "expressions", count, [""] * count),
             texts(document, "units", count, [""] * count),
-            texts(model, "positive", count, [False] * count),
         )
+        positive = texts(model, "positive", None, ())
         return cls(
             str(name),
             kind,
@@ -112,9 +113,12 @@ class ModelDescription:
             labels,
             texts(document, "joints", joints, [f"{kind} {label}" for label in labels]),
             texts(model, "units", joints, [""] * joints),
-            tuple(Coefficient(*row) for row in zip(*columns, strict=True)),
-            tuple(model.get("lines") or ()),
-            model.get("legend"),
+            tuple(
+                Coefficient(name, group, expression, unit, name in positive)
+                for name, group, expression, unit in zip(*columns, strict=True)
+            ),
+            texts(model, "lines", None, ()),
+            None if model.get("legend") is None else str(model["legend"]),
         )
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _RECORDINGS = ("training", "validation")
-_FILES = ("index.html", "coefficients.csv", "identification.json", "charts.json")
+_FILES = ("index.html", "coefficients.csv", "identification.json")
 
 
 def check_output_folder(folder: Path) -> None:
@@ -60,7 +60,7 @@ def write_report(
 
     Files of these names that an earlier report left and this one does not have are removed.
 
-    **Returns** the files. **Raises** as `Report.save`.
+    **Returns** the files to look at: without those of drawings. **Raises** as `Report.save`.
     """
     with all_or_nothing(folder) as scratch:
         page = render(report.page(charts=pictures))
@@ -68,20 +68,21 @@ def write_report(
         for section in report.sections:
             for name, rows in section.tables(report).items():
                 write_csv(scratch / name, rows)
-        for name, entries in report.documents(charts=pictures).items():
-            write_json(scratch / name, entries)
+        identification, *drawings = report.documents(charts=pictures).items()
+        write_json(scratch / identification[0], identification[1])
+        for name, entries in drawings:  # nobody reads these numbers
+            text = json.dumps(entries, separators=(",", ":"), allow_nan=False)
+            (scratch / name).write_text(text, encoding="utf-8")
         for name in report.patterns:
             _write_torque(scratch / _torque_file(name, report.model.output_quantity), report, name)
-        names = sorted(path.name for path in scratch.iterdir())
-    for path in replaced_files(folder):
-        if path.name not in names:
-            path.unlink(missing_ok=True)
-    return tuple(folder / name for name in sorted(names, key=_order))
-
-
-def _order(name: str) -> tuple[int, str]:
-    """The page first, then what all reports have, then files of recordings."""
-    return (_FILES.index(name) if name in _FILES else len(_FILES), name.partition("_")[2] + name)
+        written = {path.name for path in scratch.iterdir()}
+    known = [path.name for path in replaced_files(folder)]
+    for name in known:
+        if name not in written:
+            (folder / name).unlink(missing_ok=True)
+    ordered = [*known, *sorted(written - {*known})]
+    shown = written - {name for name, _ in drawings}
+    return tuple(folder / name for name in ordered if name in shown)
 
 
 def _torque_file(recording: str, quantity: str) -> str:
@@ -98,7 +99,7 @@ def replaced_files(folder: Path) -> list[Path]:
             *(_torque_file(recording, quantity) for quantity in ("torque", "known sides")),
         )
     ]
-    return [folder / name for name in (*_FILES, *of_recordings)]
+    return [folder / name for name in (*_FILES, *of_recordings, "charts.json")]
 
 
 def _write_torque(path: Path, report: "AbstractReport[Any]", recording: str) -> None:

@@ -154,11 +154,7 @@ class AbstractReport(abc.ABC, Generic[N]):
     @property
     def standard_errors(self) -> Float[np.ndarray, " coefficients"]:
         """(p,) standard uncertainty of each coefficient in its unit, systematic errors included."""
-        return standard_uncertainty(self.fit, self.results_or_none("systematic"))
-
-    def results_or_none(self, name: str) -> Any:
-        """Return a result by its name; None where no kind of section has it."""
-        return getattr(self, name) if any(name in kind.results for kind in self.kinds) else None
+        return standard_uncertainty(self.fit, getattr(self, "systematic", None))
 
     def rows(self, level: float = 0.95) -> list[dict[str, str | float | bool]]:
         """Return one row per coefficient: value, interval, verdict and expression.
@@ -170,8 +166,8 @@ class AbstractReport(abc.ABC, Generic[N]):
         return coefficient_rows(
             self.model,
             self.fit,
-            excitation=self.results_or_none("excitation"),
-            systematic=self.results_or_none("systematic"),
+            excitation=getattr(self, "excitation", None),
+            systematic=getattr(self, "systematic", None),
             level=level,
         )
 
@@ -300,7 +296,7 @@ class AbstractReport(abc.ABC, Generic[N]):
         - `pictures`: whether the page has pictures.
         - `command`: that repeats the identification, for the page.
 
-        **Returns** the files.
+        **Returns** the files, without `charts.json`.
 
         **Raises**
 
@@ -312,10 +308,15 @@ class AbstractReport(abc.ABC, Generic[N]):
         return write_report(Path(folder), report, pictures=pictures)
 
     def _with_results(self, **results: Any) -> "AbstractReport[N]":
-        """Return the same with other results; everything else that was computed is kept."""
+        """Return the same with other results; sections that have none of them stay the same."""
+        kept = {type(section): section for section in self.sections}
         changed = copy.copy(self)
         object.__setattr__(changed, "results", MappingProxyType({**self.results, **results}))
-        vars(changed).pop("sections", None)
+        sections = (
+            kind.of(changed) if results.keys() & kind.results.keys() else kept.get(kind)
+            for kind in self.kinds
+        )
+        vars(changed)["sections"] = tuple(x for x in sections if x is not None)
         return changed
 
     def __repr__(self) -> str:
@@ -350,38 +351,9 @@ class Report(AbstractReport[CSLC]):
     - `results`: by name, what sections are made of.
     - `document`: what the files hold of a report that was loaded; None of others.
 
-    Results are attributes too; None, or empty, where there are none:
-
-    - `errors`: torque errors, by recording. The first vector of each `ErrorTable` is `"fit"`; after
-      a re-identification the second is `"before"`.
-    - `excitation`: of the training recording; None after a re-identification.
-    - `held_out`: errors of the validation recording beside those of the training recording; without
-      a validation recording by cross-validation within the training recording. None after a
-      re-identification without a validation recording.
-    - `slopes`: the fit of the slopes of static friction.
-    - `systematic`: errors of the fit that no residual shows.
-    - `groups`: groups or names of the re-identified coefficients; None if all were fitted.
-    - `warnings`: one sentence each.
-    - `selection`: of the settings, with every trial; None if they were set.
-    - `bodies`: possible bodies nearest to the fit, for the page; see `physical_parameters`.
-    - `possible`: those bodies beside the free fit, and whether their coefficients are the report's.
-    - `prior`: what was known before.
-    - `several`: of several training recordings: noise and offsets of each, and whether they agree.
-      `patterns["training"]` then holds all of them, one after the other.
-    - `judged_part`: in words, the part of a long recording that settings are chosen on and fits
-      judged on; None if that is all of it.
-    - `data_check`: what was read, and what looks wrong with it.
-    - `notes`: what readers of the robot and of the recordings decided, one sentence each.
-    - `estimators`: least squares and maximum likelihood beside each other; None unless asked for.
-    - `horizon`: position error of open-loop simulation; None unless asked for.
-    - `friction`: friction terms that were tried joint by joint; None unless asked for.
-    - `pre_sliding`: dry friction that yields before it slides; None unless it was tried and
-      predicts motion better that was left out, at one joint at least, or its lengths were given.
-      Of least squares, its coefficients are those of a free fit beside `fit`; of maximum
-      likelihood, `fit` is of it, and so are all errors of this report (`lengths`).
-
-    Files do not hold all of `slopes`, `selection`, `bodies`, `possible`, `several`, `estimators`
-    and `friction`: of a report that was loaded these are errors, and sections have what files hold.
+    Results are attributes by the names that sections give them, None or empty where there are none:
+    `errors`, `excitation`, `held_out`, `systematic`, `warnings`, `notes` and others, which
+    `docs/report.md` lists with what each is.
 
     >>> import numpy as np, jaxcslc as jc
     >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))

@@ -18,6 +18,10 @@ from ...page import Message, Section
 if TYPE_CHECKING:
     from ._report import AbstractReport
 
+    AnyReport = AbstractReport[Any]
+else:
+    AnyReport = Any
+
 
 class AbstractSection(abc.ABC):
     """One kind of result: its text, its JSON and its blocks of the page.
@@ -32,6 +36,7 @@ class AbstractSection(abc.ABC):
     - `results`: names of all results that it is made of, and what a report has without them.
     - `entries`: of its file that are the section's, and the type of each.
     - `file`: that holds them.
+    - `always`: whether reports have the section without such a result, or without entries.
     - `position`: of its blocks on the page, where sections are sorted by it: below 10 the data,
       below 20 errors, below 30 the model, from there on the method.
     """
@@ -40,6 +45,7 @@ class AbstractSection(abc.ABC):
     results: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     entries: ClassVar[Mapping[str, type]] = MappingProxyType({})
     file: ClassVar[str] = "identification.json"
+    always: ClassVar[bool] = False
     position: ClassVar[int] = 25
 
     def __init__(self, source: Callable[[], Mapping[str, Any]]) -> None:
@@ -51,15 +57,17 @@ class AbstractSection(abc.ABC):
         return plain(self._source())
 
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> "AbstractSection | None":
-        """Return the section of a report; None if the report has no such result."""
+    def of(cls, report: AnyReport) -> "AbstractSection | None":
+        """Return the section of a report; None if it is made of a result that the report lacks."""
         result = report.results.get(cls.name)
-        return None if result is None else cls(lambda: cls.document_of(result, report))
+        if result is None and cls.results and not cls.always:
+            return None
+        return cls(lambda: cls.document_of(result, report))
 
     @classmethod
-    def document_of(cls, result: Any, report: "AbstractReport[Any]") -> Mapping[str, Any]:
-        """Return the entries of a result."""
-        raise NotImplementedError(cls.name)
+    @abc.abstractmethod
+    def document_of(cls, result: Any, report: AnyReport) -> Mapping[str, Any]:
+        """Return the entries of a result; of None, what the report itself says."""
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> "AbstractSection | None":
@@ -69,9 +77,9 @@ class AbstractSection(abc.ABC):
             for name, value in document.items()
             if name in cls.entries and isinstance(value, cls.entries[name])
         }
-        return cls(lambda: entries) if entries else None
+        return cls(lambda: entries) if entries or cls.always else None
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> Any:
+    def result(self, name: str, report: AnyReport) -> Any:
         """Return the result that the section was made of, from `data`.
 
         **Raises**
@@ -84,17 +92,22 @@ class AbstractSection(abc.ABC):
             " files hold"
         )
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
-        """Yield paragraphs of lines, for `print`."""
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
+        """Yield paragraphs of lines, for `print`: by default the entry `NAME_text`."""
         del report
-        yield from ()
+        if f"{self.name}_text" in self.entries:
+            yield self.data.get(f"{self.name}_text", ())
 
-    def messages(self, report: "AbstractReport[Any]") -> Iterator[Message]:
+    def notes(self) -> Sequence[str]:
+        """Return what stands among the report's notes, a sentence each."""
+        return ()
+
+    def messages(self, report: AnyReport) -> Iterator[Message]:
         """Yield what the section says about whether the model can be used."""
         del report
         yield from ()
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         """Yield parts of the page; those of one heading become one.
 
         - `charts`: whether the page has drawings.
@@ -102,7 +115,7 @@ class AbstractSection(abc.ABC):
         del report, charts
         yield from ()
 
-    def tables(self, report: "AbstractReport[Any]") -> Mapping[str, Sequence[Mapping[str, Any]]]:
+    def tables(self, report: AnyReport) -> Mapping[str, Sequence[Mapping[str, Any]]]:
         """Return CSV files' rows by file name."""
         del report
         return {}

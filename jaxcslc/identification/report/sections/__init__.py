@@ -50,8 +50,8 @@ SECTIONS: tuple[type[AbstractSection], ...] = (
     FrictionSection,
     PossibleSection,
     PreSlidingSection,
-    WarningSection,
     FrictionTrialSection,
+    WarningSection,
     MotionSection,
     RepeatSection,
 )

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +26,7 @@ from ...systematic import SystematicError
 from .._coefficient_table import coefficient_text
 from .._excitation import Excitation
 from .._model_description import legend_text
-from .._section import AbstractSection, counted, listed
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport, counted, listed
 
 
 # Above this share of signs that no body has, torque or positions are likely to have the wrong one.
@@ -68,21 +64,19 @@ class CoefficientSection(AbstractSection):
     entries = MappingProxyType({"unidentifiable": list})
     position = 20
 
-    @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        return cls(lambda: {"unidentifiable": report.fit.unidentifiable})
+    always = True
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> AbstractSection:
-        return super().from_document(document) or cls(dict[str, Any])
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
+        return {"unidentifiable": report.fit.unidentifiable}
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [coefficient_text(report.rows())]
 
-    def tables(self, report: "AbstractReport[Any]") -> Mapping[str, Sequence[Mapping[str, Any]]]:
+    def tables(self, report: AnyReport) -> Mapping[str, Sequence[Mapping[str, Any]]]:
         return {"coefficients.csv": report.rows()}
 
-    def messages(self, report: "AbstractReport[Any]") -> Iterator[Message]:
+    def messages(self, report: AnyReport) -> Iterator[Message]:
         rows = report.rows()
         kinds = Counter(row["verdict"] for row in rows)
         others = ", ".join(
@@ -106,7 +100,7 @@ class CoefficientSection(AbstractSection):
                 "bad" if many else "caution",
             )
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         fit, legend = report.fit, report.model.legend
         rows = tuple(tuple(row[name] for name in _COLUMNS) for row in report.rows())
         undetermined = tuple(Message(text, "bad") for text in fit.unidentifiable)
@@ -132,7 +126,7 @@ class SlopeSection(AbstractSection):
     entries = MappingProxyType({"slopes": list})
 
     @classmethod
-    def document_of(cls, result: SlopeFit, report: "AbstractReport[Any]") -> Mapping[str, Any]:
+    def document_of(cls, result: SlopeFit, report: AnyReport) -> Mapping[str, Any]:
         columns = (report.model.output_names, result.slopes, result.slope_error)
         kinds = result.network.friction_per_joint
         return {
@@ -143,7 +137,7 @@ class SlopeSection(AbstractSection):
             ]
         }
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         joints = ", ".join(
             f"{entry['joint']} {entry['slope']:.4g} ± {float(_open(entry['error'])):.2g}"
             for entry in self.data["slopes"]
@@ -163,12 +157,10 @@ class SystematicSection(AbstractSection):
     entries = MappingProxyType({"systematic_error": object})
 
     @classmethod
-    def document_of(
-        cls, result: SystematicError, report: "AbstractReport[Any]"
-    ) -> Mapping[str, Any]:
+    def document_of(cls, result: SystematicError, report: AnyReport) -> Mapping[str, Any]:
         return {"systematic_error": dict(result.parts)}
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> SystematicError | None:
+    def result(self, name: str, report: AnyReport) -> SystematicError | None:
         where, size = "systematic_error", len(report.names)
         if self.data[where] is None:
             return None
@@ -192,27 +184,22 @@ class ExcitationSection(AbstractSection):
     entries = MappingProxyType({"least_determined": str, "excitation": dict})
     position = 21
 
+    always = True
+
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        result: Excitation | None = report.results.get(cls.name)
+    def document_of(cls, result: Excitation | None, report: AnyReport) -> Mapping[str, Any]:
         if result is None:
-            return cls(dict[str, Any])
+            return {}
         numbers = ("condition", "smallest", "weakest", "length", "variance_inflation")
-        return cls(
-            lambda: {
-                "least_determined": result.worst_combination,
-                "excitation": {
-                    **{name: getattr(result, name) for name in numbers},
-                    "group_condition": dict(result.group_condition),
-                },
-            }
-        )
+        return {
+            "least_determined": result.worst_combination,
+            "excitation": {
+                **{name: getattr(result, name) for name in numbers},
+                "group_condition": dict(result.group_condition),
+            },
+        }
 
-    @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> AbstractSection:
-        return super().from_document(document) or cls(dict[str, Any])
-
-    def result(self, name: str, report: "AbstractReport[Any]") -> Excitation | None:
+    def result(self, name: str, report: AnyReport) -> Excitation | None:
         data = self.data.get("excitation")
         if data is None:
             return None
@@ -220,11 +207,11 @@ class ExcitationSection(AbstractSection):
         numbers = {name: _open(value) for name, value in data.items() if name != "group_condition"}
         return Excitation(**numbers, group_condition=groups, names=report.names)
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         fit, legend = report.fit, report.model.legend
         fixed = report.section("groups")
         fitted = len(report.names) - (0 if fixed is None else len(fixed.data["fixed"]))
-        systematic = report.results_or_none("systematic")
+        systematic = getattr(report, "systematic", None)
         causes = "" if systematic is None else "; and for systematic errors by "
         causes += "" if systematic is None else ", ".join(systematic.parts)
         text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"
@@ -238,7 +225,7 @@ class ExcitationSection(AbstractSection):
             text,
         ]
 
-    def messages(self, report: "AbstractReport[Any]") -> Iterator[Message]:
+    def messages(self, report: AnyReport) -> Iterator[Message]:
         if not bool(report.fit.meaningful):
             yield Message(
                 f"Condition number {float(report.fit.condition):.2g}: the motion does not tell the"
@@ -246,7 +233,7 @@ class ExcitationSection(AbstractSection):
                 "bad",
             )
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         excitation = self.result(self.name, report)
         blocks: list[AbstractBlock] = []
         tables: list[AbstractBlock] = []

@@ -1,21 +1,17 @@
 """Sections on errors: of recordings that were fitted or kept apart, and of held-out motion."""
 
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ...._plain_data import record_document, record_from
 from ....page import AbstractBlock, Column, Message, Paragraph, Section, Table, Tone, Value
 from ..._held_out import HeldOut
 from .._errors import ErrorTable
-from .._section import AbstractSection, listed
+from .._section import AbstractSection, AnyReport, listed
 from ._fit_quality import fit_quality, worst_joint
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
 
 
 # A model that explains less than half of the variance of a joint's training torque is not one of
@@ -42,56 +38,48 @@ class ErrorSection(AbstractSection):
     results = MappingProxyType({"errors": MappingProxyType({})})
     entries = MappingProxyType(
         {
-            "errors_by_recording": dict,
-            "share_judged": dict,
+            **{"errors_by_recording": dict, "counts": dict, "share_judged": dict},
             **{"torque_error_rms": dict, "torque_error_rms_all_samples": dict},
             "equation_error_rms": dict,
         }
     )
 
     @classmethod
-    def document_of(
-        cls, result: Mapping[str, ErrorTable], report: "AbstractReport[Any]"
-    ) -> Mapping[str, Any]:
+    def document_of(cls, result: Mapping[str, ErrorTable], report: AnyReport) -> Mapping[str, Any]:
         stem = "torque" if report.model.per_joint else report.model.output_kind
         whole = {name: table.rms_all_samples[0] for name, table in result.items()}
-        fields = [field.name for field in dataclasses.fields(ErrorTable)]
         return {
             f"{stem}_error_rms": {name: table.rms[0] for name, table in result.items()},
             **({f"{stem}_error_rms_all_samples": whole} if report.model.per_joint else {}),
             "share_judged": {name: table.share_judged for name, table in result.items()},
-            "errors_by_recording": {
+            "errors_by_recording": {n: record_document(table) for n, table in result.items()},
+            "counts": {
                 name: {
-                    **{field: getattr(table, field) for field in fields},
                     "judged_samples": np.sum(np.asarray(report.patterns[name].mask), axis=0),
                     "samples": report.patterns[name].samples,
                 }
-                for name, table in result.items()
+                for name in result
             },
         }
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> dict[str, ErrorTable]:
-        return {
-            recording: _error_table(entry)
-            for recording, entry in self.data.get("errors_by_recording", {}).items()
-        }
+    def result(self, name: str, report: AnyReport) -> dict[str, ErrorTable]:
+        tables = self.data.get("errors_by_recording", {}).items()
+        return {recording: record_from(ErrorTable, table) for recording, table in tables}
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         stem = "torque" if report.model.per_joint else report.model.output_kind
         for name, table in self.result(self.name, report).items():
             yield [f"{stem} error, {name} recording", str(table)]
 
-    def tables(self, report: "AbstractReport[Any]") -> Mapping[str, Sequence[Mapping[str, Any]]]:
+    def tables(self, report: AnyReport) -> Mapping[str, Sequence[Mapping[str, Any]]]:
         return {
             f"errors_{name}.csv": [
                 {
                     table.kind: label,
                     "rms": float(table.rms[0, joint]),
                     "mean_modulus": float(table.mean_modulus[0, joint]),
-                    "judged_samples": self.data["errors_by_recording"][name]["judged_samples"][
-                        joint
-                    ],
-                    "samples": self.data["errors_by_recording"][name]["samples"],
+                    "judged_samples": self.data["counts"][name]["judged_samples"][joint],
+                    "samples": self.data["counts"][name]["samples"],
                     "share_judged": float(table.share_judged[joint]),
                     "rms_all_samples": float(table.rms_all_samples[0, joint]),
                 }
@@ -109,18 +97,16 @@ class QualitySection(AbstractSection):
     position = 10
 
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        return cls(
-            lambda: {
-                "joints": report.model.output_names,
-                "quality": {
-                    name: fit_quality(patterns, report.predicted(name))
-                    for name, patterns in report.patterns.items()
-                },
-            }
-        )
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
+        return {
+            "joints": report.model.output_names,
+            "quality": {
+                name: fit_quality(patterns, report.predicted(name))
+                for name, patterns in report.patterns.items()
+            },
+        }
 
-    def messages(self, report: "AbstractReport[Any]") -> Iterator[Message]:
+    def messages(self, report: AnyReport) -> Iterator[Message]:
         qualities, names = self.data["quality"], report.model.output_names
         quantity = report.model.output_quantity
         name = "validation" if "validation" in qualities else "training"
@@ -147,7 +133,7 @@ class QualitySection(AbstractSection):
                 "bad",
             )
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         model = report.model
         quantity = model.output_quantity
         columns = [
@@ -216,30 +202,23 @@ class HeldOutSection(AbstractSection):
     entries = MappingProxyType({"held_out": dict})
     position = 11
 
-    @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        result: HeldOut | None = report.results.get(cls.name)
-        return cls(
-            lambda: (
-                {}
-                if result is None
-                else {
-                    "held_out": {
-                        "training_rms": result.training,
-                        "held_out_rms": result.held_out,
-                        "limit": result.limit,
-                        "beyond_chance": result.beyond_chance,
-                        "source": result.source,
-                    }
-                }
-            )
-        )
+    always = True
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> AbstractSection:
-        return super().from_document(document) or cls(dict[str, Any])
+    def document_of(cls, result: HeldOut | None, report: AnyReport) -> Mapping[str, Any]:
+        if result is None:
+            return {}
+        return {
+            "held_out": {
+                "training_rms": result.training,
+                "held_out_rms": result.held_out,
+                "limit": result.limit,
+                "beyond_chance": result.beyond_chance,
+                "source": result.source,
+            }
+        }
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> HeldOut | None:
+    def result(self, name: str, report: AnyReport) -> HeldOut | None:
         if "held_out" not in self.data:
             return None
         data = self.data["held_out"]
@@ -253,13 +232,13 @@ class HeldOutSection(AbstractSection):
             names=report.model.output_names,
         )
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         held_out, kind = self.result(self.name, report), report.model.output_kind
         if held_out is not None:
             ratios = ", ".join(f"{ratio:.3g}" for ratio in held_out.ratio)
             yield [f"{held_out.source} RMS over training RMS, {kind} by {kind}: {ratios}"]
 
-    def messages(self, report: "AbstractReport[Any]") -> Iterator[Message]:
+    def messages(self, report: AnyReport) -> Iterator[Message]:
         held_out = self.result(self.name, report)
         if held_out is None:
             yield Message("Not judged on motion that was not fitted.", "caution")
@@ -275,7 +254,7 @@ class HeldOutSection(AbstractSection):
         else:
             yield Message(f"Errors on {motion} are no larger than noise explains.", "good")
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         held_out, model = self.result(self.name, report), report.model
         if held_out is None:
             return
@@ -292,19 +271,6 @@ class HeldOutSection(AbstractSection):
         ]
         caption = f"motion that was not fitted ({held_out.source})"
         yield Section("Errors", "", [Table.of_columns(columns, values, caption, "held-out")])
-
-
-def _error_table(entry: Mapping[str, Any]) -> ErrorTable:
-    """Return the table that an entry of `errors_by_recording` holds."""
-    fields: dict[str, Any] = {
-        field.name: entry[field.name] for field in dataclasses.fields(ErrorTable)
-    }
-    for name, value in fields.items():
-        if name in ("names", "labels"):
-            fields[name] = tuple(value)
-        elif isinstance(value, list):
-            fields[name] = np.array(value, float)
-    return ErrorTable(**fields)
 
 
 def _whole(section: AbstractSection | None) -> tuple[list[Any], dict[str, Any]]:

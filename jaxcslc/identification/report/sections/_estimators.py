@@ -3,15 +3,11 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ....page import AbstractBlock, Column, Paragraph, Section, Table
 from ...likelihood import EstimatorComparison, calibration_lines, estimator_text, lengths_line
-from .._section import AbstractSection, open_errors
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport, open_errors
 
 
 class EstimatorSection(AbstractSection):
@@ -23,15 +19,13 @@ class EstimatorSection(AbstractSection):
     position = 13
 
     @classmethod
-    def document_of(
-        cls, result: EstimatorComparison, report: "AbstractReport[Any]"
-    ) -> Mapping[str, Any]:
+    def document_of(cls, result: EstimatorComparison, report: AnyReport) -> Mapping[str, Any]:
         return {"estimators": result.document()}
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [estimator_text(open_errors(self.data["estimators"]), report.model.output_units)]
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         estimators = open_errors(self.data["estimators"])
         motion = (
             "the validation recording"

@@ -3,16 +3,12 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ....page import Column, Section, Table
 from ...friction import PreSlidingFit, pre_sliding_document, pre_sliding_from
 from ...selection import FrictionChoice
-from .._section import AbstractSection
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport
 
 
 class FrictionTrialSection(AbstractSection):
@@ -24,15 +20,13 @@ class FrictionTrialSection(AbstractSection):
     position = 23
 
     @classmethod
-    def document_of(
-        cls, result: FrictionChoice, report: "AbstractReport[Any]"
-    ) -> Mapping[str, Any]:
+    def document_of(cls, result: FrictionChoice, report: AnyReport) -> Mapping[str, Any]:
         return {"friction_trials": result.document(), "friction_notes": result.sentences}
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
-        yield [f"note: {note}" for note in self.data.get("friction_notes", ())]
+    def notes(self) -> Sequence[str]:
+        return self.data.get("friction_notes", ())
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         trials = self.data["friction_trials"]
         if not trials:
             return
@@ -63,10 +57,10 @@ class PreSlidingSection(AbstractSection):
     entries = MappingProxyType({"pre_sliding": object})
 
     @classmethod
-    def document_of(cls, result: PreSlidingFit, report: "AbstractReport[Any]") -> Mapping[str, Any]:
+    def document_of(cls, result: PreSlidingFit, report: AnyReport) -> Mapping[str, Any]:
         return {"pre_sliding": pre_sliding_document(result)}
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> PreSlidingFit | None:
+    def result(self, name: str, report: AnyReport) -> PreSlidingFit | None:
         data = self.data[self.name]
         return None if data is None else pre_sliding_from(data, report.network, self.name)
 

@@ -2,14 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...prior import Prior, prior_from
-from .._section import AbstractSection
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport
 
 
 class GroupsSection(AbstractSection):
@@ -20,9 +16,7 @@ class GroupsSection(AbstractSection):
     entries = MappingProxyType({"fixed": list, "groups": list})
 
     @classmethod
-    def document_of(
-        cls, result: tuple[str, ...], report: "AbstractReport[Any]"
-    ) -> Mapping[str, Any]:
+    def document_of(cls, result: tuple[str, ...], report: AnyReport) -> Mapping[str, Any]:
         return {
             "groups": result,
             "fixed": [
@@ -32,10 +26,10 @@ class GroupsSection(AbstractSection):
             ],
         }
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> tuple[str, ...]:
+    def result(self, name: str, report: AnyReport) -> tuple[str, ...]:
         return tuple(self.data.get("groups", ()))
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [
             f"re-identified: {', '.join(self.result(self.name, report))}; all other coefficients"
             " are fixed at those of the previous identification"
@@ -50,11 +44,11 @@ class PriorSection(AbstractSection):
     entries = MappingProxyType({"prior": dict})
 
     @classmethod
-    def document_of(cls, result: Prior, report: "AbstractReport[Any]") -> Mapping[str, Any]:
+    def document_of(cls, result: Prior, report: AnyReport) -> Mapping[str, Any]:
         return {"prior": result.document()}
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> Prior:
+    def result(self, name: str, report: AnyReport) -> Prior:
         return prior_from(self.data["prior"], "prior")
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [f"known before: {self.result(self.name, report)}"]

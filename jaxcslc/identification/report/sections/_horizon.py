@@ -2,17 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ....page import Column, Section, Table
 from ...prediction import HorizonError
-from .._section import AbstractSection
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport
 
 
 class HorizonSection(AbstractSection):
@@ -24,10 +20,10 @@ class HorizonSection(AbstractSection):
     position = 14
 
     @classmethod
-    def document_of(cls, result: HorizonError, report: "AbstractReport[Any]") -> Mapping[str, Any]:
+    def document_of(cls, result: HorizonError, report: AnyReport) -> Mapping[str, Any]:
         return {"horizon": result.document()}
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> HorizonError:
+    def result(self, name: str, report: AnyReport) -> HorizonError:
         data = self.data["horizon"]
 
         def by_name(entries: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -42,11 +38,11 @@ class HorizonSection(AbstractSection):
             tuple(data["units"]),
         )
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         table = str(self.result(self.name, report))
         yield ["simulated open loop, median absolute error of positions", table]
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         horizon = self.data["horizon"]
         distance = horizon["distance"]
         columns = [

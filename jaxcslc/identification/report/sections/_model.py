@@ -2,17 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...._plain_data import record_document
 from ....motion import Patterns
-from .._section import AbstractSection
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport
 
 
 # States of the motion that are stored: enough to compare torques over it later.
@@ -32,30 +28,23 @@ class ModelSection(AbstractSection):
         }
     )
 
-    @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        network = report.network
-        robot = network.robot
-
-        def document() -> dict[str, Any]:
-            slopes = network.static_slopes
-            return {
-                "robot": robot.name,
-                "lengths": network.algebra.lengths,
-                **({} if slopes is None else {"static_slopes": np.asarray(slopes, float)}),
-                "friction": robot.friction,
-                "joint_friction": robot.friction_per_joint,
-                "coupled": robot.coupled,
-                "manipulator": record_document(robot),
-            }
-
-        return cls(document)
+    always = True
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> AbstractSection:
-        return super().from_document(document) or cls(dict[str, Any])
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
+        network, robot = report.network, report.network.robot
+        slopes = network.static_slopes
+        return {
+            "robot": robot.name,
+            "lengths": network.algebra.lengths,
+            **({} if slopes is None else {"static_slopes": np.asarray(slopes, float)}),
+            "friction": robot.friction,
+            "joint_friction": robot.friction_per_joint,
+            "coupled": robot.coupled,
+            "manipulator": record_document(robot),
+        }
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [*report.model.lines, f"settings: {report.settings}"]
 
 
@@ -67,19 +56,17 @@ class MotionSection(AbstractSection):
     entries = MappingProxyType({"motion": dict})
 
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
+    def of(cls, report: AnyReport) -> AbstractSection:
+        return cls(lambda: cls.document_of(None, report))
+
+    @classmethod
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
         patterns = report.patterns["training"]
         every = max(patterns.samples // _STATES, 1)
-        return cls(
-            lambda: {
-                "motion": {
-                    name: np.asarray(getattr(patterns, name))[::every]
-                    for name in ("q", "qd", "qdd")
-                }
-            }
-        )
+        names = ("q", "qd", "qdd")
+        return {"motion": {name: np.asarray(getattr(patterns, name))[::every] for name in names}}
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> Patterns:
+    def result(self, name: str, report: AnyReport) -> Patterns:
         """Return the states as patterns without torques."""
         motion, joints = self.data["motion"], len(report.model.output_names)
         try:

@@ -3,19 +3,15 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ....manipulator import RobotError
 from ....page import AbstractBlock, Column, Paragraph, Section, Table
 from ...possible import PhysicalParameters, PossibleFit, possible_text
-from .._section import AbstractSection, open_errors
+from .._section import AbstractSection, AnyReport, open_errors
 from ._arm import arm_chart, arm_document
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
 
 
 class PossibleSection(AbstractSection):
@@ -27,23 +23,23 @@ class PossibleSection(AbstractSection):
     position = 24
 
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection | None:
-        possible: PossibleFit | None = report.results.get("possible")
-        bodies: PhysicalParameters | None = report.results.get("bodies")
-        if possible is None and bodies is None:
-            return None
-        return cls(
-            lambda: {
-                **({} if possible is None else {"possible": possible.document()}),
-                **({} if bodies is None else {"bodies": _bodies(report, bodies)}),
-            }
-        )
+    def of(cls, report: AnyReport) -> AbstractSection | None:
+        found = any(report.results.get(name) is not None for name in cls.results)
+        return cls(lambda: cls.document_of(report.results.get(cls.name), report)) if found else None
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    @classmethod
+    def document_of(cls, result: PossibleFit | None, report: AnyReport) -> Mapping[str, Any]:
+        bodies: PhysicalParameters | None = report.results.get("bodies")
+        return {
+            **({} if result is None else {"possible": result.document()}),
+            **({} if bodies is None else {"bodies": _bodies(report, bodies)}),
+        }
+
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         if "possible" in self.data:
             yield [possible_text(open_errors(self.data["possible"]))]
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         if "bodies" not in self.data:
             return
         bodies = self.data["bodies"]
@@ -86,7 +82,7 @@ class PossibleSection(AbstractSection):
         )
 
 
-def _judged(report: "AbstractReport[Any]", judged: Mapping[str, Any]) -> list[AbstractBlock]:
+def _judged(report: AnyReport, judged: Mapping[str, Any]) -> list[AbstractBlock]:
     """Return how bodies and free fit predict motion that neither was fitted to."""
     change, error = 100 * math.expm1(judged["change"]), 100 * judged["change_error"]
     used = "the bodies'" if judged["used"] else "the free fit's"
@@ -111,7 +107,7 @@ def _judged(report: "AbstractReport[Any]", judged: Mapping[str, Any]) -> list[Ab
     return [Paragraph(text), Table.of_columns(columns, values, caption, "bodies-held-out")]
 
 
-def _bodies(report: "AbstractReport[Any]", bodies: PhysicalParameters) -> dict[str, Any]:
+def _bodies(report: AnyReport, bodies: PhysicalParameters) -> dict[str, Any]:
     """Return bodies as plain data, and the arm at the recording's first sample."""
     robot = report.network.robot
     names = [

@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ....network import CSLC
 from ....page import (
     AbstractBlock,
     Column,
@@ -20,12 +19,8 @@ from ....page import (
     Table,
 )
 from ...checks import DataCheck, Finding
-from .._section import AbstractSection, axis_title, counted
+from .._section import AbstractSection, AnyReport, axis_title, counted
 from ._thinned import friction_points, torque_curves
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
 
 
 _DATA_CHECK = (
@@ -42,22 +37,18 @@ class WarningSection(AbstractSection):
     entries = MappingProxyType({"warnings": list, "findings": list, "notes": list})
     position = 0
 
+    always = True
+
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
+    def document_of(cls, result: Any, report: AnyReport) -> Mapping[str, Any]:
         check: DataCheck | None = report.results.get("data_check")
         findings = () if check is None else check.findings
-        return cls(
-            lambda: {
-                **{name: report.results.get(name, ()) for name in ("warnings", "notes")},
-                "findings": [vars(finding) for finding in findings],
-            }
-        )
+        return {
+            **{name: report.results.get(name, ()) for name in ("warnings", "notes")},
+            "findings": [vars(finding) for finding in findings],
+        }
 
-    @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> AbstractSection:
-        return super().from_document(document) or cls(dict[str, Any])
-
-    def result(self, name: str, report: "AbstractReport[Any]") -> Any:
+    def result(self, name: str, report: AnyReport) -> Any:
         if name != "data_check":
             return tuple(self.data.get(name, ()))
         return DataCheck((), tuple(Finding(**entry) for entry in self.data.get("findings", ())))
@@ -66,17 +57,20 @@ class WarningSection(AbstractSection):
         findings = (str(Finding(**entry)) for entry in self.data.get("findings", ()))
         return [*findings, *self.data.get("warnings", ())]
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         sentences, found = self._sentences(), len(self.data.get("findings", ()))
         yield [f"warning: {sentence}" for sentence in sentences[:found]]
         yield [f"warning: {sentence}" for sentence in sentences[found:]]
-        yield [f"note: {note}" for note in self.data.get("notes", ())]
+        yield [f"note: {note}" for section in report.sections for note in section.notes()]
 
-    def messages(self, report: "AbstractReport[Any]") -> Iterator[Message]:
+    def notes(self) -> Sequence[str]:
+        return self.data.get("notes", ())
+
+    def messages(self, report: AnyReport) -> Iterator[Message]:
         if count := len(self._sentences()):
             yield Message(f"{counted(count, 'warning')} about data and fit.", "caution")
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         sentences = tuple(Message(sentence) for sentence in self._sentences())
         blocks: list[AbstractBlock] = [Messages(sentences, empty="Nothing looks wrong.")]
         if notes := self.data.get("notes"):
@@ -101,12 +95,10 @@ class RecordingSection(AbstractSection):
     position = 1
 
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        return cls(
-            lambda: {"recorded": {name: _recorded(report, name) for name in report.patterns}}
-        )
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
+        return {"recorded": {name: _recorded(report, name) for name in report.patterns}}
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         model = report.model
         motion = dict.fromkeys("m" if unit == "N" else "rad" for unit in model.output_units)
         blocks: list[AbstractBlock] = []
@@ -146,18 +138,16 @@ class CurveSection(AbstractSection):
     position = 12
 
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
         count = len(report.patterns)
-        return cls(
-            lambda: {
-                "curves": {
-                    name: torque_curves(patterns, report.predicted(name), count)
-                    for name, patterns in report.patterns.items()
-                }
+        return {
+            "curves": {
+                name: torque_curves(patterns, report.predicted(name), count)
+                for name, patterns in report.patterns.items()
             }
-        )
+        }
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         if not charts:
             return
         model = report.model
@@ -196,21 +186,16 @@ class FrictionSection(AbstractSection):
     position = 22
 
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection | None:
-        if not (isinstance(report.network, CSLC) and report.network.layout.friction.size):
-            return None
-        return cls(
-            lambda: {
-                "friction_points": friction_points(
-                    report.network_along("training"),
-                    np.asarray(report.k),
-                    report.patterns["training"],
-                    report.predicted("training"),
-                )
-            }
-        )
+    def of(cls, report: AnyReport) -> AbstractSection | None:
+        return super().of(report) if report.network.layout.friction.size else None
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    @classmethod
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
+        network, patterns = report.network_along("training"), report.patterns["training"]
+        k, predicted = np.asarray(report.k), report.predicted("training")
+        return {"friction_points": friction_points(network, k, patterns, predicted)}
+
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         if not charts:
             return
         model, drawn = report.model, self.data["friction_points"]
@@ -230,7 +215,7 @@ class FrictionSection(AbstractSection):
         )
 
 
-def _recorded(report: "AbstractReport[Any]", name: str) -> dict[str, Any]:
+def _recorded(report: AnyReport, name: str) -> dict[str, Any]:
     patterns = report.patterns[name]
     time, q, qd, torque = (
         np.asarray(values) for values in (patterns.time, patterns.q, patterns.qd, patterns.torque)
@@ -244,5 +229,5 @@ def _recorded(report: "AbstractReport[Any]", name: str) -> dict[str, Any]:
         "lowest": np.min(q, axis=0) if per_joint else None,
         "highest": np.max(q, axis=0) if per_joint else None,
         "top_speed": np.max(np.abs(qd), axis=0) if per_joint else None,
-        "torque_rms": np.sqrt(np.mean(torque**2, axis=0)),
+        "torque_rms": np.sqrt([np.sum(column**2) / patterns.samples for column in torque.T]),
     }

@@ -2,19 +2,15 @@
 
 import json
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...._plain_data import plain
 from ....page import AbstractBlock, Code, Details, Section
 from ..._settings import settings_document
-from .._section import AbstractSection
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport
 
 
 _LIBRARIES = ("jaxcslc", "jax", "jaxlib", "equinox", "numpy", "scipy", "sympy")
@@ -23,22 +19,23 @@ _LIBRARIES = ("jaxcslc", "jax", "jaxlib", "equinox", "numpy", "scipy", "sympy")
 class RepeatSection(AbstractSection):
     """The command, and the versions of Python and of the libraries that numbers depend on."""
 
-    name = "repeat"
+    name = "command"
     results = MappingProxyType({"command": None})
     entries = MappingProxyType({"command": str, "versions": dict})
     position = 40
 
-    @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        command = report.results.get("command")
-        given = {} if command is None else {"command": command}
-        before = {} if report.document is None else report.document
-        return cls(lambda: {**given, "versions": before.get("versions", versions())})
+    always = True
 
-    def result(self, name: str, report: "AbstractReport[Any]") -> str | None:
+    @classmethod
+    def document_of(cls, result: str | None, report: AnyReport) -> Mapping[str, Any]:
+        before = {} if report.document is None else report.document
+        numbers = before.get("versions", versions())
+        return {**({} if result is None else {"command": result}), "versions": numbers}
+
+    def result(self, name: str, report: AnyReport) -> str | None:
         return self.data.get("command")
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         blocks: list[AbstractBlock] = []
         if "command" in self.data:
             blocks.append(Code(self.data["command"]))

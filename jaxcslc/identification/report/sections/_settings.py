@@ -3,15 +3,12 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ....page import AbstractBlock, Column, Details, Paragraph, Section, Table
 from ..._settings import settings_document
-from .._section import AbstractSection
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from ...selection import Selection
+from .._section import AbstractSection, AnyReport
 
 
 # Trials that are shown before the others are asked for.
@@ -26,40 +23,39 @@ class SettingsSection(AbstractSection):
     entries = MappingProxyType({"settings": dict, "judged_part": str, "trials": list})
     position = 30
 
+    always = True
+
     @classmethod
-    def of(cls, report: "AbstractReport[Any]") -> AbstractSection:
-        selection, part = report.results.get("selection"), report.results.get("judged_part")
+    def document_of(cls, result: Any, report: AnyReport) -> Mapping[str, Any]:
+        selection: Selection | None = report.results.get("selection")
+        part = report.results.get("judged_part")
+        trials = () if selection is None else sorted(selection.trials, key=lambda x: x.score)
+        return {
+            "settings": settings_document(report.settings),
+            **({} if part is None else {"judged_part": part}),
+            "trials": [
+                {
+                    "settings": str(trial.settings),
+                    "score": float(trial.score),
+                    "error": trial.error,
+                    "selected": selection is not None and trial.settings == selection.settings,
+                }
+                for trial in trials
+            ],
+        }
 
-        def document() -> dict[str, Any]:
-            trials = () if selection is None else sorted(selection.trials, key=lambda x: x.score)
-            used = None if selection is None else selection.settings
-            return {
-                "settings": settings_document(report.settings),
-                **({} if part is None else {"judged_part": part}),
-                "trials": [
-                    {
-                        "settings": str(trial.settings),
-                        "score": float(trial.score),
-                        "error": trial.error,
-                        "selected": trial.settings == used,
-                    }
-                    for trial in trials
-                ],
-            }
-
-        return cls(document)
-
-    def result(self, name: str, report: "AbstractReport[Any]") -> Any:
+    def result(self, name: str, report: AnyReport) -> Any:
         if name == "judged_part" or not self.data.get("trials"):
             return self.data.get(name)
         return super().result(name, report)
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         del report
         yield [self.data["judged_part"]] if "judged_part" in self.data else []
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
-        del charts
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
+        if report.settings is None:  # as of a file that holds a fit alone
+            return
         blocks: list[AbstractBlock] = [Paragraph(f"Used: {report.settings}.")]
         if "judged_part" in self.data:
             blocks.append(Paragraph(f"Long recording: {self.data['judged_part']}."))

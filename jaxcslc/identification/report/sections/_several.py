@@ -2,15 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ....page import Column, Section, Table
 from ...several import SeveralFit, several_text
-from .._section import AbstractSection, axis_title
-
-
-if TYPE_CHECKING:
-    from .._report import AbstractReport
+from .._section import AbstractSection, AnyReport, axis_title
 
 
 class SeveralSection(AbstractSection):
@@ -22,13 +18,13 @@ class SeveralSection(AbstractSection):
     position = 2
 
     @classmethod
-    def document_of(cls, result: SeveralFit, report: "AbstractReport[Any]") -> Mapping[str, Any]:
+    def document_of(cls, result: SeveralFit, report: AnyReport) -> Mapping[str, Any]:
         return {"recordings": result.document()}
 
-    def text(self, report: "AbstractReport[Any]") -> Iterator[Sequence[str]]:
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [several_text(self.data["recordings"])]
 
-    def blocks(self, report: "AbstractReport[Any]", charts: bool) -> Iterator[Section]:
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         model = report.model
         columns = [
             Column("recording", numeric=False),
