@@ -183,11 +183,10 @@ def _identified(
     if request.friction == "auto":
         friction = choose_friction_terms(request, step)
         request = friction.request
-    with estimator.beside(request) as fits, _checked_beside(request, step) as data_check:
+    with estimator.beside(request) as begin, _checked_beside(request, step) as data_check:
         problem = prepare(request, None if friction is None else friction.settings, step)
-        if fits is not None:
-            fits.begin(problem.settings)
-            problem = dataclasses.replace(problem, beside=fits)
+        if begin is not None:
+            problem = dataclasses.replace(problem, begun=begin(problem.settings))
         step("preparing patterns")
         _ = problem.patterns, problem.judged_patterns  # what is wrong with recordings is said now
         judged = estimator.judged(with_friction(problem))
