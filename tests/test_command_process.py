@@ -50,13 +50,13 @@ def test_python_runs_the_command() -> None:
 def test_ctrl_c_in_a_command_is_said() -> None:
     """typer ends a command that Ctrl-C interrupts by a status alone."""
     program = """
-import jaxcslc.cli._common as common
+import jaxcslc.cli._robot_options as options
 from jaxcslc.cli import main
 
 def interrupted(*_, **__):
     raise KeyboardInterrupt
 
-common.load_robot = interrupted
+options.load_robot = interrupted
 main()
 """
     command = [sys.executable, "-c", program, "derive", "arm.toml"]

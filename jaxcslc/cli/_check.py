@@ -1,49 +1,26 @@
+"""The command `jaxcslc check`."""
+
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..identification import check
-from ._common import (
-    BaseOption,
-    ColumnsOption,
-    FixOption,
-    FrictionOption,
-    MimicOption,
-    RobotArgument,
-    TipOption,
-    network_of,
-    one_line_errors,
-    progress,
-    robot_named,
-    robot_notes,
-)
-from ._recording_options import (
-    BetweenOption,
-    DespikeOption,
-    DropStaleOption,
-    EveryOption,
-    PeriodOption,
-    RecordingOptions,
-)
+from ._common import RobotArgument, one_line_errors, progress, robot_notes
+from ._recording_options import RecordingOptions
+from ._robot_options import Drives, RobotPart
+from ._spread import spread
 
 
+@spread
 def check_command(
     robot: RobotArgument,
     recordings: Annotated[
         list[Path], typer.Argument(metavar="RECORDING...", help="Recordings of the robot.")
     ],
-    base: BaseOption = None,
-    tip: TipOption = None,
-    fix: FixOption = None,
-    mimic: MimicOption = None,
-    friction: FrictionOption = None,
-    columns: ColumnsOption = None,
-    between: BetweenOption = None,
-    every: EveryOption = None,
-    period: PeriodOption = None,
-    drop_stale: DropStaleOption = False,
-    despike: DespikeOption = False,
+    part: RobotPart,
+    drives: Drives,
+    options: RecordingOptions,
 ) -> None:
     """Check recordings for wrong units, signs, times and samples, before anything is identified.
 
@@ -51,13 +28,11 @@ def check_command(
     Exit code 0: nothing looks wrong; 1: something does; 2: wrong input.
     """
     with one_line_errors(), progress("reading") as step:
-        manipulator = robot_named(robot, base, tip, fix, mimic)
-        options = RecordingOptions(columns, between, every, period, drop_stale, despike)
+        manipulator = part.read(robot)
         read = [options.read(path, manipulator) for path in recordings]
         step("deriving")
-        network = network_of(
-            manipulator, "numeric" if manipulator.has_all_lengths else "symbolic", friction
-        )
+        lengths = "numeric" if manipulator.has_all_lengths else "symbolic"
+        network = drives.network(manipulator, lengths)
         names = [str(path) for path in recordings]
         page = check(network, read, names, progress=step)
         notes = robot_notes(manipulator) + [

@@ -4,7 +4,6 @@ import contextlib
 import functools
 import glob
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,42 +16,27 @@ from ..identification import (
 )
 from ..identification.report import load_settings
 from ..network import CSLC
-from ._common import CommandContext, is_system, network_of, typed_options
 from ._identify_options import IdentifyOptions
 from ._recording_options import RecordingOptions
-from ._robot_options import RobotOptions
 
 
-# What `identify` does on a cluster besides fitting is to read, prepare and settings.
-_OPTIONS = {
-    *(field.name for kind in (RobotOptions, RecordingOptions) for field in fields(kind)),
-    *("train", "output", "settings", "dask", "fleet"),
-}
 # Fits of a fleet that are printed; all are in the file.
 _PRINTED = 20
 
 
 def identified_on_cluster(
-    context: CommandContext,
-    robot: RobotOptions,
+    network: CSLC,
     options: IdentifyOptions,
     recordings: RecordingOptions,
     step: Callable[[str], None],
 ) -> str:
-    """Identifies from many recordings on a cluster and writes the result.
+    """Identify from many recordings on a cluster, and write the result.
 
     **Returns** what is printed of it.
     """
-    if options.dask is None:
-        raise ValueError("--fleet: only with --dask")
-    if is_system(robot.robot):
-        raise ValueError("--dask: expected a robot; other systems are identified in one process")
-    if others := sorted(typed_options(context) - _OPTIONS):
-        raise ValueError(f"--{others[0].replace('_', '-')}: not with --dask")
-    arm = robot.manipulator()
-    network = network_of(arm, robot.lengths, robot.friction, robot.coupled)
+    assert options.dask is not None
     paths = _expanded(options.train)
-    read = functools.partial(recordings.read, robot=network.robot)
+    read = functools.partial(recordings.read, robot=network.robot, measured=options.measured)
     settings = _settings(network, options.settings, paths[0], read, step)
     output = options.output
     with _connected(options.dask) as client:

@@ -4,16 +4,15 @@ import sys
 import tomllib
 from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
 from .._environment import MissingExtraError
-from ..manipulator import Manipulator, Mimics, RobotError, load_robot, panda, puma560, tx40
+from ..manipulator import Manipulator, RobotError, panda, puma560, tx40
 from ..motion import Recording, RecordingError
 from ..motion.files import load_recording
-from ..network import CSLC, derive
 from ._progress_lines import PASSED, progress_lines
 
 
@@ -49,52 +48,6 @@ LengthsOption = Annotated[
         metavar="auto|symbolic|numeric|NAMES",
         help="Keep lengths as symbols, put their values in, or keep some, as in a2,d4; auto:"
         " symbols up to 6 joints, and values for URDF and MJCF files.",
-    ),
-]
-BaseOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Body of a URDF or MJCF file that the robot stands on; the file's first if omitted."
-    ),
-]
-TipOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Body of a URDF or MJCF file that the robot ends with; may be repeated, for several"
-        " arms; everything on --base if omitted."
-    ),
-]
-FixOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAMES",
-        help="Joints of a URDF or MJCF file to fix at zero, or bodies, with all joints on them and"
-        " beyond, as in gripper or 'left_*'; may be repeated.",
-    ),
-]
-MimicOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="fix|couple",
-        help="Joints of a URDF or MJCF file that mimic others: fixed at zero with what they"
-        " follow, or moved with it; an error if omitted and a file has some (docs/robots.md).",
-    ),
-]
-
-FrictionOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TERMS",
-        help="Friction terms of every joint in place of the file's, as in viscous,dry,static"
-        " (docs/friction.md); identify also takes auto, which chooses them joint by joint.",
-    ),
-]
-CoupledOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="I,J",
-        help="Two joints that share a motor's inertia and friction, as in 5,6 or 5,6,-1;"
-        " may be repeated.",
     ),
 ]
 
@@ -151,24 +104,6 @@ def with_notes(text: object, robot: Manipulator, **recordings: Recording | None)
 def names_in(text: str) -> list[str]:
     """The names of a list that is separated by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _with_drives(
-    robot: Manipulator, friction: str | None, coupled: list[str] | None
-) -> Manipulator:
-    """The robot with friction terms and couplings that its file format cannot express."""
-    if friction is not None:
-        robot = robot.with_friction(*names_in(friction))
-    pairs: list[tuple[int | float, ...]] = []
-    for text in coupled or []:
-        try:
-            first, second, *ratio = text.split(",")
-            pairs.append((int(first), int(second), *map(float, ratio)))
-        except ValueError:
-            raise RobotError(
-                f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got {text!r}"
-            ) from None
-    return robot.with_coupling(*pairs) if pairs else robot
 
 
 def command_text(context: CommandContext) -> str:
@@ -254,42 +189,9 @@ def without_none(**options: object) -> dict[str, object]:
     return {name: value for name, value in options.items() if value is not None}
 
 
-def robot_named(
-    name: str,
-    base: str | None = None,
-    tip: list[str] | None = None,
-    fix: list[str] | None = None,
-    mimic: str | None = None,
-) -> Manipulator:
-    """A bundled robot, or the part of a robot file from body `base` to the bodies in `tip`."""
-    if mimic is not None:
-        choice_of("--mimic", mimic, get_args(Mimics))
-    fixed = [part for names in fix or () for part in names_in(names)]
-    if name not in BUNDLED:
-        return load_robot(name, base=base, tip=tip or (), fix=fixed, mimic=cast(Any, mimic))
-    if base is not None or tip or fixed or mimic:
-        raise RobotError(
-            f"{name}: base, tip, fix and mimic choose a part of a file; {name} is one robot"
-        )
-    return BUNDLED[name]()
-
-
 def robot_notes(robot: Manipulator) -> list[str]:
     """What of the robot's file was not taken as it stands, a line each."""
     return [f"note: {note}" for note in robot.notes]
-
-
-def network_of(
-    robot: Manipulator,
-    lengths: str,
-    friction: str | None = None,
-    coupled: list[str] | None = None,
-) -> CSLC:
-    """The network, with lengths, friction terms and couplings as their options describe them."""
-    robot = _with_drives(robot, friction, coupled)
-    if lengths == "auto" or lengths == "symbolic" or lengths == "numeric":
-        return derive(robot, lengths=lengths)
-    return derive(robot, lengths=names_in(lengths))
 
 
 @contextlib.contextmanager

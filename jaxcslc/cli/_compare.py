@@ -1,3 +1,5 @@
+"""The command `jaxcslc compare`."""
+
 from pathlib import Path
 from typing import Annotated
 

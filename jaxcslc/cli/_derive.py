@@ -1,3 +1,5 @@
+"""The command `jaxcslc derive`."""
+
 from pathlib import Path
 from typing import Annotated
 
@@ -5,34 +7,25 @@ import typer
 
 from ..identification.report import DerivationReport, check_output_folder
 from ._common import (
-    BaseOption,
     CommandContext,
-    CoupledOption,
-    FixOption,
-    FrictionOption,
     LengthsOption,
-    MimicOption,
     RobotOrSystemArgument,
-    TipOption,
     check_no_robot_options,
     is_system,
-    network_of,
     one_line_errors,
-    robot_named,
     with_notes,
 )
+from ._robot_options import Drives, RobotPart
+from ._spread import spread
 
 
+@spread
 def derive_command(
     context: CommandContext,
     robot: RobotOrSystemArgument,
+    part: RobotPart,
+    drives: Drives,
     lengths: LengthsOption = "auto",
-    base: BaseOption = None,
-    tip: TipOption = None,
-    fix: FixOption = None,
-    mimic: MimicOption = None,
-    friction: FrictionOption = None,
-    coupled: CoupledOption = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for the tables, as files.")
     ] = None,
@@ -48,7 +41,7 @@ def derive_command(
             check_no_robot_options(context, robot)
             _derive_system(robot, output)
             return
-        network = network_of(robot_named(robot, base, tip, fix, mimic), lengths, friction, coupled)
+        network = drives.network(part.read(robot), lengths)
         report = DerivationReport.of(network)
         typer.echo(with_notes(report, network.robot))
         if output is not None:

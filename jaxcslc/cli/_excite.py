@@ -1,5 +1,7 @@
+"""The command `jaxcslc excite`."""
+
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,129 +27,83 @@ from ..manipulator import Manipulator
 from ..motion import Sampling
 from ..network import CSLC
 from ._common import (
-    BaseOption,
     ColumnsOption,
     CommandContext,
-    CoupledOption,
-    FixOption,
-    FrictionOption,
     LengthsOption,
-    MimicOption,
     RobotArgument,
-    TipOption,
     check_inputs_are_kept,
     choice_of,
     command_text,
     names_in,
-    network_of,
     one_line_errors,
     progress,
     recording_of,
     recordings_of,
-    robot_named,
     typed_options,
 )
-from ._excite_options import (
-    AfterOption,
-    CriterionOption,
-    DurationOption,
-    EncoderOption,
-    EstimatorOption,
-    FamilyOption,
-    ForOption,
-    LimitsOption,
-    MotionOption,
-    PayloadOption,
-    PriorReportOption,
-    RateOption,
-    ReachOption,
-    SeedOption,
-    StartOption,
-    StartsOption,
-    TaskOption,
-    TorqueNoiseOption,
-    TorqueOffsetOption,
-)
+from ._excite_options import MotionOptions
+from ._robot_options import Drives, RobotPart
+from ._spread import spread
 
 
 # Kinds of friction with a coefficient for a torque that is the same whatever the motion.
 _CONSTANTS = {"offset", "asymmetric_dry"}
 
 
+@spread
 def excite_command(
     context: CommandContext,
     robot: RobotArgument,
-    output: MotionOption = Path("motion.csv"),
-    duration: DurationOption = 10.0,
-    rate: RateOption = 500.0,
-    family: FamilyOption = "splines",
-    wanted: ForOption = None,
-    payload: PayloadOption = None,
-    criterion: CriterionOption = "overall",
-    prior: PriorReportOption = None,
-    after: AfterOption = None,
-    reach: ReachOption = None,
-    limits: LimitsOption = None,
-    torque_noise: TorqueNoiseOption = None,
-    torque_offset: TorqueOffsetOption = None,
-    encoder: EncoderOption = None,
-    estimator: EstimatorOption = "likelihood",
-    task: TaskOption = None,
-    start: StartOption = None,
-    seed: SeedOption = 0,
-    starts: StartsOption = 3,
+    options: MotionOptions,
+    part: RobotPart,
+    drives: Drives,
     lengths: LengthsOption = "auto",
-    base: BaseOption = None,
-    tip: TipOption = None,
-    fix: FixOption = None,
-    mimic: MimicOption = None,
-    friction: FrictionOption = None,
-    coupled: CoupledOption = None,
     columns: ColumnsOption = None,
 ) -> None:
     """Design the motion to record next, within all limits, for the least errors."""
     with one_line_errors(), progress("reading") as step:
-        _check_options(context, output, family, criterion, starts)
-        arm = robot_named(robot, base, tip, fix, mimic)
-        before = _before(arm, prior, after, columns, (lengths, friction, coupled), step)
-        before, names = _wanted(before, wanted, payload)
+        _check_options(context, options)
+        arm = part.read(robot)
+        before = _before(arm, options, columns, lambda: drives.network(arm, lengths), step)
+        before, names = _wanted(before, options.wanted, options.payload)
+        limits = options.limits
         bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
-        stated = _stated_noise(torque_noise, torque_offset, encoder) | {"estimator": estimator}
-        rate = rate if "rate" in typed_options(context) else before.rate(rate)
-        noise = _noise(before, bounds, stated | {"rate": rate})
-        if reached := _reached(before, names, reach):
+        asked = "rate" in typed_options(context)
+        rate = options.rate if asked else before.rate(options.rate)
+        noise = _noise(before, bounds, _stated_noise(options) | {"rate": rate})
+        if reached := _reached(before, names, options.reach):
             return typer.echo(reached)
         design = design_motion(
             before.network,
             bounds,
             noise,
-            duration=duration,
-            family=family,
+            duration=options.duration,
+            family=options.family,
             wanted=names,
-            criterion=criterion,
+            criterion=options.criterion,
             knowledge=before.knowledge,
-            task=None if task is None else recording_of(task, arm, columns),
+            task=None if options.task is None else recording_of(options.task, arm, columns),
             surroundings=surroundings,
-            start=None if not start else np.array(_numbers("--start", start)),
-            seed=seed,
-            starts=starts,
+            start=None if not options.start else np.array(_numbers("--start", options.start)),
+            seed=options.seed,
+            starts=options.starts,
             progress=step,
         )
-        paths = save_design(design, output, command=command_text(context))
-    typer.echo(f"{_text(design, before, reach)}\n\nwrote " + ", ".join(map(str, paths)))
+        paths = save_design(design, options.output, command=command_text(context))
+    text = _text(design, before, options.reach)
+    typer.echo(f"{text}\n\nwrote " + ", ".join(map(str, paths)))
 
 
-def _check_options(
-    context: CommandContext, output: Path, family: str, criterion: str, starts: int
-) -> None:
-    choice_of("--family", family, FAMILIES)
-    choice_of("--criterion", criterion, CRITERIA)
-    if starts < 1:
-        raise ValueError(f"--starts is {starts}; expected 1 or more")
-    if not output.parent.is_dir():
-        raise ValueError(f"{output.parent}: no such folder")
-    check_output_folder(output.parent)
-    check_inputs_are_kept(context, design_files(output))
+def _check_options(context: CommandContext, options: MotionOptions) -> None:
+    choice_of("--family", options.family, FAMILIES)
+    choice_of("--criterion", options.criterion, CRITERIA)
+    if options.starts < 1:
+        raise ValueError(f"--starts is {options.starts}; expected 1 or more")
+    folder = options.output.parent
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: no such folder")
+    check_output_folder(folder)
+    check_inputs_are_kept(context, design_files(options.output))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,12 +129,12 @@ class _Before:
 
 def _before(
     arm: Manipulator,
-    prior: Path | None,
-    after: Sequence[Path] | None,
+    options: MotionOptions,
     columns: Path | None,
-    form: tuple[str, str | None, list[str] | None],
+    derived: Callable[[], CSLC],
     step: Callable[[str], None],
 ) -> _Before:
+    prior, after = options.prior, options.after
     if prior is not None and after:
         raise ValueError("--prior and --after: expected one of them")
     if prior is not None:
@@ -187,7 +143,7 @@ def _before(
         sampling = None if settings is None else settings.chosen_on
         knowledge = Knowledge.of_fit(saved.network, saved.fit)
         return _Before(saved.network, knowledge, saved.fit, sampling, _cutoff(settings))
-    network = network_of(arm, *form)
+    network = derived()
     if not after:
         return _Before(network, Knowledge.of_robot(network))
     recordings = recordings_of(after, lambda path: recording_of(path, network.robot, columns))
@@ -212,15 +168,16 @@ def _cutoff(settings: Settings | None) -> float | None:
     return None if settings is None else settings.solver.cutoff
 
 
-def _stated_noise(torque: str | None, offset: str | None, encoder: str | None) -> dict[str, Any]:
-    options = {
-        "torque": ("--torque-noise", torque),
-        "offset": ("--torque-offset", offset),
-        "resolution": ("--encoder", encoder),
+def _stated_noise(options: MotionOptions) -> dict[str, Any]:
+    texts = {
+        "torque": ("--torque-noise", options.torque_noise),
+        "offset": ("--torque-offset", options.torque_offset),
+        "resolution": ("--encoder", options.encoder),
     }
-    return {
-        name: _numbers(option, text) for name, (option, text) in options.items() if text is not None
+    stated = {
+        name: _numbers(option, text) for name, (option, text) in texts.items() if text is not None
     }
+    return stated | {"estimator": options.estimator}
 
 
 def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:

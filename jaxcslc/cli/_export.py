@@ -1,3 +1,5 @@
+"""The command `jaxcslc export`."""
+
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
@@ -8,18 +10,16 @@ from ..export import c_code, export_robot, write_c
 from ..identification.report import Report, load_report
 from ._common import (
     BUNDLED,
-    BaseOption,
-    FixOption,
-    MimicOption,
     RobotArgument,
-    TipOption,
     one_line_errors,
     progress,
-    robot_named,
     with_notes,
 )
+from ._robot_options import RobotPart
+from ._spread import spread
 
 
+@spread
 def export_command(
     robot: RobotArgument,
     identification: Annotated[
@@ -29,6 +29,7 @@ def export_command(
             help="Folder that identify wrote, or the identification.json in it.",
         ),
     ],
+    part: RobotPart,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -48,10 +49,6 @@ def export_command(
             " MJCF, in NAME.motors.toml beside a URDF; or put what they do into the bodies."
         ),
     ] = True,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    fix: FixOption = None,
-    mimic: MimicOption = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Let the output be the robot's own file.")
     ] = False,
@@ -68,7 +65,7 @@ def export_command(
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
         if not c and not overwrite:
             _check_is_another(path, file)
-        saved = load_report(identification, robot_named(str(file), base, tip, fix, mimic))
+        saved = load_report(identification, part.read(str(file)))
         if c:
             step("writing C")
             text = _written_c(saved, output)

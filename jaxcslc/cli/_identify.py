@@ -1,6 +1,7 @@
 """The command `jaxcslc identify`."""
 
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -23,9 +24,11 @@ from ..identification.report import (
     replaced_files,
 )
 from ..manipulator import Manipulator
+from ..network import CSLC
 from ._cluster import identified_on_cluster
 from ._common import (
     CommandContext,
+    RobotOrSystemArgument,
     check_inputs_are_kept,
     check_no_robot_options,
     choice_of,
@@ -40,19 +43,27 @@ from ._common import (
 )
 from ._identify_options import IdentifyOptions
 from ._recording_options import RecordingOptions
-from ._robot_options import RobotOptions
+from ._robot_options import Drives, RobotPart
 from ._spread import spread
 
 
 if TYPE_CHECKING:
     from ..systems import SystemReport
 
+# What `identify` does on a cluster besides fitting is to read, prepare and settings.
+_OF_CLUSTER = {
+    *(field.name for kind in (RobotPart, Drives, RecordingOptions) for field in fields(kind)),
+    *("robot", "lengths", "train", "output", "settings", "measured", "dask", "fleet"),
+}
+
 
 @spread
 def identify_command(
     context: CommandContext,
-    robot: RobotOptions,
+    robot: RobotOrSystemArgument,
     options: IdentifyOptions,
+    part: RobotPart,
+    drives: Drives,
     recordings: RecordingOptions,
 ) -> None:
     """Identify a robot's coefficients from recordings of positions and torques.
@@ -64,13 +75,18 @@ def identify_command(
         check_output_folder(options.output)
         check_inputs_are_kept(context, replaced_files(options.output))
         if options.dask is not None or options.fleet:
-            text = identified_on_cluster(context, robot, options, recordings, step)
-            return typer.echo(text)
-        if is_system(robot.robot):
-            check_no_robot_options(context, robot.robot)
-            report = _identified_system(robot.robot, options, step)
+            _check_cluster_options(context, robot, options)
+            arm = part.read(robot)
+            network = drives.network(arm, options.lengths)
+            return typer.echo(identified_on_cluster(network, options, recordings, step))
+        if is_system(robot):
+            check_no_robot_options(context, robot)
+            report = _identified_system(robot, options, step)
         else:
-            report = _identified(context, robot, options, recordings, step)
+            arm = part.read(robot)
+            saved = _previous_report(context, arm, options.previous)
+            network = drives.network(arm, options.lengths) if saved is None else saved.network
+            report = _identified(network, saved, options, drives, recordings, step)
         step("writing")
         paths = report.save(options.output, command=command_text(context))
     wrote = ", ".join(str(path) for path in paths)
@@ -78,20 +94,21 @@ def identify_command(
 
 
 def _identified(
-    context: CommandContext,
-    robot: RobotOptions,
+    network: CSLC,
+    saved: SavedReport | None,
     options: IdentifyOptions,
+    drives: Drives,
     recordings: RecordingOptions,
     step: Callable[[str], None],
 ) -> Report:
-    """The report of a robot."""
-    arm = robot.manipulator()
-    saved = _previous_report(context, arm, options.previous)
+    """The report of a robot; `saved`: that of which a part is fitted again."""
     settings = None if saved is None else saved.settings
     prior = None if options.prior is None else load_prior(options.prior)
-    read: Callable[[Path], Any] = lambda path: recordings.read(path, arm)
+    read: Callable[[Path], Any] = lambda path: recordings.read(
+        path, network.robot, options.measured
+    )
     return identify(
-        robot.network(arm) if saved is None else saved.network,
+        network,
         recordings_of(options.train, read),
         None if options.validate is None else read(options.validate),
         settings if options.settings is None else load_settings(options.settings),
@@ -100,7 +117,7 @@ def _identified(
         offsets=options.offsets,
         previous=None if saved is None else saved.fit,
         groups=None if options.reidentify is None else names_in(options.reidentify),
-        friction="auto" if robot.friction == "auto" else None,
+        friction="auto" if drives.friction == "auto" else None,
         options=without_none(torque_lag=options.torque_lag, loss=options.loss),
         folds=options.folds,
         checks=options.check,
@@ -111,6 +128,16 @@ def _identified(
         horizon=options.horizon,
         progress=step,
     )
+
+
+def _check_cluster_options(context: CommandContext, robot: str, options: IdentifyOptions) -> None:
+    """**Raises** `ValueError` for what there is not on a cluster."""
+    if options.dask is None:
+        raise ValueError("--fleet: only with --dask")
+    if is_system(robot):
+        raise ValueError("--dask: expected a robot; other systems are identified in one process")
+    if others := sorted(typed_options(context) - _OF_CLUSTER):
+        raise ValueError(f"--{others[0].replace('_', '-')}: not with --dask")
 
 
 def _previous_report(

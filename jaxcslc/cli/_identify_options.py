@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from ..identification import ESTIMATORS
-from ._common import OutputOption, SettingsOption
+from ._common import LengthsOption, OutputOption, SettingsOption
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,6 +22,7 @@ class IdentifyOptions:
         Path | None, typer.Option(help="Recording to judge the fit on; it is not fitted.")
     ] = None
     output: OutputOption = Path("identified")
+    lengths: LengthsOption = "auto"
     settings: SettingsOption = None
     estimator: Annotated[
         str,
@@ -53,6 +54,16 @@ class IdentifyOptions:
             help="Maximum likelihood: what is estimated too, with commas: torque_lag,"
             " torque_gains, which need a coefficient's value in --prior, and transmission, gears"
             " that give way.",
+        ),
+    ] = None
+    measured: Annotated[
+        bool | None,
+        typer.Option(
+            "--measured/--demanded",
+            help="Torques were measured at the samples, or are demands that drives hold to the"
+            " next sample; by default what the file's format says. It counts where the recording"
+            " itself does not show which torque belongs to a sample.",
+            show_default=False,
         ),
     ] = None
     offsets: Annotated[

@@ -1,3 +1,5 @@
+"""The command `jaxcslc payload`."""
+
 from pathlib import Path
 from typing import Annotated
 
@@ -6,24 +8,22 @@ import typer
 from ..identification import identify_payload
 from ..identification.report import check_output_folder, load_report, load_settings
 from ._common import (
-    BaseOption,
     ColumnsOption,
     CommandContext,
-    FixOption,
-    MimicOption,
     OutputOption,
     RobotArgument,
     SettingsOption,
-    TipOption,
     check_inputs_are_kept,
     one_line_errors,
     progress,
     recording_of,
-    robot_named,
     with_notes,
 )
+from ._robot_options import RobotPart
+from ._spread import spread
 
 
+@spread
 def payload_command(
     context: CommandContext,
     robot: RobotArgument,
@@ -34,6 +34,7 @@ def payload_command(
         Path,
         typer.Option(help="The identification.json of the arm without payload, from identify."),
     ],
+    part: RobotPart,
     unloaded: Annotated[
         Path | None,
         typer.Option(
@@ -42,10 +43,6 @@ def payload_command(
         ),
     ] = None,
     output: OutputOption = Path("payload"),
-    base: BaseOption = None,
-    tip: TipOption = None,
-    fix: FixOption = None,
-    mimic: MimicOption = None,
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
 ) -> None:
@@ -53,7 +50,7 @@ def payload_command(
     with one_line_errors(), progress("reading") as step:
         check_output_folder(output)
         check_inputs_are_kept(context, [output / "payload.csv", output / "payload.json"])
-        saved = load_report(previous, robot_named(robot, base, tip, fix, mimic))
+        saved = load_report(previous, part.read(robot))
         arm = saved.network.robot
         carrying = recording_of(loaded, arm, columns)
         alone = None if unloaded is None else recording_of(unloaded, arm, columns)

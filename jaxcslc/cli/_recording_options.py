@@ -14,42 +14,6 @@ from ..motion import Recording, fresh_rows, restore_clock, without_stale_rows
 from ._common import ColumnsOption, recording_of
 
 
-BetweenOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="START,END", help="Only this stretch of the recordings [s from their start]."
-    ),
-]
-EveryOption = Annotated[
-    int | None, typer.Option(min=1, help="Only every so many rows: those with new positions.")
-]
-PeriodOption = Annotated[
-    float | None,
-    typer.Option(help="Restore the times of samples of an even clock of this period [s]."),
-]
-DropStaleOption = Annotated[
-    bool, typer.Option("--drop-stale", help="Leave out rows that repeat the row before.")
-]
-DespikeOption = Annotated[
-    bool,
-    typer.Option(
-        "--despike", help="Replace single outliers by the median of the seven samples around."
-    ),
-]
-
-
-MeasuredOption = Annotated[
-    bool | None,
-    typer.Option(
-        "--measured/--demanded",
-        help="Torques were measured at the samples, or are demands that drives hold to the next"
-        " sample; by default what the file's format says. It counts where the recording itself"
-        " does not show which torque belongs to a sample.",
-        show_default=False,
-    ),
-]
-
-
 @dataclasses.dataclass(frozen=True)
 class RecordingOptions:
     """What to do with a recording once it is read, in this order.
@@ -59,19 +23,36 @@ class RecordingOptions:
     - `columns`: a file with a mapping of its columns.
     - `between`: as text, start and end [s from its start].
     - `drop_stale`, `every`, `period`, `despike`: as the options of the command say.
-    - `measured`: whether torques are measurements; None for what the format says.
     """
 
     columns: ColumnsOption = None
-    between: BetweenOption = None
-    every: EveryOption = None
-    period: PeriodOption = None
-    drop_stale: DropStaleOption = False
-    despike: DespikeOption = False
-    measured: MeasuredOption = None
+    between: Annotated[
+        str | None,
+        typer.Option(
+            metavar="START,END", help="Only this stretch of the recordings [s from their start]."
+        ),
+    ] = None
+    every: Annotated[
+        int | None, typer.Option(min=1, help="Only every so many rows: those with new positions.")
+    ] = None
+    period: Annotated[
+        float | None,
+        typer.Option(help="Restore the times of samples of an even clock of this period [s]."),
+    ] = None
+    drop_stale: Annotated[
+        bool, typer.Option("--drop-stale", help="Leave out rows that repeat the row before.")
+    ] = False
+    despike: Annotated[
+        bool,
+        typer.Option(
+            "--despike", help="Replace single outliers by the median of the seven samples around."
+        ),
+    ] = False
 
-    def read(self, path: Path, robot: Manipulator) -> Recording:
-        """The recording in a file, its joints in the robot's order.
+    def read(self, path: Path, robot: Manipulator, measured: bool | None = None) -> Recording:
+        """Read a recording, its joints in the robot's order.
+
+        - `measured`: whether torques are measurements; None for what the format says.
 
         **Raises**
 
@@ -79,8 +60,8 @@ class RecordingOptions:
           little of it.
         """
         recording = recording_of(path, robot, self.columns)
-        if self.measured is not None:
-            recording = dataclasses.replace(recording, torque_measured=self.measured)
+        if measured is not None:
+            recording = dataclasses.replace(recording, torque_measured=measured)
         if self.between is not None:
             start, end = _two_numbers(self.between)
             with _of_option(path, recording, f"--between {self.between}"):

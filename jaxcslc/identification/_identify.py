@@ -90,7 +90,8 @@ def identify(
       motion that was not fitted better by more than chance: the validation recording or, without
       one, the last quarter of each training recording. `report.estimators` compares them.
       `"instrumental-variables"` is of one recording, without possible bodies and systematic errors
-      (`InstrumentalVariables`); a note says whether least squares is biased.
+      (`InstrumentalVariables`); a note says whether least squares is biased. Or an estimator
+      itself, an `AbstractEstimator`.
     - `likelihood`: how maximum likelihood is fitted; its torque sampling and settings are those of
       the report. With `unknowns`, lag and gains of torque are estimated on the training recordings,
       and coefficients, errors and the validation recording are of torques as they then were.
@@ -102,7 +103,8 @@ def identify(
       joint by joint (`choose_friction`), and then tries a pre-sliding state of dry friction
       (`fit_pre_sliding`); `report.friction` says what each was worth, and `report.pre_sliding` is
       the fit with states, where a joint gains by them. Maximum likelihood is fitted with their
-      lengths, and compared with least squares with states. Not with `previous`.
+      lengths, and compared with least squares with states. Settings are chosen once, for the
+      network as it is passed. Not with `previous`.
     - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
       `{"torque_lag": 0.02, "loss": "huber"}`.
     - `folds`: as of `choose_settings`; by default 8, or fewer where the recording is short.
@@ -183,11 +185,10 @@ def _identified(
     if request.friction == "auto":
         friction = choose_friction_terms(request, step)
         request = friction.request
-    with estimator.beside(request) as fits, _checked_beside(request, step) as data_check:
+    with estimator.beside(request) as begin, _checked_beside(request, step) as data_check:
         problem = prepare(request, None if friction is None else friction.settings, step)
-        if fits is not None:
-            fits.begin(problem.settings)
-            problem = dataclasses.replace(problem, beside=fits)
+        if begin is not None:
+            problem = dataclasses.replace(problem, begun=begin(problem.settings))
         step("preparing patterns")
         _ = problem.patterns, problem.judged_patterns  # what is wrong with recordings is said now
         judged = estimator.judged(with_friction(problem))

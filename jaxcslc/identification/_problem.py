@@ -113,7 +113,7 @@ class Problem:
     - `selection`: how settings were chosen; None if they were given.
     - `slopes`, `load`: fits of static friction and of friction that follows the load.
     - `start`: coefficients that a search starts from.
-    - `beside`: fits that another process has begun with, as `AbstractEstimator.beside` gives them.
+    - `begun`: waits for fits that another process has begun with (`AbstractEstimator.beside`).
     - `warnings`: about recordings and settings; `notes`: what readers decided.
     - `step`: is called with a few words at the start of each step.
     """
@@ -129,7 +129,7 @@ class Problem:
     slopes: SlopeFit | None = None
     load: LoadFit | None = None
     start: Identification | None = None
-    beside: Any = None
+    begun: Callable[[], Any] | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     step: Callable[[str], None] = lambda words: None

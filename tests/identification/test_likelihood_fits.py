@@ -47,16 +47,13 @@ def test_they_are_those_of_one_process(
     monkeypatch.setattr(_maximum_likelihood, "can_fork", lambda: True)
     monkeypatch.setattr(
         _maximum_likelihood,
-        "_with_network",
-        lambda network, fields, made=_maximum_likelihood._with_network: made(
-            network, pickle.loads(pickle.dumps(fields))
-        ),
+        "_sent",
+        lambda *given, made=_maximum_likelihood._sent: pickle.loads(pickle.dumps(made(*given))),
     )
     settings = jc.Settings()
-    with Likelihood().beside(request_of) as beside:
-        assert beside is not None
-        beside.begin(settings)
-        whole, before = beside.result()
+    with Likelihood().beside(request_of) as begin:
+        assert begin is not None
+        whole, before = begin(settings)()
     expected = _maximum_likelihood.options_for(OPTIONS, settings).fit(network, recording)
     assert_allclose(whole.k, expected.k)
     assert_allclose(whole.slopes, expected.slopes)
@@ -72,5 +69,5 @@ def test_least_squares_are_waited_for_where_a_fit_starts_from_them(
     monkeypatch.setattr(_maximum_likelihood, "can_fork", lambda: True)
     without = network.without_law("static", (1,))
     for change in ({"network": without}, {"possible": "always"}):
-        with Likelihood().beside(dataclasses.replace(request_of, **change)) as beside:
-            assert beside is None
+        with Likelihood().beside(dataclasses.replace(request_of, **change)) as begin:
+            assert begin is None

@@ -9,10 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.control import PID, Reference
 from jaxcslc.identification import ESTIMATORS, AbstractEstimator, _problem
 from jaxcslc.identification._exclusions import EXCLUSIONS, FEATURES, Request, excluded
 from jaxcslc.identification._problem import Problem, prepare, with_friction
-from jaxcslc.identification.estimators import Fit, Regression
+from jaxcslc.identification.estimators import Fit, Regression, SimulatedMotion
 
 
 K = np.array([0.5, 0.3, -0.1, 0.2, 0.4])  # inertia, two of gravity, viscous and dry friction
@@ -80,6 +81,31 @@ def test_an_estimator_needs_no_more_than_a_fit(network: jc.CSLC, weight: float) 
     )
     assert judged.held_out is not None and judged.held_out.source == "validation"
     assert_allclose(judged.held_out.held_out, judged.errors["validation"].rms[0])
+
+
+def test_direct_dynamics_is_an_estimator() -> None:
+    """Torques under a known controller give the coefficients; no note tests for a bias."""
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
+    t = np.arange(1000)[:, None] * 0.002
+    desired = Reference(0.5 - 0.5 * np.cos(4 * t), 2 * np.sin(4 * t), 8 * np.cos(4 * t))
+    motion = jc.identification.ControlledMotion(
+        PID(1, position_gain=200.0, velocity_gain=20.0), desired
+    )
+    true = np.array([0.5, 0.2])
+    start = jc.Recording(t[:, 0], desired.q, desired.q)
+    q, qd, qdd = motion.simulate(network, true, start, jc.Settings())
+    recording = jc.Recording(t[:, 0], q, true[0] * qdd + true[1] * qd)
+    report = jc.identify(
+        network,
+        recording,
+        recording,
+        jc.Settings(),
+        estimator=SimulatedMotion(jc.DirectDynamics(motion)),
+        checks=False,
+    )
+    assert_allclose(report.k, true, atol=5e-3)
+    assert not any("biased" in note for note in report.notes)
 
 
 def test_what_it_does_not_support_is_said(network: jc.CSLC) -> None:

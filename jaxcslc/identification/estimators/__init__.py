@@ -14,7 +14,6 @@ from ._instruments import SimulatedMotion as SimulatedMotion
 from ._least_squares import Regression as Regression
 from ._maximum_likelihood import (
     Likelihood as Likelihood,
-    calibrated as calibrated,
     within_memory as within_memory,
 )
 

@@ -8,8 +8,8 @@ recording, predicted by a fit to what is before it, or on the validation recordi
 import abc
 import contextlib
 import dataclasses
-from collections.abc import Generator, Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -87,13 +87,9 @@ class Judged:
     consequences: tuple[str, ...] = ()
 
 
-@runtime_checkable
-class FitsBeside(Protocol):
-    """Fits in a process beside this one."""
-
-    def begin(self, settings: Settings) -> None:
-        """Begin with the fits, by settings of the longest recording."""
-        ...
+Begin = Callable[[Settings], Callable[[], Any]]
+"""Begins with fits in another process, by settings of the longest recording; what it returns waits
+for them."""
 
 
 class AbstractEstimator(abc.ABC):
@@ -159,7 +155,7 @@ class AbstractEstimator(abc.ABC):
         return held_out_of(problem, fit, "held-out stretch", unseen, np.asarray(late.mask))
 
     @contextlib.contextmanager
-    def beside(self, request: Request) -> Generator[FitsBeside | None]:
+    def beside(self, request: Request) -> Generator[Begin | None]:
         """Give fits that need nothing but settings to another process; None where none do.
 
         Entered before other work of this process begins.

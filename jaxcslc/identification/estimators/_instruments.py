@@ -40,12 +40,13 @@ class SimulatedMotion(AbstractEstimator):
         return frozenset()
 
     def fit(self, problem: Problem) -> Fit:
-        problem.step("instrumental variables")
+        instruments = isinstance(self.method, InstrumentalVariables)
+        words = "instrumental variables" if instruments else "direct dynamics"
+        problem.step(words)
         settings = problem.settings.with_options(torque_lag=0.0)
         method = dataclasses.replace(self.method, settings=settings)
         (recording,) = problem.on_time.values()
         result = method.fit(problem.network, recording, problem.start)
-        words = "instrumental variables"
         warnings = [f"{words}: not converged after {result.steps} simulations"]
         tested = result.exogeneity
         return Fit(

@@ -35,7 +35,7 @@ from ..report import predicted_torque
 from ..selection import PRE_SLIDING
 from ..solver import Identification, computed_on_host
 from ..systematic import SystematicError
-from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
+from ._estimator import AbstractEstimator, Begin, Fit, Judged, held_out_of
 from ._least_squares import Regression, with_states
 
 
@@ -101,14 +101,14 @@ class Likelihood(AbstractEstimator):
         """The estimator that is asked for, or better; `base`: least squares."""
         problem = base.problem
         problem.step("maximum likelihood")
-        if problem.beside is None:
+        if problem.begun is None:
             states = base.pre_sliding
             start = base.fit.identification if states is None else states.fit
             fit = self.fit(dataclasses.replace(problem, start=start))
             assert isinstance(fit.source, LikelihoodFit)
             fits = LikelihoodFits(fit.source, None)
         else:
-            fits = problem.beside.result()
+            fits: LikelihoodFits = problem.begun()
         likelihood = fits.whole
         if not likelihood.unknowns:
             return _better(base, problem, fits, always=self.always)
@@ -124,7 +124,7 @@ class Likelihood(AbstractEstimator):
         return dataclasses.replace(judged, problem=problem)
 
     @contextlib.contextmanager
-    def beside(self, request: Request) -> Generator["LikelihoodFitsBeside | None"]:
+    def beside(self, request: Request) -> Generator[Begin | None]:
         """Fit in another process, where slopes of static friction are fitted anyway.
 
         A fit without static friction starts from least squares, and bodies need those of them.
@@ -140,7 +140,7 @@ class Likelihood(AbstractEstimator):
             yield None
             return
         with function_beside(partial(_sent, request)) as begin:
-            yield LikelihoodFitsBeside(request.network, begin)
+            yield lambda settings: partial(_received, request.network, begin(settings))
 
 
 class LikelihoodFits(NamedTuple):
@@ -149,33 +149,6 @@ class LikelihoodFits(NamedTuple):
 
     whole: LikelihoodFit
     before: LikelihoodFit | None
-
-
-class LikelihoodFitsBeside:
-    """Fits of maximum likelihood in a process beside this one, while least squares are fitted.
-
-    They begin with settings, which both estimators have: `begin`, once; `result` waits for them.
-    """
-
-    def __init__(
-        self, network: CSLC, function: Callable[[Settings], Callable[[], list[Any]]]
-    ) -> None:
-        self._network, self._function = network, function
-        self._result: Callable[[], list[Any]] | None = None
-
-    def begin(self, settings: Settings) -> None:
-        """Begin with the fits."""
-        self._result = self._function(settings)
-
-    def result(self) -> LikelihoodFits:
-        """Return the fits.
-
-        **Raises** what they have raised, as `MaximumLikelihood.fit`.
-        """
-        assert self._result is not None
-        whole, before = (_with_network(self._network, fields) for fields in self._result())
-        assert whole is not None
-        return LikelihoodFits(whole, before)
 
 
 def options_for(options: MaximumLikelihood, settings: Settings) -> MaximumLikelihood:
@@ -212,25 +185,8 @@ def _needed(network: CSLC, training: Mapping[str, Recording]) -> float:
     return 8e-9 * samples * n * (network.size + 2 * n) * _MATRICES
 
 
-def calibrated(recording: Recording, likelihood: LikelihoodFit) -> Recording:
-    """Return a recording with torque as maximum likelihood says that it was.
-
-    **Arguments**
-
-    - `recording`: of n joints.
-    - `likelihood`: whose lag and gains of torque hold; a fit without them leaves all as it is.
-
-    **Returns** the recording, torques times gains and so much earlier.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.identification.estimators import calibrated
-    >>> network = jc.derive(jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]), lengths="numeric")
-    >>> t = np.arange(200)[:, None] * 0.01
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), -2.0 * np.sin(2 * t))
-    >>> fit = jc.MaximumLikelihood(torque_sampling="sampled").fit(network, recording)
-    >>> calibrated(recording, fit) is recording
-    True
-    """
+def _calibrated_recording(recording: Recording, likelihood: LikelihoodFit) -> Recording:
+    """A recording on time, with torques as maximum likelihood says that they were."""
     if not likelihood.unknowns:
         return recording
     late = without_lag(recording, likelihood.torque_lag)
@@ -243,7 +199,7 @@ def _calibrated_problem(problem: Problem, likelihood: LikelihoodFit) -> Problem:
     return problem.with_recordings(
         lambda x: dataclasses.replace(
             x,
-            recording=calibrated(without_lag(x.recording, problem.lag), likelihood),
+            recording=_calibrated_recording(without_lag(x.recording, problem.lag), likelihood),
             settings=settings,
             motion=None,
         )
@@ -344,11 +300,19 @@ def _without_network(fit: LikelihoodFit | None) -> dict[str, Any] | None:
     return {name: value for name, value in vars(fit).items() if name != "network"}
 
 
-def _with_network(network: CSLC, fields: dict[str, Any] | None) -> LikelihoodFit | None:
-    """A fit of a network with static friction."""
-    if fields is None:
-        return None
-    return LikelihoodFit(network=network.with_static_slopes(fields["slopes"]), **fields)
+def _received(network: CSLC, result: Callable[[], list[Any]]) -> LikelihoodFits:
+    """Fits from another process, of a network with static friction.
+
+    **Raises** what they have raised, as `MaximumLikelihood.fit`.
+    """
+    whole, before = (
+        None
+        if fields is None
+        else LikelihoodFit(network=network.with_static_slopes(fields["slopes"]), **fields)
+        for fields in result()
+    )
+    assert whole is not None
+    return LikelihoodFits(whole, before)
 
 
 class _Unfitted(NamedTuple):

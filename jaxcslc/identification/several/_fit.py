@@ -1,6 +1,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import reduce
+from functools import partial, reduce
 from types import MappingProxyType
 from typing import Any
 
@@ -152,42 +152,26 @@ def fit_recordings(
     if len(patterns) < 2:
         raise ValueError(f"fit_recordings: got {len(patterns)} recordings; expected two or more")
     solver = solver or LeastSquares()
-    all_equations = {
+    equations = {
         name: RecordingEquations.of(network, values, solver, offsets=offsets)
         for name, values in patterns.items()
     }
     samples = {name: len(values.time) for name, values in patterns.items()}
-
-    def fitted(names: Sequence[str], weights: Mapping[str, np.ndarray]) -> Identification:
-        """The fit of some recordings, one after the other."""
-
-        def followed(first: tuple[Equations, int], name: str) -> tuple[Equations, int]:
-            equations, length = first
-            more = all_equations[name].weighted(weights[name])
-            return equations.followed_by(more, length), length + samples[name]
-
-        start = all_equations[names[0]].weighted(weights[names[0]]), samples[names[0]]
-        joined, length = reduce(followed, names[1:], start)
-        return solver.fit_equations(joined, length)
-
     names = list(patterns)
+    fitted = partial(_fitted, solver, equations, samples)
     weights = {name: np.ones(network.joint_count) for name in names}
-    fit = fitted(names, weights)
-    noise = {name: all_equations[name].rms(fit) for name in names}
+    fit = fitted(weights, names)
     for _ in range(_ROUNDS):
-        pooled = np.sqrt(np.mean([noise[name] ** 2 for name in names], axis=0))
-        weights = {
-            name: np.where(noise[name] > 0.0, pooled / np.where(noise[name] > 0, noise[name], 1), 1)
-            for name in names
-        }
-        fit = fitted(names, weights)
-        noise = {name: all_equations[name].rms(fit) for name in names}
-    alone = {name: fitted([name], weights) for name in names}
+        weights = _weights({name: equations[name].rms(fit) for name in names})
+        fit = fitted(weights, names)
+    noise = {name: equations[name].rms(fit) for name in names}
+    alone = {name: fitted(weights, [name]) for name in names}
     others: dict[str, Identification] = {}
     for name in names:
         remaining = [other for other in names if other != name]
-        others[name] = alone[remaining[0]] if len(remaining) == 1 else fitted(remaining, weights)
-    offset_torques = {name: all_equations[name].offsets(fit) for name in names}
+        single = len(remaining) == 1
+        others[name] = alone[remaining[0]] if single else fitted(weights, remaining)
+    offset_torques = {name: equations[name].offsets(fit) for name in names}
     return SeveralFit(
         fit,
         MappingProxyType(
@@ -202,5 +186,34 @@ def fit_recordings(
         MappingProxyType(noise),
         MappingProxyType(alone),
         MappingProxyType(others),
-        agreement_of(network, all_equations, alone, others),
+        agreement_of(network, equations, alone, others),
     )
+
+
+def _fitted(
+    solver: LeastSquares,
+    equations: Mapping[str, RecordingEquations],
+    samples: Mapping[str, int],
+    weights: Mapping[str, Float[np.ndarray, " joints"]],
+    names: Sequence[str],
+) -> Identification:
+    """The fit of some recordings, one after the other."""
+
+    def followed(first: tuple[Equations, int], name: str) -> tuple[Equations, int]:
+        joined, length = first
+        more = equations[name].weighted(weights[name])
+        return joined.followed_by(more, length), length + samples[name]
+
+    start = equations[names[0]].weighted(weights[names[0]]), samples[names[0]]
+    return solver.fit_equations(*reduce(followed, names[1:], start))
+
+
+def _weights(
+    noise: Mapping[str, Float[np.ndarray, " joints"]],
+) -> dict[str, Float[np.ndarray, " joints"]]:
+    """Of each joint of each recording: the root mean square of all its noise over its own."""
+    pooled = np.sqrt(np.mean([size**2 for size in noise.values()], axis=0))
+    return {
+        name: np.where(size > 0.0, pooled / np.where(size > 0.0, size, 1.0), 1.0)
+        for name, size in noise.items()
+    }
