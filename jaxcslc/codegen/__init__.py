@@ -11,7 +11,11 @@
 It knows nothing of robots, and imports no other package of the project.
 """
 
-from ._arrays import array_outputs as array_outputs
+from ._arrays import (
+    array_outputs as array_outputs,
+    motion_outputs as motion_outputs,
+    named as named,
+)
 from ._c_function import (
     INTEGERS as INTEGERS,
     LONG as LONG,
@@ -29,7 +33,6 @@ from ._expressions import (
     StraightLine as StraightLine,
     Value as Value,
     derivatives as derivatives,
-    named as named,
 )
 from ._programs import CompiledProgram as CompiledProgram, Program as Program
 from ._traced import traced as traced

@@ -103,14 +103,7 @@ class TabulatedRigidBody(AbstractRigidBody):
     ) -> None:
         self._motion, self._network = motion, network
         self._k = k[network.layout.inertial]
-        algebra = network.algebra
-        self._tables = ClosedForm(
-            motion,
-            algebra.ring,
-            mass=algebra.mass,
-            velocity=algebra.velocity,
-            gravity=algebra.gravity,
-        )
+        self._tables = ClosedForm(motion, network.algebra)
         self._recursion = _recursion(motion, network)
         payload = payload_bodies(network, k)
         self._payload = payload.tolist() if np.any(payload) else None
@@ -134,7 +127,7 @@ class TabulatedRigidBody(AbstractRigidBody):
         ]
 
     def gravity(self) -> list[Value]:
-        total = self._tables.gravity(self._k)
+        total = self._tables.torque(self._k, ("gravity",))
         if self._payload is None:
             return total
         added = self._recursion.gravity_torque(self._payload)

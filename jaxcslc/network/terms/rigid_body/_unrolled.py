@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...._environment import platform_of
-from ....codegen import StraightLine, array_outputs, in_blocks, named
+from ....codegen import StraightLine, in_blocks, motion_outputs
 
 
 # Straight-line code of so many joints compiles within seconds; its operations grow with the square
@@ -27,15 +27,9 @@ def unrolled(
 
     One array a quantity and joint, so that a compiler can keep all of a sample in registers.
     """
-    of_code = {} if k is None else named("k", [k[i] for i in range(len(k))])
 
     def of_block(*rows: Array) -> Array:
-        inputs: dict[str, Any] = dict(of_code)
-        for name, joints in zip(("q", "qd", "qdd"), rows, strict=False):
-            inputs |= named(name, list(joints))
-        like = jnp.zeros_like(rows[0][0])
-        outputs = array_outputs(code.graph, code.outputs, inputs)
-        return jnp.stack([jnp.broadcast_to(x, like.shape).astype(like.dtype) for x in outputs])
+        return jnp.stack(motion_outputs(code, k, *map(list, rows)))
 
     return in_blocks(of_block, tuple(x.T for x in motion))
 
