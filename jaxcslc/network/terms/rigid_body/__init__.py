@@ -2,11 +2,16 @@
 
 from ._closed_form import ClosedForm as ClosedForm, nested as nested
 from ._expressed_bodies import (
+    PARTS as PARTS,
     AbstractExpressedBodies as AbstractExpressedBodies,
     AbstractRigidBody as AbstractRigidBody,
     code as code,
 )
 from ._link_motion import paths_of as paths_of
-from ._linked_bodies import newton_euler as newton_euler
+from ._linked_bodies import (
+    LinkedBodies as LinkedBodies,
+    RecursiveBodies as RecursiveBodies,
+    newton_euler as newton_euler,
+)
 from ._rigid_body_recursion import RigidBodyRecursion as RigidBodyRecursion
 from ._rigid_body_tables import RigidBodyTables as RigidBodyTables, input_rows as input_rows
