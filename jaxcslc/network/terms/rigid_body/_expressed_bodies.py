@@ -54,6 +54,11 @@ class AbstractExpressedBodies(abc.ABC):
 class AbstractRigidBody(AbstractManipulatorTerm):
     """The rigid-body term of a network, whatever form its equations have."""
 
+    @property
+    @abc.abstractmethod
+    def has_tables(self) -> bool:
+        """Whether the closed form is small enough to be computed from its tables."""
+
     @abc.abstractmethod
     def expressed(self, motion: Motion) -> AbstractExpressedBodies:
         """Return the term as expressions of a motion."""

@@ -1,3 +1,5 @@
+"""Torque and mass matrix of rolled robots: programs that robots of as many joints share."""
+
 from typing import Any
 
 import jax
@@ -7,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ....codegen import in_blocks
 from .._term import Joints, Matrices
-from ._link_motion import Bodies, Geometry, LinkMotion, Links, cross, link_motion, links_of
+from ._link_motion import Bodies, Geometry, Links, States, cross, link_states, links_of
 
 
 # Functions of arrays alone: robots of as many joints share one program each.
@@ -38,22 +40,17 @@ def _torque_of_block(
     qd: Array,
     qdd: Array,
 ) -> Float[Array, "joints samples"]:
-    motion = link_motion(geometry, gravity, q, qd, qdd)
-    w, wd, a = motion.angular_velocity, motion.angular_acceleration, motion.acceleration
+    states = link_states(geometry, gravity, q, qd, qdd)[1:]
+    axes, (origin, w, wd, a) = states[:, :3], (states[:, i] for i in range(3, 7))
 
     def inertia_times(x: Any) -> Any:  # I x, with I in the link's axes
-        along = jnp.sum(motion.axes * x[:, None], axis=2)
+        along = jnp.sum(axes * x[:, None], axis=2)
         product = jnp.sum(links.inertia[..., None] * along[:, None], axis=2)
-        return jnp.sum(motion.axes * product[:, :, None], axis=1)
+        return jnp.sum(axes * product[:, :, None], axis=1)
 
-    first = jnp.sum(links.first[:, :, None] * motion.axes, axis=1)
+    first = jnp.sum(links.first[:, :, None] * axes, axis=1)
     force = links.mass[:, None, None] * a + cross(wd, first) + cross(w, cross(w, first))
-    moment = (
-        inertia_times(wd)
-        + cross(w, inertia_times(w))
-        + cross(first, a)
-        + cross(motion.origin, force)
-    )
+    moment = inertia_times(wd) + cross(w, inertia_times(w)) + cross(first, a) + cross(origin, force)
     # What each joint carries, as moments about the base's origin.
     carries = jnp.asarray(geometry.carries)
     force, moment = (
@@ -61,9 +58,8 @@ def _torque_of_block(
         for x in (force, moment)
     )
     turns = jnp.asarray(geometry.turning)[:, None, None]
-    axis = motion.axes[:, 2]
-    along = turns * (moment - cross(motion.origin, force)) + (1 - turns) * force
-    return jnp.sum(axis * along, axis=1) + links.motor[:, None] * qdd
+    along = turns * (moment - cross(origin, force)) + (1 - turns) * force
+    return jnp.sum(axes[:, 2] * along, axis=1) + links.motor[:, None] * qdd
 
 
 @jax.jit
@@ -82,13 +78,14 @@ def _mass_matrix_of_block(
     geometry: Geometry, links: Links, position: Array
 ) -> Float[Array, "joints joints samples"]:
     still = jnp.zeros_like(position)
-    motion = link_motion(geometry, jnp.zeros(3, position.dtype), position, still, still)
-    inertia, first, mass = _composite(geometry, links, motion)
+    weightless = jnp.zeros(3, position.dtype)
+    states = link_states(geometry, weightless, position, still, still)[1:]
+    inertia, first, mass = _composite(geometry, links, states)
     # Velocities of the whole at the base's origin, for a unit rate of each joint.
     turns = jnp.asarray(geometry.turning)[:, None, None]
-    axis = motion.axes[:, 2]
+    axis, origin = states[:, 2], states[:, 3]
     angular = turns * axis
-    linear = turns * cross(motion.origin, axis) + (1 - turns) * axis
+    linear = turns * cross(origin, axis) + (1 - turns) * axis
     force = mass[:, None] * linear + cross(angular, first)
     moment = jnp.sum(inertia * angular[:, None], axis=2) + cross(first, linear)
     # Joint j moves what joint k carries if it carries joint k.
@@ -99,9 +96,9 @@ def _mass_matrix_of_block(
     return upper + below + (links.motor[None] * diagonal)[:, :, None]
 
 
-def _composite(geometry: Geometry, links: Links, motion: LinkMotion) -> tuple[Array, Array, Array]:
+def _composite(geometry: Geometry, links: Links, states: States) -> tuple[Array, Array, Array]:
     """Inertia, first moment and mass that each joint carries, about the base's origin."""
-    turn, p, mass = motion.axes, motion.origin, links.mass[:, None]
+    turn, p, mass = states[:, :3], states[:, 3], links.mass[:, None]
     # R I R', by columns of R.
     half = jnp.sum(links.inertia[:, :, :, None, None] * turn[:, None], axis=2)
     tensor = jnp.sum(turn[:, :, :, None] * half[:, :, None], axis=1)

@@ -89,7 +89,6 @@ class RigidBodyRecursion(AbstractRigidBody):
 
     @property
     def has_tables(self) -> bool:
-        """Whether the closed form is small enough to be computed from its tables."""
         return False
 
     @property

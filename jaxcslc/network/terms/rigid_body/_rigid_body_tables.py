@@ -49,7 +49,6 @@ class RigidBodyTables(AbstractRigidBody):
 
     @property
     def has_tables(self) -> bool:
-        """Whether the closed form is small enough to be computed from its tables."""
         return True
 
     @property

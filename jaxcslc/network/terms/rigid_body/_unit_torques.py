@@ -1,3 +1,5 @@
+"""Torque by each number of each link, by a scan over pairs of a joint and a link."""
+
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,3 +1,5 @@
+"""Straight-line code of rigid bodies by JAX, and when it is quicker than the scan."""
+
 import math
 from functools import partial
 from typing import Any
