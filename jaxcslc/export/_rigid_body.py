@@ -13,13 +13,13 @@ from .._rank import numerical_rank
 from ..codegen import Motion, Value
 from ..derivation import BODY
 from ..inertia import body_map
+from ..manipulator import Manipulator
 from ..network import CSLC
 from ..network.terms import JointProjection, ProjectedTerm
 from ..network.terms.rigid_body import (
     PARTS,
     AbstractExpressedBodies,
     ClosedForm,
-    LinkedBodies,
     RecursiveBodies,
     RigidBodyRecursion,
 )
@@ -108,7 +108,7 @@ def rigid_bodies(
             of_network = RigidBodyRecursion.from_algebra(algebra).expressed(motion)
             columns = with_payload(motion, of_network)
         sizes = len(inertial), len(carried)
-        addend = RecursiveBodies(motion, linked[0]), linked[1]
+        addend = _one_by_one(algebra.robot, motion), linked
         return RigidBodies((addend,), tuple(zip(columns, sizes, strict=False)), shares)
 
     def by_tables(motion: Motion) -> RigidBodies:
@@ -122,7 +122,7 @@ def rigid_bodies(
         onto = projection
         return lambda motion: make(projected_motion(motion, onto))
 
-    linked = linked_bodies(network, k)
+    linked = body_numbers(network, k)
     if linked is not None:
         yield of_all(by_recursion)
     if network.rigid_body.has_tables:
@@ -153,17 +153,31 @@ def projected_motion(motion: Motion, projection: JointProjection) -> Motion:
     return whole
 
 
-def linked_bodies(
-    network: CSLC, k: Float[np.ndarray, " coefficients"]
-) -> tuple[LinkedBodies, list[float]] | None:
-    """Return bodies that have these coefficients, payload included, and their numbers.
+def _one_by_one(robot: Manipulator, motion: Motion) -> RecursiveBodies:
+    """Bodies whose coefficients are ten numbers of each link, then the motors' inertias."""
+    n, size = robot.joint_count, len(BODY)
+    unit = tuple(map(tuple, np.eye(size).tolist()))
+    return RecursiveBodies(
+        motion=motion,
+        joints=robot.joints,
+        parents=tuple(robot.parents),
+        gravity=robot.gravity,
+        body=(unit,) * n,
+        indices=tuple(tuple(range(size * i, size * (i + 1))) for i in range(n)),
+        motors=tuple((i, size * n + i) for i in range(n)),
+    )
 
-    Most of these are zero. They need not be possible bodies: what is regrouped into a base
-    parameter is zero. None if no numbers have the coefficients: symbolic ones that were identified
-    one by one are rarely consistent, and bodies of known masses (C.1.2) are not looked for.
+
+def body_numbers(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[float] | None:
+    """Return numbers of bodies that have these coefficients, payload included.
+
+    In the order of `_one_by_one`, most of them zero. Bodies need not be possible: what is regrouped
+    into a base parameter is zero. None if no numbers have the coefficients: symbolic ones that were
+    identified one by one are rarely consistent, and bodies of known masses (C.1.2) are not looked
+    for.
     """
-    robot, algebra = network.algebra.robot, network.algebra
-    n, size, inertial = robot.joint_count, len(BODY), k[network.layout.inertial]
+    algebra, size = network.algebra, len(BODY)
+    n, inertial = algebra.robot.joint_count, k[network.layout.inertial]
     links, motors = np.zeros((n, size)), np.zeros(n)
     if algebra.lengths == "numeric":
         for value, unit in zip(inertial, algebra.unit_inertias, strict=True):
@@ -178,16 +192,7 @@ def linked_bodies(
         links, motors = numbers[: size * n].reshape(n, size), numbers[size * n :]
     if network.carrying_link is not None:
         links[network.carrying_link - 1] += k[network.layout.payload]
-    unit = tuple(map(tuple, np.eye(size).tolist()))
-    bodies = LinkedBodies(
-        joints=robot.joints,
-        parents=tuple(robot.parents),
-        gravity=robot.gravity,
-        body=(unit,) * n,
-        indices=tuple(tuple(range(size * i, size * (i + 1))) for i in range(n)),
-        motors=tuple((i, size * n + i) for i in range(n)),
-    )
-    return bodies, [*links.ravel().tolist(), *motors.tolist()]
+    return [*links.ravel().tolist(), *motors.tolist()]
 
 
 def _basic_solution(

@@ -7,11 +7,7 @@ from ._expressed_bodies import (
     AbstractRigidBody as AbstractRigidBody,
     code as code,
 )
-from ._link_motion import paths_of as paths_of
-from ._linked_bodies import (
-    LinkedBodies as LinkedBodies,
-    RecursiveBodies as RecursiveBodies,
-    newton_euler as newton_euler,
-)
+from ._linked_bodies import RecursiveBodies as RecursiveBodies
 from ._rigid_body_recursion import RigidBodyRecursion as RigidBodyRecursion
 from ._rigid_body_tables import RigidBodyTables as RigidBodyTables, input_rows as input_rows
+from ._rolled import paths_of as paths_of

@@ -15,12 +15,13 @@ from ._expressed_bodies import PARTS, AbstractExpressedBodies
 _RIGHT_ANGLE = 1e-14
 
 
-@dataclass(frozen=True)
-class LinkedBodies:
-    """A chain or tree of bodies whose ten numbers are linear functions of coefficients.
+@dataclass(frozen=True, eq=False)
+class RecursiveBodies(AbstractExpressedBodies):
+    """A chain or tree of bodies, whose ten numbers are linear functions of coefficients.
 
     **Attributes**
 
+    - `motion`: of the joints.
     - `joints`, `parents`, `gravity`: of the robot; a parent of -1 is the base.
     - `body`: for every link, the matrix (10, coefficients of the link) from its coefficients to
       its numbers, in the order of `BODY`.
@@ -28,6 +29,7 @@ class LinkedBodies:
     - `motors`: a joint and the coefficient of its motor's inertia, each.
     """
 
+    motion: Motion
     joints: tuple[Joint, ...]
     parents: tuple[int, ...]
     gravity: tuple[float, float, float]
@@ -35,32 +37,25 @@ class LinkedBodies:
     indices: tuple[tuple[int, ...], ...]
     motors: tuple[tuple[int, int], ...]
 
-
-class RecursiveBodies(AbstractExpressedBodies):
-    """Linked bodies over expressions, by the recursion."""
-
-    def __init__(self, motion: Motion, bodies: LinkedBodies) -> None:
-        self.motion, self._bodies = motion, bodies
-
     def torque(self, k: Any, parts: Collection[str] = PARTS) -> list[Value]:
         motion, still = self.motion, [0.0] * len(self.motion.q)
-        recursion = self._recursion(self._bodies.gravity if "gravity" in parts else (0.0, 0.0, 0.0))
+        recursion = self._recursion(self.gravity if "gravity" in parts else (0.0, 0.0, 0.0))
         qd = motion.qd if "velocity" in parts else still
         qdd = motion.qdd if "mass" in parts else still
         return motion.values(recursion.torque(*self._numbers(k), qd, qdd))
 
     def mass_matrix(self, k: Any) -> list[list[Value]]:
-        rows = self._recursion(self._bodies.gravity).mass_matrix(*self._numbers(k))
+        rows = self._recursion(self.gravity).mass_matrix(*self._numbers(k))
         return [self.motion.values(row) for row in rows]
 
     def entries(self) -> dict[tuple[int, int], Value]:
-        motion, bodies = self.motion, self._bodies
+        motion = self.motion
         units = [
-            (link, index, [row[column] for row in bodies.body[link]])
-            for link, indices in enumerate(bodies.indices)
+            (link, index, [row[column] for row in self.body[link]])
+            for link, indices in enumerate(self.indices)
             for column, index in enumerate(indices)
         ]
-        rows = self._recursion(bodies.gravity).columns(
+        rows = self._recursion(self.gravity).columns(
             [(link, unit) for link, _, unit in units], motion.qd, motion.qdd
         )
         entries: dict[tuple[int, int], Value] = {}
@@ -68,24 +63,24 @@ class RecursiveBodies(AbstractExpressedBodies):
             for (_, index, _), x in zip(units, motion.values(row), strict=True):
                 if not x.is_zero:
                     entries[joint, index] = x
-            entries |= {(i, index): motion.qdd[i] for i, index in bodies.motors if i == joint}
+            entries |= {(i, index): motion.qdd[i] for i, index in self.motors if i == joint}
         return entries
 
     def _recursion(self, gravity: tuple[float, float, float]) -> NewtonEuler:
-        return newton_euler(self.motion, self._bodies.joints, self._bodies.parents, gravity)
+        return newton_euler(self.motion, self.joints, self.parents, gravity)
 
     def _numbers(self, k: Any) -> tuple[list[list[Any]], list[Any]]:
         """Every link's ten numbers and every motor's inertia."""
         links: list[list[Any]] = []
-        for rows, indices in zip(self._bodies.body, self._bodies.indices, strict=True):
+        for rows, indices in zip(self.body, self.indices, strict=True):
             links.append(
                 [
                     sum(k[i] * factor for i, factor in zip(indices, row, strict=True) if factor)
                     for row in rows
                 ]
             )
-        motors: list[Any] = [0.0] * len(self._bodies.joints)
-        for joint, index in self._bodies.motors:
+        motors: list[Any] = [0.0] * len(self.joints)
+        for joint, index in self.motors:
             motors[joint] = k[index]
         return links, motors
 

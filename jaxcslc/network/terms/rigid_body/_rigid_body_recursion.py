@@ -1,15 +1,18 @@
 """The rigid-body term by Newton and Euler's recursion, rolled or unrolled."""
 
-from functools import lru_cache
+import math
+from functools import lru_cache, partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ....codegen import Motion, in_blocks
+from ...._environment import platform_of
+from ....codegen import Motion, StraightLine, in_blocks, motion_outputs
 from ....derivation import BODY, Algebra, Coefficient
 from ....manipulator import Joint
 from .._term import (
@@ -18,11 +21,26 @@ from .._term import (
     Rows,
 )
 from ._expressed_bodies import AbstractRigidBody, code
-from ._link_motion import Bodies, Geometry, by_link, geometry_of, paths_of
-from ._linked_bodies import LinkedBodies, RecursiveBodies
-from ._newton_euler import mass_matrix_of, samples_last, torque_of
-from ._unit_torques import pairs_of, unit_torques
-from ._unrolled import is_quicker_unrolled, unrolled
+from ._linked_bodies import RecursiveBodies
+from ._rolled import (
+    Bodies,
+    Geometry,
+    by_link,
+    geometry_of,
+    mass_matrix_of,
+    pairs_of,
+    paths_of,
+    samples_last,
+    torque_of,
+    unit_torques,
+)
+
+
+# Straight-line code of so many joints compiles within seconds; its operations grow with the square
+# of the joints for the torque, with the third power for the regressor.
+_MOST_JOINTS = 12
+# On a processor it compiles for 2 to 4 s longer than the loop, and gains that in so many samples.
+_MANY_SAMPLES = 1 << 20
 
 
 class RigidBodyRecursion(AbstractRigidBody):
@@ -96,11 +114,13 @@ class RigidBodyRecursion(AbstractRigidBody):
         return _support(self.indices, self.motors, self.paths)
 
     def expressed(self, motion: Motion) -> RecursiveBodies:
-        return RecursiveBodies(motion, self.linked_bodies)
+        parents = tuple(path[-2] if len(path) > 1 else -1 for path in self.paths)
+        of_robot = self.joints, parents, self.gravity
+        return RecursiveBodies(motion, *of_robot, self.body, self.indices, self.motors)
 
     def _column_rows(self, q: Rows, qd: Rows, qdd: Rows) -> Float[Array, "rows samples"]:
         if self.is_unrolled(q, q.shape[::-1]):
-            return unrolled(code(self, "columns"), None, q.T, qd.T, qdd.T)
+            return _unrolled(code(self, "columns"), None, q.T, qd.T, qdd.T)
         return self._compiled_columns(q, qd, qdd)
 
     @eqx.filter_jit
@@ -130,7 +150,7 @@ class RigidBodyRecursion(AbstractRigidBody):
     ) -> Float[Array, "*batch values"]:
         q = motion[0]
         if self.is_unrolled(q, q.shape):
-            rows = unrolled(code(self, quantity), k, *(x.reshape(-1, x.shape[-1]) for x in motion))
+            rows = _unrolled(code(self, quantity), k, *(x.reshape(-1, x.shape[-1]) for x in motion))
             return rows.T.reshape(*q.shape[:-1], len(rows))
         if k is None:
             return self._rolled_regressor(*motion)
@@ -145,19 +165,10 @@ class RigidBodyRecursion(AbstractRigidBody):
         """Which form computes with positions of a shape (..., joints)."""
         if self.unrolled is not None:
             return self.unrolled
-        return is_quicker_unrolled(q, shape)
-
-    @property
-    def linked_bodies(self) -> LinkedBodies:
-        """What straight-line code is made of."""
-        return LinkedBodies(
-            joints=self.joints,
-            parents=tuple(path[-2] if len(path) > 1 else -1 for path in self.paths),
-            gravity=self.gravity,
-            body=self.body,
-            indices=self.indices,
-            motors=self.motors,
-        )
+        *batch, joints = shape
+        if joints > _MOST_JOINTS:
+            return False
+        return platform_of(q) != "cpu" or math.prod(batch) >= _MANY_SAMPLES
 
     def _geometry(self, dtype: Any) -> Geometry:
         return geometry_of(self.joints, self.paths, np.dtype(dtype))
@@ -212,6 +223,23 @@ class RigidBodyRecursion(AbstractRigidBody):
             for entry, row in enumerate(self.body[body])
             if row[column]
         ]
+
+
+@partial(jax.jit, static_argnames=("expressed",))
+def _unrolled(
+    expressed: StraightLine,
+    k: Float[Array, " coefficients"] | None,
+    *motion: Float[Array, "samples joints"],
+) -> Float[Array, "outputs samples"]:
+    """The outputs of straight-line code for many samples of q, qd and qdd, as many as it needs.
+
+    One array a quantity and joint, so that a compiler can keep all of a sample in registers.
+    """
+
+    def of_block(*rows: Array) -> Array:
+        return jnp.stack(motion_outputs(expressed, k, *map(list, rows)))
+
+    return in_blocks(of_block, tuple(x.T for x in motion))
 
 
 @lru_cache(maxsize=256)
