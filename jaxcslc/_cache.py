@@ -34,10 +34,10 @@ def cache_folder() -> Path | None:
         folder = _parent() / "jaxcslc"
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
+        status = folder.lstat()
     except (OSError, RuntimeError):  # a home that cannot be written, or none at all
         return None
-    return folder if stat.S_ISDIR(found.st_mode) and _is_own(found) else None
+    return folder if stat.S_ISDIR(status.st_mode) and _is_own(status) else None
 
 
 def load_kept(key: str, suffix: str, load: Callable[[Path], Loaded | None]) -> Loaded | None:
@@ -97,11 +97,11 @@ def _parent() -> Path:
     return Path.home() / ".cache"
 
 
-def _is_own(found: os.stat_result) -> bool:
+def _is_own(status: os.stat_result) -> bool:
     """Return whether something belongs to the user, and nobody else can write into it."""
     if os.name != "posix":  # a profile's folders are its user's
         return True
-    return found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _digest_of_own(file: Path) -> str | None:

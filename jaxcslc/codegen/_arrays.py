@@ -1,14 +1,15 @@
 """Values of a graph, of arrays of NumPy's or JAX's."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._environment import array_namespace
 from ._compilation import by_platform, in_stage
-from ._expressions import Expressions, Operation, Value
+from ._expressions import Expressions, Operation, StraightLine, Value
 
 
 # Operations that a processor's compiler gets at once. More of them, and it computes what several
@@ -17,12 +18,42 @@ from ._expressions import Expressions, Operation, Value
 _STAGE = 40
 
 
+def motion_outputs(
+    code: StraightLine, k: Any, *motion: Sequence[Any], stage: int | None = _STAGE
+) -> list[Any]:
+    """Values of a motion, each an array of the motion's shape.
+
+    **Arguments**
+
+    - `k`: its coefficients, if it has some.
+    - `motion`: of q, qd and qdd as many as the values need, an array per joint each.
+    - `stage`: as of `array_outputs`.
+    """
+    inputs = {} if k is None else named("k", [k[i] for i in range(len(k))])
+    for name, joints in zip(("q", "qd", "qdd"), motion, strict=False):
+        inputs |= named(name, joints)
+    like = motion[0][0]
+    outputs = array_outputs(code.graph, code.outputs, inputs, stage=stage)
+    return [jnp.broadcast_to(x, like.shape).astype(like.dtype) for x in outputs]
+
+
+def named(name: str, values: Iterable[Any]) -> dict[str, Any]:
+    """Inputs of a graph: `name[0]`, `name[1]` and so on."""
+    return {f"{name}[{i}]": value for i, value in enumerate(values)}
+
+
 def array_outputs(
-    graph: Expressions, outputs: Sequence[Value], inputs: Mapping[str, Any]
+    graph: Expressions,
+    outputs: Sequence[Value],
+    inputs: Mapping[str, Any],
+    *,
+    stage: int | None = _STAGE,
 ) -> list[Any]:
     """Values of a graph, of arrays of NumPy's or JAX's that are broadcast against each other.
 
     - `inputs`: by the names that they have in the graph.
+    - `stage`: how many operations a processor's compiler gets at once, behind sines and cosines;
+      other platforms' get all. None for sines and cosines, then all others, on every platform.
 
     An output that is constant is a number.
 
@@ -55,8 +86,11 @@ def array_outputs(
 
     def in_stages(before: dict[int, Any]) -> list[Any]:
         of_graph = numbers | before
-        for stage, later in _stages(graph, operations):
-            _compute_stage(xp, graph, stage, of_graph, kept | later)
+        for part, later in _stages(graph, operations, stage):
+            if stage is None and not later:  # fused with what follows
+                _compute(xp, graph, part, of_graph, kept)
+            else:
+                _compute_stage(xp, graph, part, of_graph, kept | later)
         return [of_graph[index] for index in results]
 
     numbers = {index: x for index, x in values.items() if isinstance(x, float)}
@@ -65,7 +99,8 @@ def array_outputs(
     else:
         arrays = {index: x for index, x in values.items() if index not in numbers}
         whole = lambda before: at_once(numbers | before)
-        made = by_platform(arrays, on_cpu=in_stages, elsewhere=whole)
+        elsewhere = in_stages if stage is None else whole
+        made = by_platform(arrays, on_cpu=in_stages, elsewhere=elsewhere)
     values.update(zip(results, made, strict=True))
     return [values[output.index] for output in outputs]
 
@@ -87,14 +122,16 @@ def _compute(
                 del values[argument]
 
 
-def _stages(graph: Expressions, operations: Sequence[int]) -> Iterator[tuple[list[int], set[int]]]:
+def _stages(
+    graph: Expressions, operations: Sequence[int], most: int | None
+) -> Iterator[tuple[list[int], set[int]]]:
     """Sines and cosines, then operations in their order, with what the later stages need."""
     functions = [i for i in operations if graph.operations[i].name in ("sin", "cos")]
     angles = _below(graph, functions, set(operations))
     first = [i for i in operations if i in angles]
     remaining = [i for i in operations if i not in angles]
     stages, iterator = ([first] if first else []), iter(remaining)
-    while stage := list(islice(iterator, _STAGE)):
+    while stage := list(islice(iterator, most)):
         stages.append(stage)
     later = [set[int]()]
     for stage in reversed(stages):

@@ -1,11 +1,16 @@
 """Text of C and CUDA C: statements that compute values of a graph, sines of rows of numbers."""
 
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from ._expressions import Expressions, Operation, Value
 
 
-_SYMBOLS = {"add": "+", "subtract": "-", "multiply": "*"}
+# Operations between two values, by what their operands must bind as strongly as; 3 is a product's.
+_BINARY = {"add": ("+", 1, 2), "subtract": ("-", 1, 3), "multiply": ("*", 3, 3)}
+_PRECEDENCE = {"add": 1, "subtract": 1, "negate": 2, "multiply": 3}
+_ATOM = 4
 # Of C's mathematics, and CUDA's, under other names than the graph's, for any x.
 _FUNCTIONS = {
     "reciprocal": "((real)1 / {0})",
@@ -18,13 +23,18 @@ _FUNCTIONS = {
     "choose": "({0} != 0 ? {2} : {1})",
 }
 
+CALLED = ("sin", "cos", "exp", "tanh")
+"""Functions that compilers call number by number: apart from arithmetic, that they do on several
+numbers at once."""
+
 
 class KernelText:
-    """Statements of C, or CUDA C, that compute values of a graph, a constant of type `real` each.
+    """Statements of C, or CUDA C, that compute values of a graph.
 
     - `inputs`: what an input or a function's value is in the kernel; None for what statements
       compute.
     - `functions`: what is called in place of the usual functions, by their names in the graph.
+    - `constant`: how a number is written.
     """
 
     def __init__(
@@ -32,12 +42,13 @@ class KernelText:
         graph: Expressions,
         inputs: Callable[[Operation], str | None],
         functions: Mapping[str, str] | None = None,
+        constant: str = "(real){0!r}",
     ) -> None:
-        self._graph, self._inputs = graph, inputs
+        self._graph, self._inputs, self._constant = graph, inputs, constant
         self._functions = _FUNCTIONS | dict(functions or {})
 
     def statements(self, outputs: Iterable[tuple[Value, str]]) -> list[str]:
-        """Lines that compute values and, as soon as each is there, store it.
+        """Lines that compute values, a constant of type `real` each, and store them at once.
 
         - `outputs`: values, and a statement with `{0}` in place of the value.
         """
@@ -45,21 +56,43 @@ class KernelText:
         for value, store in outputs:
             stores.setdefault(value.index, []).append(store)
         lines: list[str] = []
-        names: dict[int, str] = {}
+        names: dict[int, _Written] = {}
         for index in self.needed([Value(self._graph, index) for index in stores]):
             lines += self._line(index, names)
-            lines += [store.format(names[index]) for store in stores.get(index, [])]
+            lines += [store.format(names[index].text) for store in stores.get(index, [])]
         return lines
 
     def statements_in_turn(self, outputs: Iterable[tuple[Value, str]]) -> list[str]:
         """The same in the order of the outputs: what one needs, its store, what the next needs."""
         lines: list[str] = []
-        names: dict[int, str] = {}
+        names: dict[int, _Written] = {}
         for value, store in outputs:
             for index in self.needed([value], names):
                 lines += self._line(index, names)
-            lines.append(store.format(names[value.index]))
+            lines.append(store.format(names[value.index].text))
         return lines
+
+    def nested_statements(self, outputs: Sequence[tuple[Value, str]], longest: int) -> list[str]:
+        """Lines as a person writes them: what is used once stands where it is used.
+
+        - `outputs`: as of `statements`, stored behind all lines.
+        - `longest`: longer expressions become constants of type `double`, too [characters].
+        """
+        order = self.needed(value for value, _ in outputs)
+        uses = Counter(i for index in order for i in self._graph.operations[index].arguments)
+        uses.update(value.index for value, _ in outputs)
+        written: dict[int, _Written] = {}
+        lines: list[str] = []
+        for index in order:
+            operation = self._graph.operations[index]
+            expression = self._written(operation, written)
+            cheap = operation.name in ("input", "constant", "negate")
+            if not cheap and (uses[index] > 1 or len(expression.text) > longest):
+                name = f"x{len(lines)}"
+                lines.append(f"const double {name} = {expression.text};")
+                expression = _Written(name)
+            written[index] = expression
+        return lines + [store.format(written[value.index].text) for value, store in outputs]
 
     def needed(self, outputs: Iterable[Value], known: Container[int] = ()) -> list[int]:
         """Everything to compute for the outputs, in order; not what only an input needs, nor what
@@ -75,27 +108,106 @@ class KernelText:
                     todo += operation.arguments
         return sorted(needed)
 
-    def _line(self, index: int, names: dict[int, str]) -> list[str]:
+    def _line(self, index: int, names: dict[int, "_Written"]) -> list[str]:
         """The statement of an operation, none for a constant; its name is added to the names."""
         operation = self._graph.operations[index]
-        text = self._inputs(operation) or self._text(operation, names)
+        written = self._written(operation, names)
         if operation.name == "constant":
-            names[index] = text
+            names[index] = written
             return []
-        names[index] = f"x{index}"
-        return [f"const real x{index} = {text};"]
+        names[index] = _Written(f"x{index}")
+        return [f"const real x{index} = {written.text};"]
 
-    def _text(self, operation: Operation, names: dict[int, str]) -> str:
-        arguments = [names[index] for index in operation.arguments]
-        if operation.name == "constant":
-            return f"(real){operation.number!r}"
-        if operation.name in _SYMBOLS:
-            return f" {_SYMBOLS[operation.name]} ".join(arguments)
-        if operation.name == "negate":
-            return f"-{arguments[0]}"
-        return self._functions.get(operation.name, operation.name + "({0})").format(*arguments)
+    def _written(self, operation: Operation, written: dict[int, "_Written"]) -> "_Written":
+        """An operation on arguments that are written already."""
+        if (text := self._inputs(operation)) is not None:
+            return _Written(text)
+        name, arguments = operation.name, [written[index] for index in operation.arguments]
+        if name == "constant":
+            return _Written(self._constant.format(operation.number))
+        if name in _BINARY:
+            symbol, left, right = _BINARY[name]
+            text = f"{arguments[0].within(left)} {symbol} {arguments[1].within(right)}"
+        elif name == "negate":
+            text = f"-{arguments[0].within(3)}"
+        else:
+            function = self._functions.get(name, name + "({0})")
+            text = function.format(*(argument.text for argument in arguments))
+        return _Written(text, _PRECEDENCE.get(name, _ATOM))
 
 
+class _Written(NamedTuple):
+    """The text of an expression, and how strongly its last operation binds."""
+
+    text: str
+    precedence: int = _ATOM
+
+    def within(self, least: int) -> str:
+        """As an operand, in brackets if it binds less than it must."""
+        return self.text if self.precedence >= least else f"({self.text})"
+
+
+def called_functions(graph: Expressions, outputs: Iterable[Value]) -> list[int]:
+    """Return the values among what outputs need that are of functions in `CALLED`."""
+    return [index for index in graph.needed(outputs) if graph.operations[index].name in CALLED]
+
+
+def block_text(
+    graph: Expressions,
+    block: int,
+    rows: Mapping[str, tuple[str, int]],
+    functions: Sequence[int] = (),
+    apart: tuple[str, int] = ("", 0),
+) -> KernelText:
+    """Return the text of statements for sample `i` of a block, whose values lie row by row.
+
+    **Arguments**
+
+    - `block`: samples of a row.
+    - `rows`: for `name` of inputs `name[0]`, `name[1]`, ..., in which array they are, and from
+      which row on. Other inputs are called as they are in the graph.
+    - `functions`: values that are not computed but read; `apart`: in which array, and from where
+      on.
+
+    >>> graph = Expressions()
+    >>> q = graph.inputs("q", 2)
+    >>> text = block_text(graph, 256, {"q": ("inputs", 3)})
+    >>> text.statements([(q[1], "outputs[i] = {0};")])
+    ['const real x1 = inputs[1024 + i];', 'outputs[i] = x1;']
+    """
+    array, first = apart
+    read = {
+        graph.operations[i]: block_row(array, block, first + n) for n, i in enumerate(functions)
+    }
+
+    def reading(operation: Operation) -> str | None:
+        if operation.name != "input":
+            return read.get(operation)
+        name, _, index = operation.text.rstrip("]").partition("[")
+        if name not in rows:
+            return operation.text
+        array, first = rows[name]
+        return block_row(array, block, first + int(index))
+
+    return KernelText(graph, reading)
+
+
+def block_row(array: str, block: int, row: int) -> str:
+    """Return how sample `i` of a row is called."""
+    return f"{array}[{block * row} + i]"
+
+
+LANES_TEXT = """/* So many numbers as the widest registers hold: of more, GCC makes single ones, and
+   takes up to ten times as long. */
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else
+#define LANES 2
+#endif
+typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
+"""
 #: C of sines and cosines of rows of numbers, of which compilers make instructions on several at
 #: once; the C library's take one at a time. It needs `LANES`, the type `lanes` of so many numbers,
 #: and rows whose lengths are multiples of it.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias, no_type_check
+from typing import NamedTuple, TypeAlias, no_type_check
 
 
 class Operation(NamedTuple):
@@ -41,6 +41,10 @@ class Expressions:
     def input(self, text: str) -> "Value":
         """An input, by its name in generated code."""
         return self._value(Operation("input", text=text))
+
+    def inputs(self, name: str, count: int) -> list["Value"]:
+        """So many inputs: `name[0]`, `name[1]` and so on."""
+        return [self.input(f"{name}[{i}]") for i in range(count)]
 
     def constant(self, number: float) -> "Value":
         """A number; negative ones are the negatives of positive ones."""
@@ -230,9 +234,7 @@ class Motion:
 
     def __init__(self, joints: int) -> None:
         self.graph = Expressions()
-        self.q = [self.graph.input(f"q[{i}]") for i in range(joints)]
-        self.qd = [self.graph.input(f"qd[{i}]") for i in range(joints)]
-        self.qdd = [self.graph.input(f"qdd[{i}]") for i in range(joints)]
+        self.q, self.qd, self.qdd = (self.graph.inputs(x, joints) for x in ("q", "qd", "qdd"))
 
     def values(self, numbers: Sequence[Number]) -> list[Value]:
         """Values of the graph, constants where they are plain numbers."""
@@ -254,11 +256,6 @@ class StraightLine:
     def cost(self) -> int:
         """Additions, multiplications and calls of functions."""
         return self.graph.cost(self.outputs)
-
-
-def named(name: str, values: Iterable[Any]) -> dict[str, Any]:
-    """Inputs of a graph: `name[0]`, `name[1]` and so on."""
-    return {f"{name}[{i}]": value for i, value in enumerate(values)}
 
 
 def derivatives(outputs: Sequence[Value], by: Value) -> list[Value]:

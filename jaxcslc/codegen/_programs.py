@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ._c_function import LONG, CArray, CFunction, CRows
-from ._c_text import KernelText
-from ._expressions import Motion, Operation, Value
+from ._c_text import block_row, block_text, called_functions
+from ._expressions import Motion, Value
 
 
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
@@ -33,8 +33,6 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
 # registers are to stay in a processor's second cache. (A Panda's columns: 2.8 µs a sample in blocks
 # of 512, 1.3 in blocks of 4,096 and 8,192.)
 _BLOCK = 4096
-# What NumPy computes: its functions are as exact as the C library's and take less time.
-_OF_NUMPY = ("sin", "cos", "exp", "tanh")
 # Samples at a time: a Panda's columns take 0.4 MB, a core's cache.
 _C_BLOCK = 256
 # Each operation rounds as NumPy's does: results are the same to the last digit.
@@ -221,40 +219,30 @@ class CompiledProgram:
 
     @cached_property
     def functions(self) -> Program:
-        """Sines and cosines of the motion, by NumPy."""
+        """Sines and cosines, by NumPy: as exact as the C library's, in less time."""
         return Program.of(self.motion, [Value(self.motion.graph, i) for i in self._functions])
 
     @cached_property
     def source(self) -> str:
         """The C code of a function `columns` of addresses of inputs, of outputs, and samples."""
-        graph = self.motion.graph
-        first = 3 * len(self.motion.q)
-        rows = {
-            x.index: i for i, x in enumerate((*self.motion.q, *self.motion.qd, *self.motion.qdd))
-        }
-        rows |= {index: first + i for i, index in enumerate(self._functions)}
-        indices = {operation: index for index, operation in enumerate(graph.operations)}
-
-        def reading(operation: Operation) -> str | None:
-            row = rows.get(indices[operation])
-            return None if row is None else f"inputs[{_C_BLOCK * row} + i]"
-
-        lines = KernelText(graph, reading).statements(
-            (value, f"outputs[{_C_BLOCK * row} + i] = {{0}};")
+        n = len(self.motion.q)
+        rows = {name: ("inputs", i * n) for i, name in enumerate(("q", "qd", "qdd"))}
+        apart = "inputs", 3 * n
+        text = block_text(self.motion.graph, _C_BLOCK, rows, self._functions, apart)
+        lines = text.statements(
+            (value, f"{block_row('outputs', _C_BLOCK, row)} = {{0}};")
             for row, value in enumerate(self.outputs)
         )
         return _SOURCE.format(
             block=_C_BLOCK,
-            inputs=first + len(self._functions),
+            inputs=3 * n + len(self._functions),
             outputs=len(self.outputs),
             statements="\n".join(lines),
         )
 
     @cached_property
     def _functions(self) -> tuple[int, ...]:
-        operations = self.motion.graph.operations
-        needed = self.motion.graph.needed(self.outputs)
-        return tuple(index for index in needed if operations[index].name in _OF_NUMPY)
+        return tuple(called_functions(self.motion.graph, self.outputs))
 
 
 _SOURCE = """#include <math.h>

@@ -1,17 +1,31 @@
+"""Header and source of exported C code."""
+
 import re
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from ..codegen import Value
+from ..codegen import Expressions, KernelText
 from ..network import CSLC
 from ._c_functions import CFunction
-from ._c_text import definitions, statements
 
 
 _WIDTH = 100  # of a line of declarations [characters]
 _COMMENT_WIDTH = 95
+_LONGEST = 90  # of an expression that is written where it is used [characters]
+# What is not a number stays none, as in Python: a friction of 0 would hide a velocity that is lost.
+_DEFINITIONS = {
+    "sign": "static double sign_of(double x)\n{\n"
+    "    return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x;\n}\n",
+    "positive": "static double positive_part(double x)\n{\n    return x < 0.0 ? 0.0 : x;\n}\n",
+    "negative": "static double negative_part(double x)\n{\n    return x > 0.0 ? 0.0 : x;\n}\n",
+}
+_CALLS = {
+    "sign": "sign_of({0})",
+    "positive": "positive_part({0})",
+    "negative": "negative_part({0})",
+}
 
 
 def header_file(
@@ -45,14 +59,14 @@ def source_file(
     for c, value in zip(network.coefficients, k, strict=True):
         lines.append(f"  {c.name:<{width}} = {value:.17g} {_plain(c.unit)}")
     lines += ["*/", "", "#include <math.h>", "", f'#include "{name}.h"', ""]
-    lines += sorted({text for function in functions for text in definitions(function.graph)})
+    lines += sorted({text for function in functions for text in _definitions(function.graph)})
     for function in functions:
         lines += [
             f"/* {function.operation.summary} {function.cost} operations. */",
             _signature(name, network.joint_count, function),
             "{",
             *_unused(function),
-            *statements(function.graph, _assignments(function)),
+            *_statements(function),
             "}",
             "",
         ]
@@ -68,8 +82,17 @@ def _signature(name: str, joints: int, function: CFunction) -> str:
     return text.replace(f", double {operation.output}", f",\n    double {operation.output}")
 
 
-def _assignments(function: CFunction) -> list[tuple[str, Value]]:
-    return [(f"{function.operation.output}[{i}]", x) for i, x in enumerate(function.values)]
+def _definitions(graph: Expressions) -> list[str]:
+    """Functions that C's library does not have and the expressions use."""
+    used = {operation.name for operation in graph.operations}
+    return [text for name, text in _DEFINITIONS.items() if name in used]
+
+
+def _statements(function: CFunction) -> list[str]:
+    output = function.operation.output
+    stores = [(x, f"{output}[{i}] = {{0}};") for i, x in enumerate(function.values)]
+    text = KernelText(function.graph, lambda x: x.text or None, _CALLS, constant="{0!r}")
+    return [f"    {line}" for line in text.nested_statements(stores, _LONGEST)]
 
 
 def _unused(function: CFunction) -> list[str]:

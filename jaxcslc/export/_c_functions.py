@@ -1,4 +1,4 @@
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,16 +7,9 @@ from jaxtyping import Float
 from ..codegen import Expressions, Motion, Value
 from ..identification.friction import state_after
 from ..network import CSLC
-from ..network.terms import ExpressionFunctions, JointProjection
+from ..network.terms import ExpressionFunctions
 from ._c_inputs import input_entries, input_inertias
-from ._rigid_body import (
-    AbstractRigidBody,
-    ProjectedRigidBody,
-    RecursiveRigidBody,
-    TabulatedRigidBody,
-    bodies_of_coefficients,
-    projected_motion,
-)
+from ._rigid_body import RigidBodies, rigid_bodies
 
 
 @dataclass(frozen=True)
@@ -34,7 +27,7 @@ class Dynamics:
     network: CSLC
     k: Float[np.ndarray, " coefficients"]
     motion: Motion
-    rigid_body: AbstractRigidBody
+    rigid_body: RigidBodies
     lengths: Float[np.ndarray, " joints"]
 
     @property
@@ -61,7 +54,7 @@ def mass_matrix(dynamics: Dynamics) -> list[Value]:
 
 
 def gravity(dynamics: Dynamics) -> list[Value]:
-    return dynamics.rigid_body.gravity()
+    return dynamics.rigid_body.torque(("gravity",))
 
 
 def regressor(dynamics: Dynamics) -> list[Value] | None:
@@ -166,13 +159,13 @@ def c_functions(
     lengths: Float[np.ndarray, " joints"],
 ) -> list[CFunction]:
     """Every operation, computed in the way that needs the fewest operations."""
-    rigid_bodies = _rigid_bodies(network, k)
+    ways = list(rigid_bodies(network, k))
     yields = bool(np.any(lengths))
     functions: list[CFunction] = []
     for operation in (*OPERATIONS, *(STATE_OPERATIONS if yields else ())):
         inputs = (*operation.inputs, *(("w",) if yields and operation.has_friction else ()))
         candidates: list[CFunction] = []
-        for rigid_body in rigid_bodies:
+        for rigid_body in ways:
             motion = Motion(network.joint_count)
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
                 values = operation.values(Dynamics(network, k, motion, rigid_body(motion), lengths))
@@ -186,29 +179,3 @@ def c_functions(
             )
         functions.append(function)
     return functions
-
-
-def _rigid_bodies(
-    network: CSLC, k: Float[np.ndarray, " coefficients"]
-) -> list[Callable[[Motion], AbstractRigidBody]]:
-    """The ways to compute the rigid-body part: by recursion over bodies, and by tables."""
-    projection = JointProjection.of(network.robot)
-
-    def candidates() -> Iterator[Callable[[Motion], AbstractRigidBody]]:
-        bodies = bodies_of_coefficients(network, k)
-        if bodies is not None:
-            yield lambda motion: RecursiveRigidBody(motion, network, bodies)
-        if network.rigid_body.has_tables:
-            yield lambda motion: TabulatedRigidBody(motion, network, k)
-
-    if projection is None:
-        return list(candidates())
-    return [_projected(rigid_body, projection) for rigid_body in candidates()]
-
-
-def _projected(
-    rigid_body: Callable[[Motion], AbstractRigidBody], projection: JointProjection
-) -> Callable[[Motion], AbstractRigidBody]:
-    return lambda motion: ProjectedRigidBody(
-        rigid_body(projected_motion(motion, projection)), projection
-    )

@@ -14,12 +14,11 @@ from ._term_sum import AbstractTermSum
 from .terms import (
     AbstractInputTerm,
     AbstractManipulatorTerm,
+    AbstractRigidBody,
     JointProjection,
     JointTerm,
     LoadFriction,
     ProjectedTerm,
-    RigidBodyRecursion,
-    RigidBodyTables,
     StaticFriction,
     carrier,
     input_terms,
@@ -82,12 +81,12 @@ class CSLC(AbstractTermSum):
         return {x.name: x.known_value(constants) for x in known}
 
     @property
-    def rigid_body(self) -> RigidBodyTables | RigidBodyRecursion:
+    def rigid_body(self) -> AbstractRigidBody:
         """The term of the links and motors."""
         rigid = self.terms[0]
         if isinstance(rigid, ProjectedTerm):
             return rigid.term
-        assert isinstance(rigid, RigidBodyTables | RigidBodyRecursion)
+        assert isinstance(rigid, AbstractRigidBody)
         return rigid
 
     @property
@@ -104,7 +103,7 @@ class CSLC(AbstractTermSum):
     @property
     def has_column_entries(self) -> bool:
         """Whether all terms are of kinds that can be written as expressions."""
-        kinds = RigidBodyRecursion | RigidBodyTables | AbstractInputTerm
+        kinds = AbstractRigidBody | AbstractInputTerm
         return all(isinstance(term, kinds) for term in self.terms)
 
     def column_entries(self, motion: Motion) -> Iterator[tuple[int, int, Value]]:
@@ -115,7 +114,7 @@ class CSLC(AbstractTermSum):
         """
         for term in self.terms:
             indices = self.layout.indices(term.kind).tolist()
-            if isinstance(term, RigidBodyRecursion | RigidBodyTables):
+            if isinstance(term, AbstractRigidBody):
                 entries = term.entries(motion)
             else:
                 assert isinstance(term, AbstractInputTerm)
@@ -286,9 +285,9 @@ class CSLC(AbstractTermSum):
         return network
 
     @property
-    def _rigid_term(self) -> RigidBodyTables | RigidBodyRecursion | ProjectedTerm:
+    def _rigid_term(self) -> AbstractRigidBody | ProjectedTerm:
         rigid = self.terms[0]
-        assert isinstance(rigid, RigidBodyTables | RigidBodyRecursion | ProjectedTerm)
+        assert isinstance(rigid, AbstractRigidBody | ProjectedTerm)
         return rigid
 
     @property

@@ -5,6 +5,7 @@ from ..derivation import Algebra, Lengths, derive_algebra
 from ..manipulator import Manipulator, RobotError
 from ._cslc import CSLC
 from .terms import (
+    AbstractRigidBody,
     JointProjection,
     ProjectedTerm,
     RigidBodyRecursion,
@@ -83,7 +84,7 @@ def _has_many_lengths(robot: Manipulator) -> bool:
     return from_cad or robot.joint_count > 6
 
 
-def _rigid_body(algebra: Algebra, choice: str) -> RigidBodyTables | RigidBodyRecursion:
+def _rigid_body(algebra: Algebra, choice: str) -> AbstractRigidBody:
     if choice == "tables" or (choice == "auto" and _tables_are_small(algebra)):
         return RigidBodyTables.from_algebra(algebra)
     forms = {"auto": None, "recursive": None, "rolled": False, "unrolled": True}

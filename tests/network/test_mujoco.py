@@ -11,7 +11,7 @@ import jaxcslc
 from jaxcslc.codegen import array_outputs, named
 from jaxcslc.manipulator import LinkParameters, Manipulator
 from jaxcslc.network import RigidBodyRecursion
-from jaxcslc.network.terms.rigid_body import torque_code
+from jaxcslc.network.terms.rigid_body import code
 
 
 # Of the largest torque among a robot's samples. Both sides round at 1e-15 per operation.
@@ -59,13 +59,13 @@ def straight_line(robot: Manipulator, links: Any) -> Callable[..., np.ndarray]:
     network = jaxcslc.derive(robot.with_friction(), lengths="numeric", evaluator="unrolled")
     k = np.asarray(network.coefficients_from(links))
     assert isinstance(network.rigid_body, RigidBodyRecursion)
-    code = torque_code(network.rigid_body.linked_bodies)
+    expressed = code(network.rigid_body, "torque")
 
     def torque(*states: np.ndarray) -> np.ndarray:
         inputs = named("k", k)
         for name, values in zip(("q", "qd", "qdd"), states, strict=True):
             inputs |= named(name, values.T)
-        outputs = array_outputs(code.graph, code.outputs, inputs)
+        outputs = array_outputs(expressed.graph, expressed.outputs, inputs)
         return np.stack(np.broadcast_arrays(*outputs), axis=1)
 
     return torque

@@ -12,7 +12,7 @@ import jaxcslc
 from jaxcslc.codegen import StraightLine, array_outputs, by_platform, named
 from jaxcslc.manipulator import Manipulator
 from jaxcslc.network import RigidBodyRecursion
-from jaxcslc.network.terms.rigid_body import columns_code, mass_matrix_code, torque_code
+from jaxcslc.network.terms.rigid_body import code
 
 
 ROUNDING = 1e-12
@@ -51,24 +51,23 @@ def assert_equal(actual: Any, expected: Any) -> None:
 
 def test_torque_columns_and_mass_matrix(term: RigidBodyRecursion, rng: np.random.Generator) -> None:
     k, q, qd, qdd = states(rng, term)
-    bodies, n = term.linked_bodies, len(term.joints)
-    entries = tuple(np.ndindex(n, term.size))
-    regressor = outputs(columns_code(bodies, entries), k, q, qd, qdd).reshape(16, n, term.size)
+    n = len(term.joints)
+    regressor = outputs(code(term, "regressor"), k, q, qd, qdd).reshape(16, n, term.size)
     rolled = np.zeros_like(regressor)
     for joint, (row, values) in enumerate(
         zip(term.support, term.columns(q.T, qd.T, qdd.T), strict=True)
     ):
         rolled[:, joint, list(row)] = np.asarray(values).T
     assert_equal(regressor, rolled)
-    assert_equal(outputs(torque_code(bodies), k, q, qd, qdd), regressor @ k)
-    matrix = outputs(mass_matrix_code(bodies), k, q).reshape(16, n, n)
-    at_rest = outputs(torque_code(bodies, accelerations=False), k, q, qd)
-    assert_equal(np.einsum("sij,sj->si", matrix, qdd) + at_rest, regressor @ k)
+    assert_equal(outputs(code(term, "torque"), k, q, qd, qdd), regressor @ k)
+    matrix = outputs(code(term, "mass_matrix"), k, q).reshape(16, n, n)
+    others = outputs(code(term, "velocity"), k, q, qd) + outputs(code(term, "gravity"), k, q)
+    assert_equal(np.einsum("sij,sj->si", matrix, qdd) + others, regressor @ k)
 
 
 def test_right_angles_leave_few_operations(term: RigidBodyRecursion) -> None:
     """General 3 x 3 rotations and dense inertia tensors need some 130 operations a joint twice."""
-    assert torque_code(term.linked_bodies).cost < 130 * len(term.joints)
+    assert code(term, "torque").cost < 130 * len(term.joints)
 
 
 @pytest.mark.parametrize("joints", [5, 20])

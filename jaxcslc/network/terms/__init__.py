@@ -38,6 +38,7 @@ from ._term import (
     Rows as Rows,
 )
 from .rigid_body import (
+    AbstractRigidBody as AbstractRigidBody,
     RigidBodyRecursion as RigidBodyRecursion,
     RigidBodyTables as RigidBodyTables,
     input_rows as input_rows,

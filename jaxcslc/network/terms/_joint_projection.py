@@ -17,7 +17,7 @@ from ._term import (
     Regressor,
     Rows,
 )
-from .rigid_body import RigidBodyRecursion, RigidBodyTables
+from .rigid_body import AbstractRigidBody
 
 
 AllJoints = Float[Array, "*batch all_joints"]
@@ -90,15 +90,15 @@ class ProjectedTerm(AbstractManipulatorTerm):
     - `projection`: onto m independent ones.
     """
 
-    term: RigidBodyTables | RigidBodyRecursion
+    term: AbstractRigidBody
     projection: JointProjection
     kind: str = eqx.field(static=True)
     coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
 
     @classmethod
     def of(
-        cls, term: RigidBodyTables | RigidBodyRecursion, projection: JointProjection | None
-    ) -> "RigidBodyTables | RigidBodyRecursion | ProjectedTerm":
+        cls, term: AbstractRigidBody, projection: JointProjection | None
+    ) -> "AbstractRigidBody | ProjectedTerm":
         """The term itself where all joints are independent."""
         if projection is None:
             return term

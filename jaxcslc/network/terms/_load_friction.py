@@ -23,7 +23,7 @@ from ._term import (
     Regressor,
     Rows,
 )
-from .rigid_body import RigidBodyRecursion, RigidBodyTables
+from .rigid_body import AbstractRigidBody
 
 
 LOAD, DIRECTIONAL_LOAD = "load", "directional_load"
@@ -60,7 +60,7 @@ class LoadFriction(AbstractInputTerm):
     - `robot_joints`: which of the robot's they are; `robot_joint_count`: n.
     """
 
-    rigid: RigidBodyTables | RigidBodyRecursion | ProjectedTerm
+    rigid: AbstractRigidBody | ProjectedTerm
     load: Float[Array | np.ndarray, " inertial"] | None
     kind: str = eqx.field(static=True)
     coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
@@ -73,7 +73,7 @@ class LoadFriction(AbstractInputTerm):
     def all_of(
         cls,
         robot: Manipulator,
-        rigid: RigidBodyTables | RigidBodyRecursion | ProjectedTerm,
+        rigid: AbstractRigidBody | ProjectedTerm,
         load: Float[Array | np.ndarray, " inertial"] | None = None,
     ) -> "tuple[LoadFriction, ...]":
         """The terms of both kinds, of the joints whose friction model names them."""
@@ -84,7 +84,7 @@ class LoadFriction(AbstractInputTerm):
         cls,
         kind: str,
         robot: Manipulator,
-        rigid: RigidBodyTables | RigidBodyRecursion | ProjectedTerm,
+        rigid: AbstractRigidBody | ProjectedTerm,
         load: Float[Array | np.ndarray, " inertial"] | None = None,
     ) -> "tuple[LoadFriction, ...]":
         """The term of the robot's joints whose friction model names the kind; none if none does."""
@@ -306,7 +306,7 @@ class LoadedRigidBody(AbstractManipulatorTerm):
       every joint where it drives and where it brakes.
     """
 
-    rigid: RigidBodyTables | RigidBodyRecursion | ProjectedTerm
+    rigid: AbstractRigidBody | ProjectedTerm
     load: Float[Array | np.ndarray, " inertial"]
     factors: Float[Array | np.ndarray, "2 joints"]
     kind: str = eqx.field(static=True)
@@ -315,7 +315,7 @@ class LoadedRigidBody(AbstractManipulatorTerm):
     @classmethod
     def of(
         cls,
-        rigid: RigidBodyTables | RigidBodyRecursion | ProjectedTerm,
+        rigid: AbstractRigidBody | ProjectedTerm,
         load: Float[Array | np.ndarray, " inertial"],
         factors: Float[Array | np.ndarray, "2 joints"],
     ) -> "LoadedRigidBody":

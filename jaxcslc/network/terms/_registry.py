@@ -17,7 +17,7 @@ from ._joint_projection import ProjectedTerm
 from ._joint_term import AbstractJointLaw, JointTerm
 from ._load_friction import DIRECTIONAL_LOAD, LOAD, LoadFriction
 from ._static_friction import StaticFriction
-from .rigid_body import RigidBodyRecursion, RigidBodyTables
+from .rigid_body import AbstractRigidBody
 
 
 # The law of each kind of `jaxcslc.manipulator.FRICTION_TERMS`, made for a robot.
@@ -35,7 +35,7 @@ _LAWS: dict[str, Callable[[Manipulator], AbstractJointLaw]] = {
 
 
 def input_terms(
-    robot: Manipulator, rigid: RigidBodyTables | RigidBodyRecursion | ProjectedTerm
+    robot: Manipulator, rigid: AbstractRigidBody | ProjectedTerm
 ) -> tuple[AbstractInputTerm, ...]:
     """The terms of the robot's friction model, in its order, then those of coupled joints, and
     last the friction that follows the torque of `rigid`, links and motors."""

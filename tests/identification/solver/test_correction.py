@@ -21,8 +21,9 @@ from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 SAMPLES = 150
-# Of standard errors: what remains is rounding of torques predicted, and of the coefficients.
-_STANDARD_ERRORS = 1e-10
+# Of standard errors: what remains is rounding of torques predicted, of the coefficients, and of the
+# step: 2^-53 of it times the condition, here 10^6.
+_STANDARD_ERRORS = 2e-10
 # Of them with torques of 10^5 standard deviations of the noise, of which rounding is 10^-11.
 _OF_ACCURATE_TORQUES = 3e-9
 # Lower halves of products are rounded, by 2^-53 of 2^-26 of them.

@@ -1,16 +1,11 @@
 """C code of banded normal equations whose border is in all equations; for sizes of any kind."""
 
-SOURCE = """/* So many numbers as the widest registers hold: of more, GCC makes single ones, and
-   takes up to ten times as long. */
-#if defined(__AVX512F__)
-#define LANES 8
-#elif defined(__AVX__)
-#define LANES 4
-#else
-#define LANES 2
-#endif
-typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
-typedef double four __attribute__((vector_size(32), aligned(8)));
+from ....codegen import LANES_TEXT
+
+
+SOURCE = (
+    LANES_TEXT
+    + """typedef double four __attribute__((vector_size(32), aligned(8)));
 typedef double two __attribute__((vector_size(16), aligned(8)));
 
 /* Rows minus factors times rows so many apart: a part of their columns that registers hold. */
@@ -249,3 +244,4 @@ void add_gradients(
     }
 }
 """
+)

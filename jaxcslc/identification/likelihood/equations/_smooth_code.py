@@ -1,14 +1,11 @@
+"""Statements of C for torque of all terms but friction of single joints."""
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ....codegen import KernelText, Motion, Operation, Value
+from ....codegen import KernelText, Motion, Value, block_row, block_text, called_functions
 from ....network import CSLC
 from ....network.terms import JointTerm
-
-
-# Functions that a compiler calls number by number. Apart from the arithmetic, that is done on
-# several numbers at a time.
-_CALLED = ("sin", "cos", "exp", "tanh")
 
 
 class SmoothCode(NamedTuple):
@@ -50,34 +47,20 @@ def smooth_code(network: CSLC, block: int) -> SmoothCode:
     for (joint, index), value in entries.items():
         torque[joint] = torque[joint] + value * graph.input(f"k[{index}]")
     columns = list(entries.values())
-    called = [
-        index
-        for index in graph.needed([*columns, *torque])
-        if graph.operations[index].name in _CALLED
-    ]
-    rows = {graph.operations[index]: row for row, index in enumerate(called)}
+    called = called_functions(graph, [*columns, *torque])
+    rows = {name: (name, 0) for name in ("q", "qd", "qdd")}
+    calling = block_text(graph, block, rows)
+    reading = block_text(graph, block, rows, called, ("called", 0))
 
-    def of_motion(operation: Operation) -> str | None:
-        if operation.name != "input" or operation.text.startswith("k["):
-            return operation.text or None
-        quantity, index = operation.text.rstrip("]").split("[")
-        return f"{quantity}[{block * int(index)} + i]"
-
-    def with_calls(operation: Operation) -> str | None:
-        if operation in rows:
-            return f"called[{block * rows[operation]} + i]"
-        return of_motion(operation)
-
-    def statements(outputs: Sequence[Value], name: str, *, calling: bool = False) -> str:
-        text = KernelText(graph, of_motion if calling else with_calls)
-        stores = (f"{name}[{block * row} + i] = {{0}};" for row in range(len(outputs)))
+    def statements(text: KernelText, outputs: Sequence[Value], name: str) -> str:
+        stores = (f"{block_row(name, block, row)} = {{0}};" for row in range(len(outputs)))
         return "\n".join(text.statements(zip(outputs, stores, strict=True)))
 
     return SmoothCode(
-        statements([Value(graph, index) for index in called], "called", calling=True),
+        statements(calling, [Value(graph, index) for index in called], "called"),
         len(called),
-        statements(torque, "torque"),
-        statements(columns, "columns"),
+        statements(reading, torque, "torque"),
+        statements(reading, columns, "columns"),
         tuple(entries),
         graph.cost(torque),
     )

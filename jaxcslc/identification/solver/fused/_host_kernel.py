@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ....codegen import (
+    LANES_TEXT,
     LONG,
     SINES_TEXT,
     CArray,
@@ -14,6 +15,9 @@ from ....codegen import (
     Motion,
     Operation,
     Value,
+    block_row,
+    block_text,
+    called_functions,
 )
 from ....network import CSLC, AbstractLinearNetwork
 from ._weighted_columns import weighted_columns
@@ -25,8 +29,6 @@ _BLOCK = 256
 _TILE = 4
 # Numbers that the widest registers have: sums of tiles have room for so many partial ones.
 _LANES = 8
-# What is computed for all patterns of a block before the columns.
-_FUNCTIONS = ("sin", "cos", "exp", "tanh")
 
 
 @dataclass(frozen=True)
@@ -139,33 +141,22 @@ def host_kernel(network: CSLC) -> HostKernel:
     motion, columns = weighted_columns(network)
     graph = motion.graph
     sizes = tuple(len(row) + 1 for row in network.support)
-    functions = [
-        index
-        for index in graph.needed(column.value for column in columns)
-        if graph.operations[index].name in _FUNCTIONS
-    ]
+    functions = called_functions(graph, [column.value for column in columns])
     widths = {"q": motion.q, "qd": motion.qd, "qdd": motion.qdd, "torque": sizes, "weight": sizes}
-    firsts = dict(zip(widths, np.cumsum([0, *map(len, widths.values())]).tolist(), strict=False))
     behind = sum(map(len, widths.values()))
+    firsts = np.cumsum([0, *map(len, widths.values())]).tolist()
+    inputs_rows = {name: ("inputs", first) for name, first in zip(widths, firsts, strict=False)}
+    text = block_text(graph, _BLOCK, inputs_rows, functions, ("inputs", behind))
     rows = {graph.operations[index]: behind + i for i, index in enumerate(functions)}
-
-    def reading(operation: Operation) -> str | None:
-        if operation.name == "input":
-            quantity, index = operation.text.rstrip("]").split("[")
-            return f"inputs[{_BLOCK * (firsts[quantity] + int(index))} + i]"
-        if operation.name in _FUNCTIONS:
-            return f"inputs[{_BLOCK * rows[operation]} + i]"
-        return None
-
-    text = KernelText(graph, reading)
     lines = text.statements(
-        (column.value, f"columns[{_BLOCK * column.row} + i] = {{0}};") for column in columns
+        (column.value, f"{block_row('columns', _BLOCK, column.row)} = {{0}};") for column in columns
     )
     inputs = _BLOCK * (behind + len(functions))
     of_columns, transformed = _BLOCK * sum(sizes), _BLOCK * _padded(max(sizes))
     sums = _LANES * _TILE * _TILE * sum(map(_tiles, sizes))
     source = _KERNEL.format(
         block=_BLOCK,
+        lanes=LANES_TEXT,
         sines=SINES_TEXT,
         joints=len(sizes),
         motion=len(motion.q),
@@ -233,24 +224,15 @@ _KERNEL = """#include <math.h>
 #define JOINTS {joints}
 #define MOTION {motion}
 #define TILES {tiles}
-/* So many numbers as the widest registers hold, and so many rows of a tile at a time that their
-   sums, four registers each, leave some registers free. */
-#if defined(__AVX512F__)
-#define LANES 8
-#define ROWS 4
-#elif defined(__AVX__)
-#define LANES 4
-#define ROWS 2
-#elif defined(__aarch64__)
-#define LANES 2
+{lanes}
+/* So many rows of a tile at a time that their sums, four registers each, leave some free. */
+#if defined(__AVX512F__) || defined(__aarch64__)
 #define ROWS 4
 #else
-#define LANES 2
 #define ROWS 2
 #endif
 
 typedef double real;
-typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
 {sines}
 /* Rows of numbers of patterns as columns, each in a block of its own; behind the last one zeros. */
 static void transpose(const double* rows, int width, int count, double* restrict columns)

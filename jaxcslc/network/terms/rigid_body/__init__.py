@@ -1,13 +1,13 @@
 """The rigid-body term: from tables of the closed form, and by Newton and Euler's recursion."""
 
 from ._closed_form import ClosedForm as ClosedForm, nested as nested
-from ._link_motion import paths_of as paths_of
-from ._recursion import newton_euler as newton_euler
+from ._expressed_bodies import (
+    PARTS as PARTS,
+    AbstractExpressedBodies as AbstractExpressedBodies,
+    AbstractRigidBody as AbstractRigidBody,
+    code as code,
+)
+from ._linked_bodies import RecursiveBodies as RecursiveBodies
 from ._rigid_body_recursion import RigidBodyRecursion as RigidBodyRecursion
 from ._rigid_body_tables import RigidBodyTables as RigidBodyTables, input_rows as input_rows
-from ._straight_line import (
-    LinkedBodies as LinkedBodies,
-    columns_code as columns_code,
-    mass_matrix_code as mass_matrix_code,
-    torque_code as torque_code,
-)
+from ._rolled import paths_of as paths_of

@@ -1,116 +1,100 @@
 """A network's tables over expressions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from ....codegen import Expressions, Motion, Value
 from ....derivation import PositionRing, Table
+from ._expressed_bodies import PARTS, AbstractExpressedBodies
 
 
 Monomial = tuple[int, ...]
-Polynomial = dict[Monomial, float]
+Polynomial = dict[Monomial, Any]
 
 
-class ClosedForm:
+class ClosedForm(AbstractExpressedBodies):
     """A network's tables over expressions: polynomials in sines and cosines (thesis 5.1).
 
     Sums are nested (Horner): the variable that most of the monomials have is taken out, and so
-    on inside and outside of the bracket.
+    on inside and outside of the bracket. Each element of a table is formed once, and serves both
+    torques that an off-diagonal element of the mass matrix enters.
     """
 
-    def __init__(
-        self, motion: Motion, ring: PositionRing, *, mass: Table, velocity: Table, gravity: Table
-    ) -> None:
+    def __init__(self, motion: Motion, tables: Any) -> None:
         """
         - `motion`: of the joints.
-        - `ring`, `mass`, `velocity`, `gravity`: of an `Algebra`.
+        - `tables`: what has `ring`, `mass`, `velocity` and `gravity`: an `Algebra`, or a term made
+          from it.
         """
-        self.graph, self.ring = motion.graph, ring
-        self.q, self.qd, self.qdd = motion.q, motion.qd, motion.qdd
-        self.tables = mass, velocity, gravity
-        self.variables = self._position_variables()
+        self.motion, self._tables = motion, tables
+        graph = motion.graph
 
-    def _position_variables(self) -> list[Value]:
-        chain, variables = self.ring.chain, list[Value]()
-        for angle in chain.angles:
-            total = self.graph.constant(0.0)
-            for joint, sign in angle.terms:
-                total = total + self.q[joint] * float(sign)
-            minus, size = total.signed()  # cos(-x) = cos x
-            sine = self.graph.apply("sin", size)
-            variables += [self.graph.apply("cos", size), -sine if minus else sine]
-        return variables + [self.q[i] for i, link in enumerate(chain.links) if link.prismatic]
+        def sine(x: Value) -> Value:
+            minus, size = x.signed()
+            return -graph.apply("sin", size) if minus else graph.apply("sin", size)
 
-    def torque(self, k: Float[np.ndarray, " inertial"]) -> list[Value]:
-        """Rigid-body torque of every joint, a polynomial in positions, rates and accelerations."""
-        n, size = len(self.q), len(self.variables)
-        mass, velocity, gravity = self.tables
-        joints: list[Polynomial] = [{} for _ in range(n)]
+        self._variables = position_variables(
+            tables.ring, motion.q, lambda x: graph.apply("cos", x.signed()[1]), sine
+        )
 
-        def put(joint: int, monomial: Monomial, rates: Sequence[int], value: float) -> None:
-            powers = [*monomial, *([0] * (2 * n))]
-            for rate in rates:
-                powers[size + rate] += 1
-            key = tuple(powers)
-            joints[joint][key] = joints[joint].get(key, 0.0) + value
+    def torque(self, k: Any, parts: Collection[str] = PARTS) -> list[Value]:
+        motion = self.motion
+        total = [motion.graph.constant(0.0)] * len(motion.q)
+        if "mass" in parts:
+            for (i, j), value in self._elements(self._tables.mass, k).items():
+                total[i] = total[i] + value * motion.qdd[j]
+                if i != j:
+                    total[j] = total[j] + value * motion.qdd[i]
+        if "velocity" in parts:
+            for (i, j, m), value in self.christoffel_symbols(k).items():
+                total[i] = total[i] + value * self._rates(j, m)
+        if "gravity" in parts:
+            for (i,), value in self._elements(self._tables.gravity, k).items():
+                total[i] = total[i] + value
+        return total
 
-        for column, monomial, value in _weighted(mass, k):
-            j, m = column
-            put(j, monomial, [n + m], value)
-            if j != m:
-                put(m, monomial, [n + j], value)
-        for column, monomial, value in _weighted(velocity, k):
-            i, j, m = column
-            put(i, monomial, [j, m], value if j == m else 2 * value)
-        for column, monomial, value in _weighted(gravity, k):
-            put(column[0], monomial, [], value)
-        variables = [*self.variables, *self.qd, *self.qdd]
-        return [nested(self.graph, polynomial, variables) for polynomial in joints]
-
-    def mass_matrix(self, k: Float[np.ndarray, " inertial"]) -> list[list[Value]]:
-        n = len(self.q)
-        elements = self._elements(self.tables[0], k)
-        zero = self.graph.constant(0.0)
+    def mass_matrix(self, k: Any) -> list[list[Value]]:
+        n, zero = len(self.motion.q), self.motion.graph.constant(0.0)
+        elements = self._elements(self._tables.mass, k)
         return [[elements.get((min(i, j), max(i, j)), zero) for j in range(n)] for i in range(n)]
 
-    def gravity(self, k: Float[np.ndarray, " inertial"]) -> list[Value]:
-        elements = self._elements(self.tables[2], k)
-        zero = self.graph.constant(0.0)
-        return [elements.get((i,), zero) for i in range(len(self.q))]
+    def christoffel_symbols(self, k: Any) -> dict[tuple[int, ...], Value]:
+        """The symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
+        return self._elements(self._tables.velocity, k)
 
     def entries(self) -> dict[tuple[int, int], Value]:
-        """The regressor's entries that are not always zero, by joint and coefficient."""
-        mass, velocity, gravity = self.tables
+        motion, tables = self.motion, self._tables
         entries: dict[tuple[int, int], Value] = {}
 
         def put(joint: int, coefficient: int, value: Value) -> None:
             key = joint, coefficient
             entries[key] = entries[key] + value if key in entries else value
 
-        for (j, m), coefficient, value in self._sums(mass):
-            put(j, coefficient, value * self.qdd[m])
+        for (j, m), coefficient, value in self._sums(tables.mass):
+            put(j, coefficient, value * motion.qdd[m])
             if j != m:
-                put(m, coefficient, value * self.qdd[j])
-        for (i, j, m), coefficient, value in self._sums(velocity):
-            put(i, coefficient, value * (self.qd[j] * self.qd[m] * (1.0 if j == m else 2.0)))
-        for (j,), coefficient, value in self._sums(gravity):
+                put(m, coefficient, value * motion.qdd[j])
+        for (i, j, m), coefficient, value in self._sums(tables.velocity):
+            put(i, coefficient, value * self._rates(j, m))
+        for (j,), coefficient, value in self._sums(tables.gravity):
             put(j, coefficient, value)
         return entries
 
-    def _elements(
-        self, table: Table, k: Float[np.ndarray, " inertial"]
-    ) -> dict[tuple[int, ...], Value]:
-        elements: dict[tuple[int, ...], Polynomial] = {}
-        for column, monomial, value in _weighted(table, k):
-            element = elements.setdefault(column, {})
-            element[monomial] = element.get(monomial, 0.0) + value
-        return {
-            column: nested(self.graph, element, self.variables)
-            for column, element in elements.items()
-        }
+    def _rates(self, j: int, m: int) -> Value:
+        """qd_j qd_m, twice that if j != m: c_ijm = c_imj stand for one link (Eqn. 5.1-5, 5.1-6)."""
+        return self.motion.qd[j] * self.motion.qd[m] * (1.0 if j == m else 2.0)
+
+    def _elements(self, table: Table, k: Any) -> dict[tuple[int, ...], Value]:
+        """Every element of a table that has links: the sum of weight times input."""
+        elements: dict[int, Polynomial] = {}
+        for link in table.links:
+            weight = sum(k[index] * float(multiple) for index, multiple in link.weights)
+            element, monomial = elements.setdefault(link.column, {}), table.inputs[link.input]
+            element[monomial] = element[monomial] + weight if monomial in element else weight
+        return {table.columns[i]: self._nested(element) for i, element in elements.items()}
 
     def _sums(self, table: Table) -> list[tuple[tuple[int, ...], int, Value]]:
         """For every element and coefficient, the sum over links of multiple times input."""
@@ -124,17 +108,42 @@ class ClosedForm:
             (
                 table.columns[column],
                 coefficient,
-                nested(self.graph, {m: float(f) for m, f in polynomial.items()}, self.variables),
+                self._nested({m: float(f) for m, f in polynomial.items()}),
             )
             for (column, coefficient), polynomial in sums.items()
         ]
 
+    def _nested(self, polynomial: Mapping[Monomial, Any]) -> Value:
+        return nested(self.motion.graph, polynomial, self._variables)
+
+
+def position_variables(
+    ring: PositionRing,
+    q: Sequence[Any],
+    cos: Callable[[Any], Any],
+    sin: Callable[[Any], Any],
+) -> list[Any]:
+    """Return the ring's variables: cosine and sine of every angle, prismatic positions.
+
+    `q` is one array, or one expression, per joint.
+    """
+    variables: list[Any] = []
+    for angle in ring.chain.angles:
+        total = sum(q[joint] * sign for joint, sign in angle.terms)
+        sine = sin(total)
+        variables += [cos(total), sine]
+    return variables + [q[i] for i, link in enumerate(ring.chain.links) if link.prismatic]
+
 
 def nested(
-    graph: Expressions, polynomial: Mapping[Monomial, float], variables: Sequence[Value]
+    graph: Expressions, polynomial: Mapping[Monomial, Any], variables: Sequence[Value]
 ) -> Value:
     """A polynomial's value, variables taken out of brackets while two monomials share one."""
-    polynomial = {monomial: value for monomial, value in polynomial.items() if value}
+    polynomial = {
+        monomial: value
+        for monomial, value in polynomial.items()
+        if isinstance(value, Value) or value
+    }
     if not polynomial:
         return graph.constant(0.0)
     counts = np.count_nonzero(np.array(list(polynomial)), axis=0)
@@ -164,10 +173,3 @@ def product(graph: Expressions, monomial: Monomial, variables: Sequence[Value]) 
         for _ in range(power):
             result = result * variable
     return result
-
-
-def _weighted(table: Table, k: Float[np.ndarray, " inertial"]):
-    """Every link of a table as its element, its input's monomial, and its weight."""
-    for link in table.links:
-        weight = float(sum(float(multiple) * k[index] for index, multiple in link.weights))
-        yield table.columns[link.column], table.inputs[link.input], weight

@@ -1,40 +1,49 @@
-import dataclasses
-from collections.abc import Iterator, Sequence
-from functools import lru_cache
+"""The rigid-body term by Newton and Euler's recursion, rolled or unrolled."""
+
+import math
+from functools import lru_cache, partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ....codegen import CompiledProgram, Motion, StraightLine, Value, in_blocks
+from ...._environment import platform_of
+from ....codegen import Motion, StraightLine, in_blocks, motion_outputs
 from ....derivation import BODY, Algebra, Coefficient
 from ....manipulator import Joint
 from .._term import (
-    AbstractManipulatorTerm,
     Coefficients,
-    Columns,
     Joints,
-    Matrices,
-    Regressor,
     Rows,
 )
-from ._link_motion import Bodies, Geometry, by_link, geometry_of, paths_of
-from ._newton_euler import mass_matrix_of, samples_last, torque_of
-from ._straight_line import (
-    LinkedBodies,
-    columns_code,
-    mass_matrix_code,
-    regressor_rows,
-    torque_code,
+from ._expressed_bodies import AbstractRigidBody, code
+from ._linked_bodies import RecursiveBodies
+from ._rolled import (
+    Bodies,
+    Geometry,
+    by_link,
+    geometry_of,
+    mass_matrix_of,
+    pairs_of,
+    paths_of,
+    samples_last,
+    torque_of,
+    unit_torques,
 )
-from ._unit_torques import pairs_of, unit_torques
-from ._unrolled import is_quicker_unrolled, unrolled
 
 
-class RigidBodyRecursion(AbstractManipulatorTerm):
+# Straight-line code of so many joints compiles within seconds; its operations grow with the square
+# of the joints for the torque, with the third power for the regressor.
+_MOST_JOINTS = 12
+# On a processor it compiles for 2 to 4 s longer than the loop, and gains that in so many samples.
+_MANY_SAMPLES = 1 << 20
+
+
+class RigidBodyRecursion(AbstractRigidBody):
     """Newton-Euler over link parameters, for robots whose closed-form tables are large.
 
     Cost grows with the square of the number of joints, not with the number of monomials. It
@@ -98,131 +107,68 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
 
     @property
     def has_tables(self) -> bool:
-        """Whether the closed form is small enough to be computed from its tables."""
         return False
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return ("mass", "velocity", "gravity")
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:
         return _support(self.indices, self.motors, self.paths)
 
-    @property
-    def has_host_columns(self) -> bool:
-        return True
+    def expressed(self, motion: Motion) -> RecursiveBodies:
+        parents = tuple(path[-2] if len(path) > 1 else -1 for path in self.paths)
+        of_robot = self.joints, parents, self.gravity
+        return RecursiveBodies(motion, *of_robot, self.body, self.indices, self.motors)
 
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
-        ends = np.cumsum([len(support) for support in self.support])[:-1]
-        if isinstance(q, np.ndarray):
-            program = _program(self.linked_bodies, self.support)
-            return tuple(np.split(program(q, np.asarray(qd), np.asarray(qdd)), ends))
+    def _column_rows(self, q: Rows, qd: Rows, qdd: Rows) -> Float[Array, "rows samples"]:
         if self.is_unrolled(q, q.shape[::-1]):
-            code = _columns(self.linked_bodies, self.support)
-            return tuple(jnp.split(unrolled(code, None, q.T, qd.T, qdd.T), ends))
+            return _unrolled(code(self, "columns"), None, q.T, qd.T, qdd.T)
         return self._compiled_columns(q, qd, qdd)
 
-    def write_columns(
-        self, into: Sequence[Float[np.ndarray, "_ samples"]], q: Rows, qd: Rows, qdd: Rows
-    ) -> None:
-        rows = [row for of_joint in into for row in of_joint]
-        _program(self.linked_bodies, self.support).write(
-            rows, np.asarray(q), np.asarray(qd), np.asarray(qdd)
-        )
-
-    def entries(self, motion: Motion) -> Iterator[tuple[int, int, Value]]:
-        """Joint, coefficient and value of the regressor's entries, as expressions."""
-        for joint, row in enumerate(regressor_rows(motion, self.linked_bodies)):
-            for index, value in row.items():
-                yield joint, index, value
-
     @eqx.filter_jit
-    def _compiled_columns(self, q: Any, qd: Any, qdd: Any) -> Columns:
-        support = self.support
-        entries = [(joint, index) for joint, indices in enumerate(support) for index in indices]
+    def _compiled_columns(self, q: Any, qd: Any, qdd: Any) -> Float[Array, "rows samples"]:
+        entries = [(joint, index) for joint, row in enumerate(self.support) for index in row]
 
         def of_block(*motion: Array) -> Array:
             return self._gathered(self._unit_torques(*motion), entries)
 
-        ends = np.cumsum([len(indices) for indices in support])[:-1]
-        return tuple(jnp.split(in_blocks(of_block, (q, qd, qdd)), ends))
-
-    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        if self.size == 0:
-            return jnp.zeros((*q.shape, 0), q.dtype)
-        if not self.is_unrolled(q, q.shape):
-            return self._rolled_regressor(q, qd, qdd)
-        entries = tuple(np.ndindex(len(self.joints), self.size))
-        code = columns_code(self.linked_bodies, entries)
-        return self._straight(code, None, q, qd, qdd).reshape(*q.shape, self.size)
+        return in_blocks(of_block, (q, qd, qdd))
 
     @eqx.filter_jit
-    def _rolled_regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        n, p = len(self.joints), self.size
-        entries = [(joint, index) for joint in range(n) for index in range(p)]
+    def _rolled_regressor(
+        self, q: Joints, qd: Joints, qdd: Joints
+    ) -> Float[Array, "*batch values"]:
+        entries = list(np.ndindex(len(self.joints), self.size))
 
         def of_block(*motion: Array) -> Array:
             return self._gathered(self._unit_torques(*motion), entries).T
 
         motion = (samples_last(q), samples_last(qd), samples_last(qdd))
-        return in_blocks(of_block, motion, samples_first=True).reshape(*q.shape, p)
+        rows = in_blocks(of_block, motion, samples_first=True)
+        return rows.reshape(*q.shape[:-1], len(entries))
 
-    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+    def _values(
+        self, quantity: str, k: Coefficients | None, *motion: Joints
+    ) -> Float[Array, "*batch values"]:
+        q = motion[0]
         if self.is_unrolled(q, q.shape):
-            return self._straight(torque_code(self.linked_bodies), k, q, qd, qdd)
-        return self._torque(k, q, qd, qdd, self.gravity)
-
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        weightless = (0.0, 0.0, 0.0)
-        if self.is_unrolled(q, q.shape):
-            bodies = dataclasses.replace(self.linked_bodies, gravity=weightless)
-            return self._straight(torque_code(bodies, accelerations=False), k, q, qd)
-        return self._torque(k, q, qd, jnp.zeros_like(q), weightless)
-
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        if self.is_unrolled(q, q.shape):
-            code = torque_code(self.linked_bodies, rates=False, accelerations=False)
-            return self._straight(code, k, q)
-        still = jnp.zeros_like(q)
-        return self._torque(k, q, still, still, self.gravity)
-
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        if self.is_unrolled(q, q.shape):
-            matrices = self._straight(mass_matrix_code(self.linked_bodies), k, q)
-            return matrices.reshape(*q.shape, q.shape[-1])
-        return mass_matrix_of(self._geometry(q.dtype), self._bodies(k), q)
+            rows = _unrolled(code(self, quantity), k, *(x.reshape(-1, x.shape[-1]) for x in motion))
+            return rows.T.reshape(*q.shape[:-1], len(rows))
+        if k is None:
+            return self._rolled_regressor(*motion)
+        geometry, bodies = self._geometry(q.dtype), self._bodies(k)
+        if quantity == "mass_matrix":
+            return mass_matrix_of(geometry, bodies, q).reshape(*q.shape[:-1], -1)
+        gravity = np.zeros(3) if quantity == "velocity" else np.array(self.gravity)
+        still = [jnp.zeros_like(q)] * (3 - len(motion))
+        return torque_of(geometry, gravity.astype(q.dtype), bodies, *motion, *still)
 
     def is_unrolled(self, q: Any, shape: tuple[int, ...]) -> bool:
         """Which form computes with positions of a shape (..., joints)."""
         if self.unrolled is not None:
             return self.unrolled
-        return is_quicker_unrolled(q, shape)
-
-    def _straight(
-        self, code: StraightLine, k: Coefficients | None, *motion: Joints
-    ) -> Float[Array, "*batch outputs"]:
-        """The outputs of straight-line code, last."""
-        rows = unrolled(code, k, *(x.reshape(-1, x.shape[-1]) for x in motion))
-        return rows.T.reshape(*motion[0].shape[:-1], len(code.outputs))
-
-    @property
-    def linked_bodies(self) -> LinkedBodies:
-        """What straight-line code is made of."""
-        return LinkedBodies(
-            joints=self.joints,
-            parents=tuple(path[-2] if len(path) > 1 else -1 for path in self.paths),
-            gravity=self.gravity,
-            body=self.body,
-            indices=self.indices,
-            motors=self.motors,
-        )
-
-    def _torque(
-        self, k: Array, q: Array, qd: Array, qdd: Array, gravity: tuple[float, float, float]
-    ) -> Array:
-        g = np.array(gravity, q.dtype)
-        return torque_of(self._geometry(q.dtype), g, self._bodies(k), q, qd, qdd)
+        *batch, joints = shape
+        if joints > _MOST_JOINTS:
+            return False
+        return platform_of(q) != "cpu" or math.prod(batch) >= _MANY_SAMPLES
 
     def _geometry(self, dtype: Any) -> Geometry:
         return geometry_of(self.joints, self.paths, np.dtype(dtype))
@@ -279,6 +225,23 @@ class RigidBodyRecursion(AbstractManipulatorTerm):
         ]
 
 
+@partial(jax.jit, static_argnames=("expressed",))
+def _unrolled(
+    expressed: StraightLine,
+    k: Float[Array, " coefficients"] | None,
+    *motion: Float[Array, "samples joints"],
+) -> Float[Array, "outputs samples"]:
+    """The outputs of straight-line code for many samples of q, qd and qdd, as many as it needs.
+
+    One array a quantity and joint, so that a compiler can keep all of a sample in registers.
+    """
+
+    def of_block(*rows: Array) -> Array:
+        return jnp.stack(motion_outputs(expressed, k, *map(list, rows)))
+
+    return in_blocks(of_block, tuple(x.T for x in motion))
+
+
 @lru_cache(maxsize=256)
 def _support(
     indices: tuple[tuple[int, ...], ...],
@@ -298,17 +261,3 @@ def _support(
     for joint, motor in motors:
         carried[joint].append(motor)
     return tuple(tuple(sorted(joint)) for joint in carried)
-
-
-@lru_cache(maxsize=64)
-def _columns(bodies: LinkedBodies, support: tuple[tuple[int, ...], ...]) -> StraightLine:
-    """The columns of all joints, one behind the other."""
-    entries = tuple((joint, index) for joint, row in enumerate(support) for index in row)
-    return columns_code(bodies, entries)
-
-
-@lru_cache(maxsize=64)
-def _program(bodies: LinkedBodies, support: tuple[tuple[int, ...], ...]) -> CompiledProgram:
-    """The same for NumPy's arrays."""
-    code = _columns(bodies, support)
-    return CompiledProgram(code.motion, tuple(code.outputs))
