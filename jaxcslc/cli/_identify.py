@@ -8,7 +8,6 @@ from .._processes import processes_beside
 from ..identification import (
     EstimatorChoice,
     MaximumLikelihood,
-    Prior,
     Report,
     Settings,
     identify,
@@ -60,10 +59,8 @@ from ._identify_options import (
     FoldsOption,
     HorizonOption,
     LikelihoodEveryOption,
-    LikelihoodUnknownsOption,
     LossOption,
     MemoryOption,
-    NoiseOrderOption,
     OffsetsOption,
     PossibleOption,
     PreviousOption,
@@ -106,8 +103,6 @@ def identify_command(
     columns: ColumnsOption = None,
     estimator: EstimatorOption = "least-squares",
     likelihood_every: LikelihoodEveryOption = None,
-    noise_order: NoiseOrderOption = None,
-    likelihood_unknowns: LikelihoodUnknownsOption = None,
     offsets: OffsetsOption = False,
     between: BetweenOption = None,
     every: EveryOption = None,
@@ -231,24 +226,13 @@ def _as_they_are(options: Mapping[str, Any]) -> dict[str, Any]:
 def _choices(options: Mapping[str, Any]) -> dict[str, Any]:
     """The estimator, and what is asked and known of bodies, as arguments of `identify`."""
     prior = None if options["prior"] is None else load_prior(options["prior"])
+    every = options["likelihood_every"]
     return {
         "estimator": choice_of("--estimator", options["estimator"], get_args(EstimatorChoice)),
         "possible": choice_of("--possible", options["possible"], get_args(Choice)),
         "prior": prior,
-        "likelihood": _likelihood(options, prior),
+        "likelihood": None if every is None else MaximumLikelihood(every=every),
     }
-
-
-def _likelihood(typed: Mapping[str, Any], prior: Prior | None) -> MaximumLikelihood | None:
-    """How maximum likelihood is fitted, if anything is said of it."""
-    options: dict[str, Any] = dict(
-        without_none(every=typed["likelihood_every"], noise_order=typed["noise_order"])
-    )
-    if typed["likelihood_unknowns"] is not None:
-        options["unknowns"] = tuple(names_in(typed["likelihood_unknowns"]))
-        if "torque_gains" in options["unknowns"] and prior is not None:
-            options["prior"] = Prior(prior.coefficients)
-    return MaximumLikelihood(**options) if options else None
 
 
 def _written(

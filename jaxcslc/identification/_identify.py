@@ -147,7 +147,6 @@ def identify(
         offsets=offsets,
         recordings=len(by_name),
         possible=possible,
-        horizon=horizon,
         likelihood=likelihood,
     )
     if estimator == "instrumental-variables":

@@ -162,9 +162,7 @@ def _not_tried(
         "several recordings are fitted together": len(training) > 1,
         f"it is not for the estimator {estimator!r}": estimator == "instrumental-variables",
         "its lengths are given": bool(options.lengths),
-        "it is not for gears that give way": bool(
-            options.transmission or "transmission" in options.unknowns
-        ),
+        "it is not for gears that give way": bool(options.transmission),
         "coefficients are known beforehand": prior is not None or options.prior is not None,
         "friction follows the load": bool(network.load_terms),
         "no joint has friction of kind 'dry'": not any(

@@ -12,7 +12,7 @@ from jaxcslc.identification.estimators._likelihood_fits import fits_beside
 from jaxcslc.identification.likelihood import MaximumLikelihood
 
 
-OPTIONS = MaximumLikelihood(torque_sampling="held", every=1, noise_order=0)
+OPTIONS = MaximumLikelihood(torque_sampling="held", every=1)
 
 
 @pytest.fixture(scope="module")

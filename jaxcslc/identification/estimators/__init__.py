@@ -1,4 +1,3 @@
-from ._calibration import calibrated as calibrated
 from ._checks import (
     EstimatorChoice as EstimatorChoice,
     check_estimator as check_estimator,

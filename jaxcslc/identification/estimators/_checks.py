@@ -21,7 +21,6 @@ def check_estimator(
     offsets: bool,
     recordings: int,
     possible: Choice,
-    horizon: bool,
     likelihood: MaximumLikelihood | None,
 ) -> None:
     """**Raises** `ValueError` for an unknown estimator, and what only least squares can do."""
@@ -29,8 +28,6 @@ def check_estimator(
         raise ValueError(
             f"estimator: expected {', '.join(get_args(EstimatorChoice))}, got {estimator!r}"
         )
-    if likelihood is not None and "torque_gains" in likelihood.unknowns and horizon:
-        raise ValueError("horizon: is of recorded torques, not with torque gains")
     if likelihood is not None and likelihood.possible:
         raise ValueError("likelihood: possible bodies are asked for by possible='always'")
     if likelihood is not None and estimator not in ("maximum-likelihood", "auto"):

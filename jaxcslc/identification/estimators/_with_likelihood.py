@@ -23,7 +23,6 @@ from ..possible import (
 from ..prior import Known, Prior, with_knowledge
 from ..report import Report, predicted_torque
 from ..solver import Identification
-from ._calibration import calibrated, calibrated_report
 from ._checks import EstimatorChoice, check_size
 from ._likelihood_fits import (
     FitsBeside,
@@ -141,22 +140,6 @@ class _Judged:
             fits = LikelihoodFits(likelihood, None)
         else:
             fits = self.beside.result()
-        likelihood = fits.whole
-        if not likelihood.unknowns:
-            return self._compared(fits, estimator)
-        base = self.least_squares
-        validation = [] if self.validation is None else self._on_time([self.validation])
-        right = calibrated_report(base, likelihood, training, validation)
-        report = dataclasses.replace(self, least_squares=right)._compared(fits, estimator)
-        comparison = report.estimators
-        assert comparison is not None
-        if comparison.used == "least-squares":
-            return dataclasses.replace(base, estimators=comparison, notes=report.notes)
-        lag = base.settings.preparation.torque_lag + likelihood.torque_lag
-        return dataclasses.replace(report, settings=base.settings.with_options(torque_lag=lag))
-
-    def _compared(self, fits: LikelihoodFits, estimator: EstimatorChoice) -> Report:
-        """The same from these fits, with patterns of torques as they say they were."""
         base, likelihood = self.least_squares, fits.whole
         unfitted = self._unfitted(fits)
         ours, theirs = (
@@ -259,7 +242,7 @@ class _Judged:
         for recording in training:
             start, end, split = recording.time[0], recording.time[-1], held_out_from(recording)
             late.append(recording.between(split - float(start), float(end - start)))
-            patterns = settings.patterns(calibrated(recording, likelihood))
+            patterns = settings.patterns(recording)
             fitted.append(patterns.between(float(start), split))
             unfitted.append(patterns.between(split, float(end)))
             first = int(np.searchsorted(np.asarray(patterns.time), unfitted[-1].time[0]))
@@ -323,7 +306,7 @@ class _Judged:
         likelihood = unfitted.likelihood
         estimator = self._estimator.as_of(likelihood)
         levels = (
-            np.sqrt(np.mean(likelihood.torque_deviation**2, axis=0)),
+            np.sqrt(np.mean(likelihood.torque_noise**2, axis=0)),
             np.sqrt(np.mean(likelihood.position_noise**2, axis=0)),
         )
         other = _with_coefficients(

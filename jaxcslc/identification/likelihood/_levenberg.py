@@ -183,7 +183,6 @@ def _bounded(problem: Problem, point: Point, before: Point) -> Point:
     return dataclasses.replace(
         point,
         slopes=np.clip(near, low, high),
-        calibration=problem.calibration.bounded(point.calibration, before.calibration),
         turn=np.clip(point.turn, -LATEST_TURN, LATEST_TURN),
         transmission=(
             point.transmission

@@ -32,10 +32,9 @@ class Linear:
       of joints that stick are not the readings' and the equations' residuals.
     - `present`: the objective's own residuals at the point.
     - `order`: of the unknowns.
-    - `by_position`: (equations, n, (3 + order) n) of torque made white, by the positions at three
-      samples and at as many before as the order of the filter.
+    - `by_position`: (equations, n, 3 n) of torque, by the positions at three samples.
     - `by_border`: of the same by the border, in units of its scale.
-    - `by_turn`: (3 + order, reversals) of the same from one sample before a reversal's on.
+    - `by_turn`: (3, reversals) of the same from one sample before a reversal's on.
     - `levels`: of laws of readings and of equations, at the vertices of these squares.
     - `present_value`: the objective's at the point.
     """
@@ -59,23 +58,13 @@ class Linear:
         derivatives = objective.equations.linearised(
             point.k, point.laws, point.q, signs.turns(point.turn), signs.direction
         )
-        gain = objective.torque.gain(point.calibration)
-        predicted = derivatives.torque
-        by_border = derivatives.by_coefficient
-        of_calibration = objective.torque.by_values(point.calibration, predicted / gain)
-        by_position = derivatives.by_position
-        if of_calibration.shape[2]:
-            by_border = by_border.beside(JointColumns.of(of_calibration * gain[:, None]))
-            by_position = by_position / gain[:, None]
-        whitening = objective.whitening
-        by_border = by_border.widened(len(scale)).scaled(scale / gain[:, None])
-        all_by_turn = derivatives.by_turn / gain
+        by_border = derivatives.by_coefficient.widened(len(scale)).scaled(scale)
         by_turn = np.zeros((3, len(signs.samples)))
         for index, offset in enumerate((-1, 0, 1)):
             inside = np.abs(point.turn - offset) < 1.0
-            of_turn = all_by_turn[signs.samples - 1 + offset, signs.joints]
+            of_turn = derivatives.by_turn[signs.samples - 1 + offset, signs.joints]
             by_turn[index] = np.where(inside, of_turn, 0.0)
-        residuals = objective.residuals_of(point, predicted)
+        residuals = objective.residuals_of(point, derivatives.torque)
         readings, torques = objective.readings(residuals), objective.torques(residuals)
         result = cls(
             objective,
@@ -83,9 +72,9 @@ class Linear:
             dataclasses.replace(residuals, position=readings.residual, torque=torques.residual),
             residuals,
             Order.of(samples, n, signs.samples),
-            whitening.stencil(by_position),
-            whitening.of_columns(by_border),
-            whitening.by_turn(by_turn, signs.joints),
+            derivatives.by_position,
+            by_border,
+            by_turn,
             {"position": readings.levels, "torque": torques.levels},
             objective.total(residuals, torques, readings),
         )
@@ -111,7 +100,6 @@ class Linear:
             weights.torque,
             self.by_position,
             by_border,
-            self.objective.whitening.order,
         )
         result.border += by_border.square(weights.torque)
         result.border += np.diag((scale**2 * weights.border)[free])
@@ -253,14 +241,9 @@ class Linear:
 
     @property
     def _stencil(self) -> Int[np.ndarray, "equations positions"]:
-        """The unknowns of each equation; where there are none before the first, the first."""
+        """The unknowns of each equation."""
         position = self.order.position
-        samples, n = position.shape
-        result = np.empty((samples - 2, self.by_position.shape[2]), int)
-        for i in range(result.shape[1] // n):
-            shift = i - self.objective.whitening.order
-            result[:, i * n : (i + 1) * n] = position[np.maximum(np.arange(samples - 2) + shift, 0)]
-        return result
+        return np.concatenate([position[:-2], position[1:-1], position[2:]], axis=1)
 
     def _gradient(
         self, residuals: Residuals

@@ -1,7 +1,6 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float
 
 from ._likelihood_fit import LikelihoodFit
 from ._objective import Point
@@ -21,14 +20,6 @@ def point_near(point: Point, fit: LikelihoodFit) -> Point:
         point,
         k=np.asarray(fit.k),
         slopes=np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes,
-        calibration=calibration_values(point, fit),
         offset=fit.offset,
         q=fit.position,
     )
-
-
-def calibration_values(point: Point, fit: LikelihoodFit | None) -> Float[np.ndarray, " unknowns"]:
-    """The calibration of a fit where a point has one."""
-    if fit is None or not len(point.calibration):
-        return point.calibration
-    return np.append(fit.torque_lag, fit.torque_gain)

@@ -7,7 +7,7 @@ from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
 from ._sticking import Sticking
 from .equations import Stretches, YieldingEquations
-from .torque import TorqueCalibration, Whitening
+from .torque import TorqueRecord
 from .transmission import TransmissionEquations
 
 
@@ -25,7 +25,6 @@ class Point:
     **Attributes**
 
     - `k`: (p,) coefficients; `slopes`: (n,) logarithms of static friction's.
-    - `calibration`: (unknowns,) of recorded torques, see `TorqueCalibration`.
     - `offset`: (recordings, n) of the encoders.
     - `q`: (samples, n) positions; `turn`: (reversals,) moments of the reversals.
     - `transmission`: (parameters,) of gears that give way, see `TransmissionParameters`; n is then
@@ -34,7 +33,6 @@ class Point:
 
     k: Float[np.ndarray, " coefficients"]
     slopes: Float[np.ndarray, " slopes"]
-    calibration: Float[np.ndarray, " unknowns"]
     offset: Float[np.ndarray, "recordings joints"]
     q: Float[np.ndarray, "samples joints"]
     turn: Float[np.ndarray, " reversals"]
@@ -49,8 +47,8 @@ class Point:
 
     @property
     def border(self) -> Float[np.ndarray, " border"]:
-        """Coefficients, laws, calibration and offsets: what all equations share."""
-        return np.concatenate([self.k, self.laws, self.calibration, self.offset.ravel()])
+        """Coefficients, laws and offsets: what all equations share."""
+        return np.concatenate([self.k, self.laws, self.offset.ravel()])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +57,7 @@ class Residuals:
 
     **Attributes**
 
-    - `torque`: (equations, n), made white; `position`: (samples, n), recorded minus predicted.
+    - `torque`: (equations, n), `position`: (samples, n), recorded minus predicted.
     - `standstill`: (intervals, n) motion of joints at standstill, negative.
     - `turn`: (reversals,), `border`: (border,), expected minus present values.
     """
@@ -91,14 +89,13 @@ class Objective:
     **Attributes**
 
     - `equations`: torque as a function of positions.
-    - `position`: (samples, n) as recorded; `torque`: what was recorded, and what is unknown of it.
+    - `position`: (samples, n) and `torque` as recorded.
     - `part`: (samples,) number of the recording.
     - `signs`: directions and reversals.
     - `weights`: inverse variances of all residuals; of the border 0 where nothing is known
       beforehand.
     - `expected`: (border,) values known beforehand.
     - `scale`: (border,) size of each coefficient, slope and offset; 0 fixes it.
-    - `whitening`: of torque residuals.
     - `intervals`: of readings that are intervals; None if all are normally distributed.
     - `sticking`: equations that bound friction at break-away; None if there are none.
     - `truncation`: (equations, n) torque that is added to what equations predict [N m or N].
@@ -106,13 +103,12 @@ class Objective:
 
     equations: Equations
     position: Float[np.ndarray, "samples joints"]
-    torque: TorqueCalibration
+    torque: TorqueRecord
     part: Int[np.ndarray, " samples"]
     signs: Signs
     weights: Residuals
     expected: Float[np.ndarray, " border"]
     scale: Float[np.ndarray, " border"]
-    whitening: Whitening
     intervals: Intervals | None = None
     sticking: Sticking | None = None
     truncation: Float[np.ndarray, "equations joints"] | float = 0.0
@@ -162,26 +158,22 @@ class Objective:
         border = point.border + self.scale * step.border
         p, n = len(point.k), point.q.shape[1]
         of_slopes = p + len(point.slopes)
-        last = p + len(point.laws)
-        first = last + len(point.calibration)
+        first = p + len(point.laws)
         return Point(
             border[:p],
             border[p:of_slopes],
-            border[last:first],
             border[first:].reshape(-1, n),
             point.q + step.position,
             point.turn + step.turn,
-            border[of_slopes:last],
+            border[of_slopes:first],
         )
 
     def residuals_of(
         self, point: Point, predicted: Float[np.ndarray, "equations joints"]
     ) -> Residuals:
         """Recorded minus predicted, with torque that has been predicted before."""
-        recorded = self.torque.torque(point.calibration)
-        predicted = (predicted + self.truncation) / self.torque.gain(point.calibration)
         return Residuals(
-            self.whitening.applied(recorded - predicted),
+            self.torque.averaged - predicted - self.truncation,
             self.position - point.q - point.offset[self.part],
             -np.diff(point.q, axis=0),
             self.signs.turn - point.turn,

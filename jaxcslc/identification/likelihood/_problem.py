@@ -1,5 +1,6 @@
 import dataclasses
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -8,13 +9,24 @@ from ._objective import Equations, Point
 from ._readings import Readings
 from ._signs import runs
 from .equations import Stretches, YieldingEquations
-from .torque import TorqueCalibration
 from .transmission import TransmissionEquations, TransmissionModel
 
 
 # No torque noise is below this part of the torque, where errors of second differences are: 1e-6 to
 # 2e-5 of the joints of a simulated arm at 500 Hz.
 _LEAST_TORQUE_NOISE = 3e-6
+
+
+class SearchStart(NamedTuple):
+    """Where a search starts.
+
+    - `point`: all unknowns.
+    - `torque_noise`, `position_noise`: (recordings, n) standard deviations.
+    """
+
+    point: Point
+    torque_noise: Float[np.ndarray, "recordings joints"]
+    position_noise: Float[np.ndarray, "recordings joints"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +37,6 @@ class Problem:
 
     - `equations`: torque as a function of positions.
     - `readings`: of one recording or of several.
-    - `calibration`: of recorded torques.
     - `stuck`: (intervals, n), where joints are at standstill.
     - `scale`: (border,) of the unknowns that all equations share; 0 fixes one.
     - `known`: from a point, and from one whose dry friction counts, mean and inverse variance,
@@ -42,7 +53,6 @@ class Problem:
 
     equations: Stretches | TransmissionEquations
     readings: Readings
-    calibration: TorqueCalibration
     stuck: Bool[np.ndarray, "intervals joints"]
     scale: Float[np.ndarray, " border"]
     known: Callable[
@@ -102,5 +112,5 @@ class Problem:
     @property
     def least_torque_noise(self) -> Float[np.ndarray, " joints"]:
         """(n,) [N m or N]."""
-        size = np.sqrt(np.mean(self.readings.torque.averaged() ** 2, axis=0))
+        size = np.sqrt(np.mean(self.readings.torque.averaged**2, axis=0))
         return np.maximum(_LEAST_TORQUE_NOISE * size, 1e-9)

@@ -11,12 +11,12 @@ from ..prior import Prior
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
 from ._objective import Point
-from ._problem import Problem
+from ._problem import Problem, SearchStart
 from ._readings import Readings
 from ._signs import rests
 from .equations import Stretches
 from .knowledge._prior_values import prior_values
-from .torque import TorqueCalibration, TorqueSampling, TorqueUnknown
+from .torque import TorqueSampling
 
 
 _FEWEST_SAMPLES = 10
@@ -45,18 +45,17 @@ def starting_point(
     torque_sampling: TorqueSampling,
     resolution: Joints | None,
     start: Identification | None,
-    unknowns: tuple[TorqueUnknown, ...] = (),
     prior: Prior | None = None,
     every: int = 1,
     lengths: tuple[float, ...] = (),
-) -> tuple[Problem, Point, Recordings, Recordings]:
+) -> tuple[Problem, SearchStart]:
     """The problem of recordings, and where its search starts: regression on smoothed motion.
 
     **Arguments** as attributes of `MaximumLikelihood`, and
 
     - `prior`: values of coefficients that are known beforehand.
 
-    **Returns** the problem, the point, and the noise of torque and of positions.
+    **Returns** the problem, and where its search starts.
 
     **Raises** as `MaximumLikelihood.fit`.
     """
@@ -97,7 +96,6 @@ def starting_point(
     slopes = np.log(1.0 / (_DECAY * fastest))
     if start is None:
         k[static.indices] = _STATIC_SHARE * static.dry(k)[static.joints]
-    calibration = TorqueCalibration(readings.torque, unknowns)
     values, precision, fixed = prior_values(prior, network)
     k[fixed] = values[fixed]
 
@@ -113,17 +111,16 @@ def starting_point(
         of_slopes = np.zeros(n)
         of_slopes[static.joints] = _SLOPE_DEVIATION**-2
         expected = precision * values / np.maximum(of_k + precision, 1e-300)
-        free = np.zeros(len(point.calibration))
         return (
-            np.concatenate([expected, slopes, free, np.zeros(position_noise.size)]),
-            np.concatenate([of_k + precision, of_slopes, free, position_noise.ravel() ** -2.0]),
+            np.concatenate([expected, slopes, np.zeros(position_noise.size)]),
+            np.concatenate([of_k + precision, of_slopes, position_noise.ravel() ** -2.0]),
         )
 
     def breakaway(point: Point) -> Joints:
         dry, at_rest = static.dry(point.k), np.zeros(n)
         at_rest[static.joints] = np.abs(point.k[static.indices])
         beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
-        return (dry + beyond + 1e-9) / calibration.gain(point.calibration)
+        return dry + beyond + 1e-9
 
     moves = np.zeros(n)
     moves[static.joints] = 0.5
@@ -133,9 +130,8 @@ def starting_point(
     problem = Problem(
         equations=Stretches(network, np.diff(readings.time)),
         readings=readings,
-        calibration=calibration,
         stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
-        scale=np.concatenate([scale, moves, calibration.scale, position_noise.ravel()]),
+        scale=np.concatenate([scale, moves, position_noise.ravel()]),
         known=known,
         slope_bounds=(
             np.log(1.0 / (_LEAST_DECAY * fastest)),
@@ -147,8 +143,8 @@ def starting_point(
         scatter=np.where(encoder, 0.0, noise),
         lengths=checked_lengths(network, lengths or np.zeros(n)),
     )
-    point = Point(k, slopes, calibration.start, np.zeros(position_noise.shape), q, np.zeros(0))
-    return problem, point, np.array(residual), position_noise
+    point = Point(k, slopes, np.zeros(position_noise.shape), q, np.zeros(0))
+    return problem, SearchStart(point, np.array(residual), position_noise)
 
 
 def _regression(

@@ -50,11 +50,11 @@ def swing(seed: int, samples: int, noise: float) -> jc.Recording:
 
 
 def start(network: jc.CSLC, recording: jc.Recording) -> tuple[Problem, Point, State]:
-    problem, point, torque_noise, position_noise = starting_point(
+    problem, (point, torque_noise, position_noise) = starting_point(
         network, [recording], jc.Settings(), "sampled", None, None
     )
     state = State.start(
-        problem, point, torque_noise, position_noise, None, fixed=True, edge=None, moments=None
+        problem, point, torque_noise, position_noise, fixed=True, edge=None, moments=None
     )
     return problem, point, state
 
@@ -77,7 +77,7 @@ def viscous() -> tuple[Problem, Minimum]:
 
 def test_friction_that_grows_little_by_little() -> None:
     # Steps of linear equations go twice as far as they should: it took 44.
-    estimator = jc.MaximumLikelihood(torque_sampling="sampled", every=1, noise_order=0)
+    estimator = jc.MaximumLikelihood(torque_sampling="sampled", every=1)
     result = estimator.fit(pendulum("viscous", "dry", "static"), swing(5, 800, 0.1))
     assert result.converged
     assert result.steps <= 25

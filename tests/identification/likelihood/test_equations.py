@@ -15,7 +15,7 @@ from jaxcslc.identification.likelihood._signs import LATEST_TURN, Signs
 from jaxcslc.identification.likelihood.band import JointColumns
 from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
 from jaxcslc.identification.likelihood.errors import RowSums, _rows, eliminated_rows
-from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
+from jaxcslc.identification.likelihood.torque import TorqueRecord
 
 
 SAMPLES = 12
@@ -36,7 +36,7 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     signs = Signs.of(q, time, np.zeros((SAMPLES - 1, 2), bool), margin=1, modelled=True)
     assert len(signs.samples) == 1
     k = rng.uniform(0.2, 1.0, arm.size)
-    border = arm.size + 9
+    border = arm.size + 6
     weights = Residuals(
         torque=rng.uniform(1.0, 2.0, (SAMPLES - 2, 2)),
         position=rng.uniform(1e4, 2e4, (SAMPLES, 2)),
@@ -49,16 +49,14 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     result = Objective(
         equations,
         q + 1e-3,
-        TorqueCalibration(record, ("torque_lag", "torque_gains")),
+        record,
         np.repeat([0, 1], [5, SAMPLES - 5]),  # encoder offsets of two recordings
         signs,
         weights,
         np.zeros(border),
         rng.uniform(0.5, 2, border),
-        Whitening(np.array([[-0.9, 0.3], [0.2, -0.4]])),
     )
-    calibration = np.array([3e-3, 1.1, 0.8])
-    return result, Point(k, np.log([2.0, 3.0]), calibration, np.zeros((2, 2)), q, signs.turn)
+    return result, Point(k, np.log([2.0, 3.0]), np.zeros((2, 2)), q, signs.turn)
 
 
 def test_derivatives(objective: tuple[Objective, Point]) -> None:

@@ -15,7 +15,7 @@ from jaxcslc.identification.likelihood._readings import Intervals
 from jaxcslc.identification.likelihood._signs import Signs
 from jaxcslc.identification.likelihood._sticking import Sticking
 from jaxcslc.identification.likelihood.equations import Stretches
-from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
+from jaxcslc.identification.likelihood.torque import TorqueRecord
 
 
 SAMPLES = 60
@@ -46,18 +46,17 @@ def linear() -> Linear:
     objective = Objective(
         Stretches(network, np.diff(time)),
         STEP * np.round(q / STEP),
-        TorqueCalibration(TorqueRecord((time,), (rng.normal(size=shape),), "held"), ()),
+        TorqueRecord((time,), (rng.normal(size=shape),), "held"),
         np.zeros(SAMPLES, int),
         signs,
         weights,
         np.zeros(border),
         np.ones(border),
-        Whitening(np.zeros((0, 1))),
         Intervals(np.ones(shape), np.full(shape, STEP), np.full(shape, 0.02)),
         Sticking(mask, np.ones(mask.shape), np.full(mask.shape, NOISE)),
     )
     k = rng.uniform(0.2, 1.0, network.size)
-    return Linear.of(objective, Point(k, np.zeros(1), np.zeros(0), np.zeros((1, 1)), q, signs.turn))
+    return Linear.of(objective, Point(k, np.zeros(1), np.zeros((1, 1)), q, signs.turn))
 
 
 def derivative(linear: Linear, at: Residuals, along: Step, damping: float, step: Step) -> float:

@@ -133,7 +133,7 @@ class TestFits:
         settings = jc.Settings(jc.Preparation(jc.Butterworth(20.0), threshold_fraction=0.0))
         regression = fit_pre_sliding(network, settings.patterns(motion))
         fits = [
-            jc.MaximumLikelihood(lengths=lengths, every=1, noise_order=0).fit(network, motion)
+            jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
             for lengths in ((length,), tuple(regression.lengths.tolist()), ())
         ]
         assert all(fit.converged for fit in fits)
@@ -154,7 +154,7 @@ class TestFits:
         """Nothing changes where no joint has one."""
         network, motion = pendulum("viscous", "dry"), swing(0.002, 6)
         fits = [
-            jc.MaximumLikelihood(lengths=lengths, every=1, noise_order=0).fit(network, motion)
+            jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
             for lengths in ((), (0.0,))
         ]
         assert np.array_equal(np.asarray(fits[0].k), np.asarray(fits[1].k))

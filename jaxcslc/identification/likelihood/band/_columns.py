@@ -52,15 +52,6 @@ class JointColumns:
         """With further columns of zeros: so many in all."""
         return dataclasses.replace(self, shape=(self.shape[0], size))
 
-    def beside(self, other: "JointColumns") -> "JointColumns":
-        """With another's columns after these."""
-        joints = np.concatenate([self.joints, other.joints])
-        columns = np.concatenate([self.columns, other.columns + self.shape[1]])
-        order = np.argsort(joints, kind="stable")
-        values = np.concatenate([self.values, other.values], axis=1)[:, order]
-        shape = self.shape[0], self.shape[1] + other.shape[1]
-        return JointColumns(values, joints[order], columns[order], shape)
-
     @property
     def patterns(self) -> Int[np.ndarray, " columns"]:
         """A number for each column, the same for columns of the same joints."""
@@ -118,9 +109,9 @@ class JointColumns:
         values = self.values if kept.all() else self.values[:, kept]
         return JointColumns(values, self.joints[kept], of_entry[kept], shape)
 
-    def scaled(self, factors: Float[np.ndarray, "joints columns"]) -> "JointColumns":
-        """With each joint's columns times factors."""
-        of_entry = factors[self.joints, self.columns]
+    def scaled(self, factors: Float[np.ndarray, " columns"]) -> "JointColumns":
+        """With columns times factors."""
+        of_entry = factors[self.columns]
         values = np.empty(self.values.shape)
 
         def multiply(first: int, last: int) -> None:

@@ -169,11 +169,6 @@ class Factored:
         self._of_free = border - gram(self._half)
         self.information[np.ix_(free, free)] = self._of_free
 
-    @property
-    def log_determinant(self) -> float:
-        """Of the banded part."""
-        return 2.0 * float(np.sum(np.log(self._factor[0])))
-
     @cached_property
     def eliminated(self) -> Float[np.ndarray, "inner border"]:
         """Minus the reply of unknowns in order of time to the border."""

@@ -87,7 +87,6 @@ def possible_bodies(
             dataclasses.replace(minimum.point, k=bodies.k),
             *levels,
             lambda _: progress(words),
-            noise_coefficients=free.noise_coefficients,
         )
     steps, weight, part, rounds = free.steps + minimum.steps, bodies.prior_weight, 1.0, 1
     while True:

@@ -1,14 +1,12 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Int
 
 from .._levels import Levels, NoiseDraws, hidden_noise, noise_levels, position_errors
 from .._levenberg import DAMPING, SMALL_DAMPING, LevenbergStep
 from .._linear_minimum import LinearMinimum
 from .._objective import Residuals
 from .._problem import Problem
-from ..torque import Whitening, autocovariance
 from ._state import MARGINS, Mask, State, intervals_of
 from ._weighting import outlier_weights
 
@@ -51,19 +49,12 @@ def with_levels(
         )
     )
     modelled = number > len(MARGINS)
-    whitening = state.whitening
-    if modelled and whitening.order:
-        whitening = _coloured(
-            whitening, step.residuals, draws, counted, state.torque_noise, problem.readings.part
-        )
-        moved = whitening.coefficients - state.whitening.coefficients
-        change = max(change, float(np.abs(moved).max()))
     settled = modelled and bool(change <= _LEVEL_TOLERANCE)
     if problem.transmission is None:
         final = settled or number >= _MOST_LEVEL_STEPS
     else:  # what gears let links do shows little by little
         final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_GEARS
-    if modelled and not whitening.order and step.change <= NEAR:
+    if modelled and step.change <= NEAR:
         final |= _all_sharp(problem, draws, position_noise)
     if final:
         least = problem.least_position_noise
@@ -72,7 +63,6 @@ def with_levels(
     levelled = dataclasses.replace(state, torque_noise=torque_noise, position_noise=position_noise)
     return dataclasses.replace(
         levelled,
-        whitening=whitening,
         outlier_weight=outlier_weights(problem, levelled, step, counted),
         levels_fixed=final,
     )
@@ -109,28 +99,6 @@ def _levels_of(
         np.maximum(torque_noise, problem.least_torque_noise),
         np.maximum(position_noise, problem.least_position_noise),
     )
-
-
-def _coloured(
-    whitening: Whitening,
-    residuals: Residuals,
-    draws: NoiseDraws,
-    counted: Mask,
-    torque_noise: Levels,
-    part: Int[np.ndarray, " samples"],
-) -> Whitening:
-    """The filter of the noise that torque residuals show (expectation and maximisation).
-
-    Positions take up a part of the noise: what they take up of a draw of the present noise is added
-    to the autocovariance of residuals.
-    """
-    drawn, taken = draws.torque * torque_noise[part[1:-1]], draws.by_torque.torque
-
-    def covariance(white: np.ndarray) -> np.ndarray:
-        return autocovariance(whitening.removed(white), counted, whitening.order)
-
-    missing = covariance(drawn) - covariance(taken) - covariance(draws.by_position.torque)
-    return Whitening.fitted(covariance(residuals.torque) + missing)
 
 
 def _all_sharp(problem: Problem, draws: NoiseDraws, position_noise: Levels) -> bool:

@@ -77,7 +77,6 @@ def search(
     edge: Levels | None = None,
     tolerance: float = 0.0,
     most_steps: int = _MOST_STEPS,
-    noise_coefficients: Float[np.ndarray, "order joints"] | None = None,
     moments: Float[np.ndarray, "samples _"] | None = None,
 ) -> Minimum:
     """Minimises step by step: signs, weights and noise levels are fixed within each step.
@@ -93,8 +92,6 @@ def search(
       start is then near the minimum. None with fixed levels: no count is an interval.
     - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
     - `most_steps`: after so many it ends wherever it is.
-    - `noise_coefficients`: (order, n) of the autoregression of torque noise to start from; by
-      default torque noise is white.
     - `moments`: (samples, n) of reversals to start from, as `LikelihoodFit.reversal_moments`.
     """
     state = State.start(
@@ -102,7 +99,6 @@ def search(
         point,
         torque_noise,
         position_noise,
-        noise_coefficients,
         fixed_levels,
         edge,
         moments,

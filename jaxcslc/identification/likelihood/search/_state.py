@@ -9,7 +9,6 @@ from .._objective import Point
 from .._problem import Problem
 from .._readings import Intervals
 from .._signs import Signs
-from ..torque import Whitening
 
 
 # Equations left uncertain on either side of a reversal, step by step; after these steps, reversals
@@ -25,7 +24,6 @@ Mask = Bool[np.ndarray, "equations joints"]
 class State:
     """What changes from step to step.
 
-    - `whitening`: of torque residuals.
     - `outlier_weight`: (equations, n) of equations far beyond the noise.
     - `ambiguous`: (equations, n) of reversals that came and went.
     - `undecided`: (equations, n) of joints with a common shaft that may turn either way.
@@ -43,7 +41,6 @@ class State:
     signs: Signs | None
     torque_noise: Levels
     position_noise: Levels
-    whitening: Whitening
     outlier_weight: Float[np.ndarray, "equations joints"]
     ambiguous: Mask
     undecided: Mask
@@ -63,7 +60,6 @@ class State:
         point: Point,
         torque_noise: Levels,
         position_noise: Levels,
-        noise_coefficients: Float[np.ndarray, "order joints"] | None,
         fixed: bool,
         edge: Levels | None,
         moments: Float[np.ndarray, "samples _"] | None,
@@ -75,7 +71,6 @@ class State:
             None,
             np.maximum(torque_noise, problem.least_torque_noise),
             position_noise,
-            Whitening(np.zeros((0, n)) if noise_coefficients is None else noise_coefficients),
             np.ones((samples - 2, n)),
             np.zeros((samples - 2, n), bool),
             np.zeros((samples - 2, n), bool),

@@ -31,11 +31,8 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
     scale = state.of_friction or point
     breakaway = problem.breakaway(scale)
     of_friction = _friction_variance(problem, equations, signs, point, breakaway)
-    extra = state.whitening.variance(of_friction)
-    weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + extra)
-    beyond = problem.calibration.outside(point.calibration)
-    unknown = problem.at_rest | state.undecided | (readings.joined | beyond)[:, None]
-    without = state.whitening.touched(unknown)
+    weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + of_friction)
+    without = problem.at_rest | state.undecided | readings.joined[:, None]
     weight[without] = 0.0
     left_out = state.truncation
     if left_out is None:
@@ -52,17 +49,16 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
     objective = Objective(
         equations,
         readings.position,
-        problem.calibration,
+        readings.torque,
         readings.part,
         signs,
         weights,
         expected,
         problem.scale,
-        state.whitening,
         state.intervals,
         truncation=left_out,
     )
-    return objective, (extra == 0.0) & ~without
+    return objective, (of_friction == 0.0) & ~without
 
 
 def _truncation(
@@ -88,20 +84,18 @@ def _truncation(
 def with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
     """With the equations of joints that stick, which bound friction at break-away.
 
-    Not beside torque noise with a spectrum: an equation that is a bound has no residual. Nor of
-    joints whose friction has a state, which bears what it does where they rest. Nor where
+    Not of joints whose friction has a state, which bears what it does where they rest. Nor where
     all coefficients are fixed, of which alone bounds say something: wrong ones would draw positions
     to where friction bears what they make of the torque.
     """
     point, breakaway = state.point, problem.breakaway(state.point)
     fixed = not problem.scale[: len(point.k)].any()
-    if state.whitening.order or fixed or not problem.at_rest.any():
+    if fixed or not problem.at_rest.any():
         return objective
     part, signs = problem.readings.part, objective.signs
     friction = objective.residuals(point).torque + signs.direction * breakaway
     mask = sticking_equations(problem.at_rest, friction, breakaway) & (problem.lengths == 0.0)
     mask &= ~problem.readings.joined[:, None]
-    mask &= ~problem.calibration.outside(point.calibration)[:, None]
     if not mask.any():
         return objective
     direction = np.where(mask, np.where(friction < 0.0, -1.0, 1.0), signs.direction)
@@ -122,7 +116,7 @@ def _friction_variance(
     """Variance of friction that signs do not tell, and of states at the start of a recording."""
     of_states = 0.0
     if isinstance(equations, YieldingEquations):
-        sizes = np.abs(equations.sizes(point.k)) / problem.calibration.gain(point.calibration)
+        sizes = np.abs(equations.sizes(point.k))
         of_states = (_UNCERTAIN * sizes * equations.unknown) ** 2
         breakaway = np.maximum(breakaway - sizes, 0.0)
     extra = np.where(signs.uncertain, (_UNCERTAIN * breakaway) ** 2, 0.0)
@@ -145,7 +139,6 @@ def outlier_weights(
         problem, linear.objective.equations, signs, step.point, breakaway
     )
     extra = np.where(signs.uncertain, of_friction, 0.0)
-    extra = state.whitening.variance(extra)
     deviation = np.sqrt(noise**2 + extra)
     robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
     robust[:, problem.joints :] = False

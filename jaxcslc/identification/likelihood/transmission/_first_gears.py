@@ -129,7 +129,7 @@ class _Smoothed:
         readings = problem.readings
         n = readings.position.shape[1]
         parts: list[list[np.ndarray]] = []
-        averaged = readings.torque.averaged()
+        averaged = readings.torque.averaged
         averaged = np.concatenate([averaged[:1], averaged, averaged[-1:]])
         for number in range(int(readings.part[-1]) + 1):
             rows = readings.part == number

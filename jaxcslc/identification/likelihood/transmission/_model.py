@@ -17,7 +17,7 @@ class TransmissionModel:
 
     - `joints`: n.
     - `links`: (f,) which links move apart, from 0.
-    - `least`: (6 f,) bounds of `TransmissionParameters`.
+    - `least`: (4 f,) bounds of `TransmissionParameters`.
     """
 
     joints: int

@@ -1,5 +1,4 @@
 import dataclasses
-from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +8,6 @@ from ....network import CSLC
 from ..band import JointColumns
 from ..equations import Linearisation, Stretches
 from ._gears import Stencil
-from ._link_friction import LinkFriction, LinkInput
 from ._parameters import TransmissionParameters
 
 
@@ -23,13 +21,12 @@ class TransmissionEquations:
 
     Positions are those of n rotors, then those of f links that move apart from them; all other
     links move with their rotors. With ID the torque of the links' motion without friction, rotors'
-    inertia J included, F friction of rotors, L that of links, and u = rotor minus link,
+    inertia J included, F friction, which is the rotors', and u = rotor minus link,
 
-        torque = ID(link) + J (rotor'' - link'') + F(rotor) + L(link)              n equations
-        0 = ID(link) - J link'' + L(link) - (beyond play(u) + lag u') / compliance   f equations
+        torque = ID(link) + J (rotor'' - link'') + F(rotor)              n equations
+        0 = ID(link) - J link'' - (beyond play(u) + lag u') / compliance   f equations
 
-    A share of each joint's friction is L, another one of viscous than of dry friction. All terms
-    are averaged over two intervals with a triangle (`MotionEquations`).
+    All terms are averaged over two intervals with a triangle (`MotionEquations`).
 
     **Attributes**
 
@@ -38,7 +35,6 @@ class TransmissionEquations:
     - `time`: (samples,) [s].
     - `friction`: (p,) coefficients that are of friction.
     - `width`: (f,) least width of a dead band's edges [rad or m].
-    - `speed`: (f,) within which dry friction of a link changes its direction [rad/s or m/s].
     """
 
     rigid: Stretches
@@ -46,7 +42,6 @@ class TransmissionEquations:
     time: Float[np.ndarray, " samples"]
     friction: Bool[np.ndarray, " coefficients"]
     width: Float[np.ndarray, " links"]
-    speed: Float[np.ndarray, " links"]
 
     @property
     def network(self) -> CSLC:
@@ -70,16 +65,15 @@ class TransmissionEquations:
 
         **Arguments**
 
-        - `laws`: (n + 6 f,) logarithms of friction's slopes, then `TransmissionParameters`.
+        - `laws`: (n + 4 f,) logarithms of friction's slopes, then `TransmissionParameters`.
         - `q`: (samples, n + f); `turn`, `direction`: (equations, n + f), those of rotors count.
         """
         n = self.rigid.network.joint_count
         slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
         signs = turn[:, :n], direction[:, :n]
         of_links = self.rigid.torque(np.where(self.friction, 0.0, k), slopes, link, *signs)
-        of_friction = self.rigid.torque(self._of_rotors(k, laws), slopes, rotor, *signs)
-        inputs = self._link_friction.inputs(slopes, q[:, n:], derivatives=False)
-        return self._equations(k, laws, q, of_links, of_friction, inputs)
+        of_friction = self.rigid.torque(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
+        return self._equations(laws, q, of_links, of_friction)
 
     def linearised(
         self,
@@ -95,8 +89,7 @@ class TransmissionEquations:
         parameters = TransmissionParameters.of(laws[n:])
         signs = turn[:, :n], direction[:, :n]
         of_links = self.rigid.linearised(np.where(self.friction, 0.0, k), slopes, link, *signs)
-        of_friction = self.rigid.linearised(self._of_rotors(k, laws), slopes, rotor, *signs)
-        inputs = self._link_friction.inputs(slopes, q[:, n:], derivatives=True)
+        of_friction = self.rigid.linearised(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
         stencil = self._stencil
         beyond = stencil.windup(rotor[:, self.joints] - q[:, n:], parameters.play, self.width)
         count = len(q) - 2
@@ -127,8 +120,7 @@ class TransmissionEquations:
         p = len(k)
         by_law = np.zeros((count, n + f, p + len(laws)))
         frictions, links = of_friction.by_coefficient.dense, of_links.by_coefficient.dense
-        of_rotors = self._of_rotors(np.ones(p), laws) * frictions[:, :, :p]
-        by_law[:, :n, :p] = np.where(self.friction, of_rotors, links[:, :, :p])
+        by_law[:, :n, :p] = np.where(self.friction, frictions[:, :, :p], links[:, :, :p])
         by_law[:, n:, :p] = np.where(self.friction, 0.0, links[:, joints, :p])
         by_law[:, :n, p : p + n] = frictions[:, :, p:]
         of_link = self._acceleration(q[:, n:])
@@ -140,19 +132,9 @@ class TransmissionEquations:
         by_law[:, series, first + 2 * f] = -beyond.by_play / compliance
         by_law[:, joints, first + 3 * f] = self._acceleration(rotor[:, joints] - q[:, n:])
         by_law[:, series, first + 3 * f] = -of_link
-        for entry in inputs:
-            c, link = entry.coefficient, entry.link
-            joint, share = joints[link], self._share(entry.link, entry.dry, parameters)
-            on_link, column = share * entry.value, p + n + (4 + entry.dry) * f + link
-            for row in (joint, n + link):
-                by_position[:, row, :, n + link] += k[c] * share * entry.by_position.T
-                by_law[:, row, c] += on_link
-                by_law[:, row, column] += k[c] * entry.value
-                by_law[:, row, p + joint] += k[c] * share * entry.by_slope
-            by_law[:, joint, column] -= k[c] * frictions[:, joint, c]
         torques = np.asarray(of_links.torque), np.asarray(of_friction.torque)
         return Linearisation(
-            self._equations(k, laws, q, *torques, inputs),
+            self._equations(laws, q, *torques),
             by_position.reshape(count, n + f, -1),
             JointColumns.of(by_law),
             np.concatenate([of_friction.by_turn, np.zeros((count, f))], axis=1),
@@ -160,12 +142,10 @@ class TransmissionEquations:
 
     def _equations(
         self,
-        k: Float[np.ndarray, " coefficients"],
         laws: Float[np.ndarray, " laws"],
         q: Series,
         of_links: Float[np.ndarray, "equations joints"],
         of_friction: Float[np.ndarray, "equations joints"],
-        inputs: Sequence[LinkInput],
     ) -> Rows:
         n = self.rigid.network.joint_count
         parameters = TransmissionParameters.of(laws[n:])
@@ -175,26 +155,7 @@ class TransmissionEquations:
         motor[:, self.joints] += parameters.rotor_inertia * self._acceleration(difference)
         borne = of_links[:, self.joints] - parameters.rotor_inertia * self._acceleration(q[:, n:])
         gears = beyond + parameters.lag * self._rate(difference)
-        for entry in inputs:
-            share = self._share(entry.link, entry.dry, parameters)
-            on_link = k[entry.coefficient] * share * entry.value
-            motor[:, self.joints[entry.link]] += on_link
-            borne[:, entry.link] += on_link
         return np.concatenate([motor, borne - gears / parameters.compliance], axis=1)
-
-    def _of_rotors(
-        self, k: Float[np.ndarray, " coefficients"], laws: Float[np.ndarray, " laws"]
-    ) -> Float[np.ndarray, " coefficients"]:
-        """Coefficients of friction as they are of rotors, other ones 0."""
-        parameters = TransmissionParameters.of(laws[self.rigid.network.joint_count :])
-        result = np.where(self.friction, k, 0.0)
-        for index, link, dry, *_ in self._link_friction.laws:
-            result[index] *= 1.0 - self._share(link, dry, parameters)
-        return result
-
-    @staticmethod
-    def _share(link: int, dry: bool, parameters: TransmissionParameters) -> float:
-        return float((parameters.dry_share if dry else parameters.viscous_share)[link])
 
     def _link(self, q: Series) -> Float[np.ndarray, "samples joints"]:
         """Positions of all links."""
@@ -202,12 +163,6 @@ class TransmissionEquations:
         result = q[:, :n].copy()
         result[:, self.joints] = q[:, n:]
         return result
-
-    @cached_property
-    def _link_friction(self) -> LinkFriction:
-        return LinkFriction(
-            self.rigid.network, self.joints, self._stencil, self.rigid.intervals, self.speed
-        )
 
     @cached_property
     def _stencil(self) -> Stencil:

@@ -5,13 +5,11 @@ import numpy as np
 from jaxtyping import Float
 
 from .._objective import Point
-from .._problem import Problem
+from .._problem import Problem, SearchStart
 from ..equations import Stretches
-from ..torque import TorqueCalibration
 from ._first_gears import FirstGears, smoothed_windup
 from ._model import TransmissionModel
 from ._parameters import TransmissionParameters
-from ._search_start import SearchStart
 from ._transmission import Transmission
 from ._transmission_equations import TransmissionEquations
 
@@ -19,10 +17,6 @@ from ._transmission_equations import TransmissionEquations
 # Least compliance and inertia of a rotor beside those at first, and the standard deviation
 # beforehand of the latter.
 _LEAST, _ROTOR = 1e-3, 1.0
-# Standard deviation beforehand of the share of friction that acts on a link, about none.
-_SHARE = 0.5
-# A link that sticks creeps by less than this part of its joint's greatest speed.
-_CREEP = 1e-4
 # Positions of links are not read: standard deviation of what would be readings [rad or m].
 _UNREAD = 1e3
 
@@ -51,19 +45,15 @@ def with_transmission(
     index, zeros = np.array(links), np.zeros(len(links))
     friction = np.zeros(network.size, bool)
     friction[network.layout.friction] = True
-    of_gears = first.compliance, first.lag, zeros, first.rotor_inertia
-    parameters = TransmissionParameters(*of_gears, zeros, zeros)
-    free = np.full(f, -np.inf)
-    least = TransmissionParameters(
-        _LEAST * first.compliance, zeros, free, _LEAST * first.rotor_inertia, free, free
-    )
-    size = np.std(readings.torque.averaged()[:, index], axis=0)
-    share = np.full(f, _SHARE)
-    scale = parameters._replace(play=first.compliance * size, viscous_share=share, dry_share=share)
     inertia = first.rotor_inertia
-    expected = TransmissionParameters(zeros, zeros, zeros, inertia, zeros, zeros).values
-    precision = (_ROTOR * first.rotor_inertia) ** -2.0, share**-2.0, share**-2.0
-    weight = TransmissionParameters(zeros, zeros, zeros, *precision).values
+    parameters = TransmissionParameters(first.compliance, first.lag, zeros, inertia)
+    least = TransmissionParameters(
+        _LEAST * first.compliance, zeros, np.full(f, -np.inf), _LEAST * inertia
+    )
+    size = np.std(readings.torque.averaged[:, index], axis=0)
+    scale = parameters._replace(play=first.compliance * size)
+    expected = TransmissionParameters(zeros, zeros, zeros, inertia).values
+    weight = TransmissionParameters(zeros, zeros, zeros, (_ROTOR * inertia) ** -2.0).values
     record = readings.torque
     of_links = tuple(np.zeros((len(torque), f)) for torque in record.torques)
     wide_record = dataclasses.replace(
@@ -78,15 +68,11 @@ def with_transmission(
         readings.time,
         friction,
         np.max(start.position_noise, axis=0)[index],
-        _CREEP
-        * np.max(np.abs(np.diff(point.q[:, index], axis=0)), axis=0)
-        / np.median(equations.intervals),
     )
 
     def narrow(point: Point) -> Point:
         return dataclasses.replace(
             point,
-            calibration=point.calibration[: 1 + n],
             q=point.q[:, :n],
             offset=point.offset[:, :n],
             transmission=np.zeros(0),
@@ -110,7 +96,6 @@ def with_transmission(
             position=_wider(readings.position, f, 0.0),
             torque=wide_record,
         ),
-        calibration=TorqueCalibration(wide_record, problem.calibration.unknowns),
         stuck=_wider(problem.stuck, f, 0.0),
         scale=_widened_border(problem.scale, scale.values, problem, n, f, 0.0),
         known=known,
@@ -124,7 +109,6 @@ def with_transmission(
     wide_point = dataclasses.replace(
         point,
         k=np.where(problem.scale[: network.size] > 0.0, first.k, point.k),
-        calibration=np.append(point.calibration, np.ones(f * (len(point.calibration) > 0))),
         offset=_wider(point.offset, f, 0.0),
         q=np.concatenate([point.q, point.q[:, index] - first.windup], axis=1),
         transmission=parameters.values,
@@ -147,17 +131,8 @@ def _widened_border(
 ) -> Float[np.ndarray, " wide_border"]:
     """With the parameters of gears behind the slopes, and offsets of links, which are 0."""
     size = problem.equations.network.size + joints
-    offsets = values[len(values) - problem.encoder_step.size :].reshape(-1, joints)
-    calibration = values[size : len(values) - offsets.size]
-    return np.concatenate(
-        [
-            values[:size],
-            of_gears,
-            calibration,
-            np.zeros(links * (len(calibration) > 0)),  # gains of links have no meaning
-            _wider(offsets, links, unread).ravel(),
-        ]
-    )
+    offsets = values[size:].reshape(-1, joints)
+    return np.concatenate([values[:size], of_gears, _wider(offsets, links, unread).ravel()])
 
 
 def near_transmission(

@@ -3,7 +3,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ....page import AbstractBlock, Column, Paragraph, Section, Table
-from ...likelihood import calibration_lines, lengths_line
+from ...likelihood import lengths_line, transmission_lines
 
 
 def estimators_section(data: Mapping[str, Any]) -> Section:
@@ -29,8 +29,8 @@ def estimators_section(data: Mapping[str, Any]) -> Section:
     if lengths := estimators.get("lengths"):
         line = lengths_line(lengths, data["units"])
         text += f" {line[0].upper()}{line[1:]}."
-    if lines := calibration_lines(estimators):
-        text += f" Estimated along: {'; '.join(lines)}. Torques of this page are as they then were."
+    if lines := transmission_lines(estimators.get("transmission")):
+        text += f" Estimated along: {'; '.join(lines)}."
     columns = [Column(data["kind"], numeric=False)]
     values: list[list[Any]] = [data["joints"]]
     for kind, name in (("rms", "judged"), ("rms_all_samples", "all")):
@@ -44,9 +44,9 @@ def estimators_section(data: Mapping[str, Any]) -> Section:
         Paragraph(text),
         Table(tuple(columns), rows, "Torque errors by estimator", "estimators-table"),
     ]
-    if selection := estimators.get("selection"):
-        tried = "; ".join(selection["lines"])
-        blocks.append(Paragraph(f"What maximum likelihood tried of its own model: {tried}."))
+    if spacing := estimators.get("spacing"):
+        tried = "; ".join(spacing["lines"])
+        blocks.append(Paragraph(f"How far apart maximum likelihood has positions: {tried}."))
     return Section(
         "Estimators",
         "Least squares regresses torque on smoothed motion. Maximum likelihood estimates the true"

@@ -1,19 +1,26 @@
+"""How far apart positions are unknown, and why: vibration, and noise that excites."""
+
 import dataclasses
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ....network import CSLC
-from .._linear import Linear
-from ..band import Factored, JointColumns, Spectrum
-from ..search import Minimum
+from ...network import CSLC
+from ._linear import Linear
+from ._problem import Problem
+from .band import Factored, JointColumns, Spectrum
+from .search import Minimum
 
 
 # A standard error that smooth motion would make larger by more than this factor.
 _GREATEST_RATIO = 1.5
 # Spacings that noise may ask for, and how many positions remain at least.
 _SPACINGS, _FEWEST_POSITIONS = (2, 3, 6, 12), 50
+# Positions with more than so many times the noise of readings move as rigid links do not; they are
+# then unknown at every so many samples. (docs/likelihood.md, "Compliant gears and backlash", has
+# errors with 1, 2, 3 and 6 on four arms.)
+_EXCESS, _OF_VIBRATION = 1.3, 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,9 +83,10 @@ class NoiseExcitation:
         return self.ratio > _GREATEST_RATIO
 
     def wider_spacing(self, samples: int) -> int | None:
-        """The next larger spacing; None if recordings of so many samples have none."""
+        """The next larger spacing where noise excites; None if recordings of so many samples have
+        none, and where it does not."""
         wider = [every for every in _SPACINGS if every > self.every]
-        return wider[0] if wider and samples >= _FEWEST_POSITIONS * wider[0] else None
+        return wider[0] if self.excessive and wider and _enough(samples, wider[0]) else None
 
     @property
     def line(self) -> str:
@@ -91,6 +99,73 @@ class NoiseExcitation:
     def document(self) -> dict[str, Any]:
         """It as plain data."""
         return {"every": self.every, "ratio": self.ratio, "coefficient": self.name}
+
+
+@dataclasses.dataclass(frozen=True)
+class SpacingChoice:
+    """Why positions are as far apart as they are.
+
+    **Attributes**
+
+    - `every`: positions are unknown at every so many samples.
+    - `excess`: by joint, noise of positions over what readings explain, with `every` 1.
+    - `noisy`: spacings that were left for a larger one, since noise of accelerations excited.
+
+    >>> from jaxcslc.identification import SpacingChoice
+    >>> for line in SpacingChoice(3, (1.0, 1.52), ()).lines:
+    ...     print(line)
+    every 1: noise of positions is 1, 1.52 times what readings explain
+    every 3, used: vibration averages out
+    """
+
+    every: int
+    excess: tuple[float, ...]
+    noisy: tuple[NoiseExcitation, ...] = ()
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The reasons, a line each."""
+        values = ", ".join(f"{value:.3g}" for value in self.excess)
+        first = f"every 1{', used' * (self.every == 1)}: noise of positions is {values} times what"
+        lines = [f"{first} readings explain", *(noise.line for noise in self.noisy)]
+        if self.every > 1:
+            reason = "motion excites" if self.noisy else "vibration averages out"
+            lines.append(f"every {self.every}, used: {reason}")
+        return tuple(lines)
+
+    def document(self) -> dict[str, Any]:
+        """It as plain data."""
+        return {
+            "every": self.every,
+            "excess_position_noise": list(self.excess),
+            "excited_by_noise": [noise.document() for noise in self.noisy],
+            "lines": list(self.lines),
+        }
+
+
+def excess_noise(problem: Problem, minimum: Minimum) -> Float[np.ndarray, " joints"]:
+    """(n,) estimated noise of positions over that of encoders' steps, or over what readings
+    without steps scatter by; the greatest of several recordings.
+
+    Above 1, joints move as the equations of rigid links do not.
+    """
+    steps = problem.encoder_step > 0.0
+    expected = np.where(steps, problem.least_position_noise, problem.scatter)
+    return np.max(minimum.position_noise / np.maximum(expected, 1e-300), axis=0)
+
+
+def spacing_for(excess: Float[np.ndarray, " joints"], samples: int) -> int:
+    """The spacing for joints that vibrate, 1 for others and for recordings of few samples.
+
+    >>> spacing_for(np.array([1.0, 1.2]), 1000), spacing_for(np.array([1.0, 1.5]), 1000)
+    (1, 3)
+    """
+    vibrates = bool(excess.max() > _EXCESS)
+    return _OF_VIBRATION if vibrates and _enough(samples, _OF_VIBRATION) else 1
+
+
+def _enough(samples: int, every: int) -> bool:
+    return samples >= _FEWEST_POSITIONS * every
 
 
 def _errors(factored: Factored) -> Float[np.ndarray, " border"]:
