@@ -10,10 +10,8 @@ from ...network import CSLC
 from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
 from ..systematic import SystematicError
-from ._objective import Equations
 from ._spacing import NoiseExcitation, SpacingChoice
 from .band import Spectrum
-from .equations import YieldingEquations
 from .errors import (
     CorrelatedErrors,
     RowSums,
@@ -22,8 +20,8 @@ from .errors import (
 )
 from .search import Minimum
 from .transmission import (
+    ElasticEquations,
     Transmission,
-    TransmissionEquations,
     TransmissionParameters,
 )
 
@@ -187,7 +185,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     systematic = None
     if errors == "correlated":
         reported = reported_errors(minimum.linear, sums, inverse, bound, used)
-        if not isinstance(minimum.objective.equations, TransmissionEquations):
+        if not len(point.transmission):
             systematic = systematic_errors(
                 minimum.linear, minimum.factored, point, used, reported.effective
             )
@@ -237,7 +235,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         position_noise=minimum.position_noise[:, :n],
         edge=(np.zeros_like(point.offset) if intervals is None else intervals.edges(part))[:, :n],
         reversal_moments=minimum.objective.signs.moments(point.turn, len(point.q))[:, :n],
-        lengths=_lengths(minimum.objective.equations, n),
+        lengths=minimum.objective.equations.lengths[:n],
         reversals=len(minimum.objective.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,
@@ -246,15 +244,10 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     )
 
 
-def _lengths(equations: Equations, joints: int) -> Float[np.ndarray, " joints"]:
-    """Of pre-sliding; 0 where dry friction follows the sign of velocity."""
-    return equations.lengths if isinstance(equations, YieldingEquations) else np.zeros(joints)
-
-
 def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> Transmission | None:
     """Gears that give way, with standard errors of their parameters; None of rigid ones."""
     point, equations = minimum.point, minimum.objective.equations
-    if not isinstance(equations, TransmissionEquations):
+    if not isinstance(equations, ElasticEquations):
         return None
     values, errors = map(TransmissionParameters.of, (point.transmission, error))
     return Transmission(

@@ -6,13 +6,9 @@ from jaxtyping import Float, Int
 from ._readings import Intervals, WorkingReadings
 from ._signs import Signs
 from ._sticking import Sticking
-from .equations import Stretches, YieldingEquations
+from .equations import AbstractEquations
 from .torque import TorqueRecord
-from .transmission import TransmissionEquations
 
-
-Equations = Stretches | YieldingEquations | TransmissionEquations
-"""Torque as a function of positions."""
 
 # Prior standard deviation of a reversal about where velocity crosses zero, in intervals.
 TURN = 0.5
@@ -101,7 +97,7 @@ class Objective:
     - `truncation`: (equations, n) torque that is added to what equations predict [N m or N].
     """
 
-    equations: Equations
+    equations: AbstractEquations
     position: Float[np.ndarray, "samples joints"]
     torque: TorqueRecord
     part: Int[np.ndarray, " samples"]

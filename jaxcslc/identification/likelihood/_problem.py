@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._objective import Equations, Point
+from ._objective import Point
 from ._readings import Readings
 from ._signs import runs
-from .equations import Stretches, YieldingEquations
-from .transmission import TransmissionEquations, TransmissionModel
+from .equations import AbstractEquations
+from .transmission import TransmissionModel
 
 
 # No torque noise is below this part of the torque, where errors of second differences are: 1e-6 to
@@ -46,12 +46,11 @@ class Problem:
     - `encoder_step`: (recordings, n) [rad or m]; 0 where positions are not counts.
     - `least_position_noise`: (recordings, n) [rad or m]; of counts, that of their steps.
     - `scatter`: (recordings, n) of readings about smooth motion [rad or m]; 0 of counts.
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity.
     - `transmission`: of links that move apart from their rotors. They are further columns behind
       the joints, whose positions nothing reads. None if gears are rigid.
     """
 
-    equations: Stretches | TransmissionEquations
+    equations: AbstractEquations
     readings: Readings
     stuck: Bool[np.ndarray, "intervals joints"]
     scale: Float[np.ndarray, " border"]
@@ -63,17 +62,7 @@ class Problem:
     encoder_step: Float[np.ndarray, "recordings joints"]
     least_position_noise: Float[np.ndarray, "recordings joints"]
     scatter: Float[np.ndarray, "recordings joints"]
-    lengths: Float[np.ndarray, " joints"]
     transmission: TransmissionModel | None = None
-
-    def equations_about(self, point: Point) -> Equations:
-        """Those of a step of the search: with states of contacts where friction has them."""
-        equations, readings = self.equations, self.readings
-        if not isinstance(equations, Stretches) or not self.lengths.any():
-            return equations
-        return YieldingEquations.about(
-            equations, self.lengths, point.q, readings.time, readings.part
-        )
 
     @property
     def joints(self) -> int:

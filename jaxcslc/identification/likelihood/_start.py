@@ -14,7 +14,7 @@ from ._objective import Point
 from ._problem import Problem, SearchStart
 from ._readings import Readings
 from ._signs import rests
-from .equations import Stretches
+from .equations import MotionEquations, PreSlidingEquations
 from .knowledge._prior_values import prior_values
 from .torque import TorqueSampling
 
@@ -127,8 +127,12 @@ def starting_point(
     residual = [_residual(static.without, values, regression) for values in patterns.values()]
     torque_noise = np.sqrt(np.mean(np.square(residual), axis=0))
     scale = np.where(fixed, 0.0, _scale(network, patterns.values(), torque_noise))
+    equations = MotionEquations(network, np.diff(readings.time))
+    if any(lengths):
+        checked = checked_lengths(network, lengths)
+        equations = PreSlidingEquations.of(equations, checked, q, readings.time, readings.part)
     problem = Problem(
-        equations=Stretches(network, np.diff(readings.time)),
+        equations=equations,
         readings=readings,
         stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
         scale=np.concatenate([scale, moves, position_noise.ravel()]),
@@ -141,7 +145,6 @@ def starting_point(
         encoder_step=steps,
         least_position_noise=np.where(encoder, steps / np.sqrt(12.0), least),
         scatter=np.where(encoder, 0.0, noise),
-        lengths=checked_lengths(network, lengths or np.zeros(n)),
     )
     point = Point(k, slopes, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, SearchStart(point, np.array(residual), position_noise)

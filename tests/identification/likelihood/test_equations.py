@@ -12,8 +12,7 @@ import jaxcslc as jc
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
 from jaxcslc.identification.likelihood._signs import LATEST_TURN, Signs
-from jaxcslc.identification.likelihood.band import JointColumns
-from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
+from jaxcslc.identification.likelihood.equations import MotionEquations, TracedEquations
 from jaxcslc.identification.likelihood.errors import RowSums, _rows, eliminated_rows
 from jaxcslc.identification.likelihood.torque import TorqueRecord
 
@@ -44,7 +43,7 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
         turn=np.full(1, 4.0),
         border=rng.uniform(0.1, 1.0, border),
     )
-    equations = Stretches(arm, np.diff(time))
+    equations = MotionEquations(arm, np.diff(time))
     record = TorqueRecord((time,), (rng.normal(size=(SAMPLES, 2)),), "held")
     result = Objective(
         equations,
@@ -59,14 +58,20 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     return result, Point(k, np.log([2.0, 3.0]), np.zeros((2, 2)), q, signs.turn)
 
 
-def test_derivatives(objective: tuple[Objective, Point]) -> None:
+@pytest.mark.parametrize("compiled", [True, False])
+def test_derivatives(objective: tuple[Objective, Point], compiled: bool) -> None:
+    """Of C code, and where there is no compiler."""
     problem, point = objective
     turns, direction = problem.signs.turns(point.turn), problem.signs.direction
-    linear = problem.equations.linearised(point.k, point.slopes, point.q, turns, direction)
-    equations = MotionEquations(problem.equations.network, jnp.asarray(problem.equations.intervals))
+    network, intervals = problem.equations.network, problem.equations.intervals
+    traced = TracedEquations(network)
+    motion = point.k, point.slopes, point.q, turns, direction
+    linear = (
+        problem.equations.linearised(*motion) if compiled else traced.linearised(intervals, *motion)
+    )
 
     def torque(k: jax.Array, slopes: jax.Array, q: jax.Array, turns: jax.Array) -> jax.Array:
-        return jnp.asarray(equations.torque(k, slopes, q, turns, direction))
+        return traced._torque(intervals, k, slopes, q, turns, direction)
 
     by_k, by_slopes, by_q, by_turns = jax.jacfwd(torque, (0, 1, 2, 3))(
         jnp.asarray(point.k), jnp.asarray(point.slopes), jnp.asarray(point.q), jnp.asarray(turns)
@@ -189,22 +194,3 @@ def test_moments_of_reversals_stay_within_bounds(
             assert_allclose(step.turn, 0.0, atol=1e-12)
         else:
             assert np.sign(step.turn[0]) == -np.sign(bound)
-
-
-def test_stretches_are_the_motion(arm: jc.CSLC, monkeypatch: pytest.MonkeyPatch) -> None:
-    # As where there is no compiler.
-    monkeypatch.setattr(Stretches, "_code", None)
-    rng = np.random.default_rng(3)
-    samples = 1100  # three stretches
-    q = np.cumsum(rng.normal(size=(samples, 2)), axis=0)
-    intervals = rng.uniform(0.009, 0.011, samples - 1)
-    turn = np.where(rng.uniform(size=(samples - 2, 2)) < 0.1, 0.3, -1.0)
-    direction = rng.choice([-1.0, 1.0], (samples - 2, 2))
-    arguments = rng.normal(size=arm.size), np.log([2.0, 3.0]), q, turn, direction
-    whole, parts = MotionEquations(arm, jnp.asarray(intervals)), Stretches(arm, intervals)
-    assert_allclose(parts.torque(*arguments), whole.torque(*arguments), rtol=1e-9)
-    expected, obtained = whole.linearised(*arguments), parts.linearised(*arguments)
-    for part, wanted in zip(obtained, expected, strict=True):
-        values = part.dense if isinstance(part, JointColumns) else part
-        assert values.shape == wanted.shape
-        assert_allclose(values, wanted, rtol=1e-9, atol=1e-6)

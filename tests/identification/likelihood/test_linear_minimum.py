@@ -14,7 +14,7 @@ from jaxcslc.identification.likelihood._objective import Objective, Point, Resid
 from jaxcslc.identification.likelihood._readings import Intervals
 from jaxcslc.identification.likelihood._signs import Signs
 from jaxcslc.identification.likelihood._sticking import Sticking
-from jaxcslc.identification.likelihood.equations import Stretches
+from jaxcslc.identification.likelihood.equations import MotionEquations
 from jaxcslc.identification.likelihood.torque import TorqueRecord
 
 
@@ -44,7 +44,7 @@ def linear() -> Linear:
     mask[5:9] = True
     shape = (SAMPLES, 1)
     objective = Objective(
-        Stretches(network, np.diff(time)),
+        MotionEquations(network, np.diff(time)),
         STEP * np.round(q / STEP),
         TorqueRecord((time,), (rng.normal(size=shape),), "held"),
         np.zeros(SAMPLES, int),

@@ -1,7 +1,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ..band import JointColumns
 
@@ -26,12 +26,3 @@ class Linearisation(NamedTuple):
     by_position: Float[np.ndarray, "equations joints positions"]
     by_coefficient: JointColumns
     by_turn: Float[np.ndarray, "equations joints"]
-
-
-class DenseLinearisation(NamedTuple):
-    """The same as JAX has it: `by_coefficient` is (equations, n, p + n)."""
-
-    torque: Float[Array, "equations joints"]
-    by_position: Float[Array, "equations joints positions"]
-    by_coefficient: Float[Array, "equations joints unknowns"]
-    by_turn: Float[Array, "equations joints"]

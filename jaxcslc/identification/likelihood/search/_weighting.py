@@ -4,12 +4,11 @@ import numpy as np
 from jaxtyping import Float
 
 from .._levenberg import LevenbergStep
-from .._objective import TURN, Equations, Objective, Point, Residuals
+from .._objective import TURN, Objective, Point, Residuals
 from .._problem import Problem
 from .._signs import Signs
 from .._sticking import Sticking, sticking_equations
-from ..equations import YieldingEquations, truncation
-from ..transmission import TransmissionEquations
+from ..equations import AbstractEquations
 from ._state import Mask, State
 
 
@@ -27,7 +26,7 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
     readings, signs, point = problem.readings, state.signs, state.point
     assert signs is not None
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
-    equations = problem.equations_about(point)
+    equations = problem.equations.about(point.q, readings.time, readings.part)
     scale = state.of_friction or point
     breakaway = problem.breakaway(scale)
     of_friction = _friction_variance(problem, equations, signs, point, breakaway)
@@ -62,23 +61,14 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
 
 
 def _truncation(
-    problem: Problem, equations: Equations, signs: Signs, point: Point
+    problem: Problem, equations: AbstractEquations, signs: Signs, point: Point
 ) -> Float[np.ndarray, "equations joints"] | float:
     """What equations of sampled torque leave out at present positions."""
     readings = problem.readings
-    if readings.torque.sampling == "held" or isinstance(equations, TransmissionEquations):
+    if readings.torque.sampling == "held":
         return 0.0
-    turns, direction = signs.turns(point.turn), signs.direction
-    return truncation(
-        equations,
-        point.k,
-        point.slopes,
-        point.q,
-        readings.time,
-        readings.part,
-        turns,
-        direction,
-    )
+    motion = point.q, readings.time, readings.part, signs.turns(point.turn), signs.direction
+    return equations.truncation(point.k, point.laws, *motion)
 
 
 def with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
@@ -94,7 +84,9 @@ def with_sticking(problem: Problem, state: State, objective: Objective) -> Objec
         return objective
     part, signs = problem.readings.part, objective.signs
     friction = objective.residuals(point).torque + signs.direction * breakaway
-    mask = sticking_equations(problem.at_rest, friction, breakaway) & (problem.lengths == 0.0)
+    mask = sticking_equations(problem.at_rest, friction, breakaway) & (
+        problem.equations.lengths == 0.0
+    )
     mask &= ~problem.readings.joined[:, None]
     if not mask.any():
         return objective
@@ -108,17 +100,15 @@ def with_sticking(problem: Problem, state: State, objective: Objective) -> Objec
 
 def _friction_variance(
     problem: Problem,
-    equations: Equations,
+    equations: AbstractEquations,
     signs: Signs,
     point: Point,
     breakaway: Float[np.ndarray, " joints"],
 ) -> Float[np.ndarray, "equations joints"]:
     """Variance of friction that signs do not tell, and of states at the start of a recording."""
-    of_states = 0.0
-    if isinstance(equations, YieldingEquations):
-        sizes = np.abs(equations.sizes(point.k))
-        of_states = (_UNCERTAIN * sizes * equations.unknown) ** 2
-        breakaway = np.maximum(breakaway - sizes, 0.0)
+    sizes, unknown = equations.states(point.k)
+    of_states = (_UNCERTAIN * sizes * unknown) ** 2
+    breakaway = np.maximum(breakaway - sizes, 0.0)
     extra = np.where(signs.uncertain, (_UNCERTAIN * breakaway) ** 2, 0.0)
     for offset in (-1, 0, 1):
         extra[signs.samples - 1 + offset, signs.joints] = (_REVERSAL * breakaway[signs.joints]) ** 2

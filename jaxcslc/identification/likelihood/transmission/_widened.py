@@ -6,12 +6,11 @@ from jaxtyping import Float
 
 from .._objective import Point
 from .._problem import Problem, SearchStart
-from ..equations import Stretches
+from ._elastic_equations import ElasticEquations
 from ._first_gears import FirstGears, smoothed_windup
 from ._model import TransmissionModel
 from ._parameters import TransmissionParameters
 from ._transmission import Transmission
-from ._transmission_equations import TransmissionEquations
 
 
 # Least compliance and inertia of a rotor beside those at first, and the standard deviation
@@ -40,7 +39,6 @@ def with_transmission(
     - `first`: gears to start from.
     """
     equations, readings, point = problem.equations, problem.readings, start.point
-    assert isinstance(equations, Stretches)
     network, n, f = equations.network, point.q.shape[1], len(links)
     index, zeros = np.array(links), np.zeros(len(links))
     friction = np.zeros(network.size, bool)
@@ -62,7 +60,7 @@ def with_transmission(
             np.concatenate(pair, axis=1) for pair in zip(record.torques, of_links, strict=True)
         ),
     )
-    apart = TransmissionEquations(
+    apart = ElasticEquations(
         equations,
         index,
         readings.time,
@@ -103,7 +101,6 @@ def with_transmission(
         encoder_step=_wider(problem.encoder_step, f, 0.0),
         least_position_noise=_wider(problem.least_position_noise, f, _UNREAD),
         scatter=_wider(problem.scatter, f, 0.0),
-        lengths=np.append(problem.lengths, np.zeros(f)),
         transmission=TransmissionModel(n, index, least.values),
     )
     wide_point = dataclasses.replace(

@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.likelihood.equations import Stretches
+from jaxcslc.identification.likelihood.equations import MotionEquations
 from jaxcslc.identification.likelihood.torque import TorqueRecord
-from jaxcslc.identification.likelihood.transmission import TransmissionEquations
+from jaxcslc.identification.likelihood.transmission import ElasticEquations
 from jaxcslc.identification.likelihood.transmission._gears import Stencil
 
 
@@ -24,11 +24,11 @@ def two_joints() -> jc.CSLC:
 
 def equations_of(
     network: jc.CSLC, time: np.ndarray, joints: list[int], width: float
-) -> TransmissionEquations:
+) -> ElasticEquations:
     friction = np.zeros(network.size, bool)
     friction[network.layout.friction] = True
-    rigid = Stretches(network, np.diff(time))
-    return TransmissionEquations(
+    rigid = MotionEquations(network, np.diff(time))
+    return ElasticEquations(
         rigid,
         np.array(joints),
         time,
@@ -80,7 +80,7 @@ class TestStencil:
         assert_allclose(windup.by_play, (up - down) / (2 * step), rtol=1e-6)
 
 
-class TestTransmissionEquations:
+class TestElasticEquations:
     def test_derivatives(self, two_joints: jc.CSLC, rng: np.random.Generator) -> None:
         """Against central differences, at uneven intervals; joint 2 has gears that give way."""
         time = np.cumsum(rng.uniform(0.8, 1.2, 12)) * 2e-3

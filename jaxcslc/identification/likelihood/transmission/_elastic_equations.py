@@ -1,3 +1,5 @@
+"""Equations of motion of rotors and links that move apart."""
+
 import dataclasses
 from functools import cached_property
 
@@ -6,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from ....network import CSLC
 from ..band import JointColumns
-from ..equations import Linearisation, Stretches
+from ..equations import AbstractEquations, Linearisation
 from ._gears import Stencil
 from ._parameters import TransmissionParameters
 
@@ -16,7 +18,7 @@ Rows = Float[np.ndarray, "equations series"]
 
 
 @dataclasses.dataclass(frozen=True)
-class TransmissionEquations:
+class ElasticEquations(AbstractEquations):
     """Equations of motion of rotors and links that move apart, as functions of positions alone.
 
     Positions are those of n rotors, then those of f links that move apart from them; all other
@@ -37,21 +39,33 @@ class TransmissionEquations:
     - `width`: (f,) least width of a dead band's edges [rad or m].
     """
 
-    rigid: Stretches
+    rigid: AbstractEquations
     joints: Int[np.ndarray, " links"]
     time: Float[np.ndarray, " samples"]
     friction: Bool[np.ndarray, " coefficients"]
     width: Float[np.ndarray, " links"]
 
     @property
-    def network(self) -> CSLC:
+    def network(self) -> CSLC:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Of rigid links."""
         return self.rigid.network
 
     @property
-    def intervals(self) -> Float[np.ndarray, " intervals"]:
+    def intervals(self) -> Float[np.ndarray, " intervals"]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """(samples - 1,) between samples [s]."""
         return self.rigid.intervals
+
+    @property
+    def lengths(self) -> Float[np.ndarray, " series"]:
+        """(n + f,) zeros: no friction yields before it slides."""
+        return np.zeros(self.network.joint_count + len(self.joints))
+
+    def states(
+        self, k: Float[np.ndarray, " coefficients"]
+    ) -> tuple[Float[np.ndarray, " series"], float]:
+        """As of `AbstractEquations`: none."""
+        del k
+        return self.lengths, 0.0
 
     def torque(
         self,
