@@ -166,18 +166,18 @@ class Misfit:
         """At the minimum of a search; `part`: number of the recording of each sample."""
         left, of_equation = minimum.linear.residuals, part[1:-1]
         error = np.hypot(
-            left.torque / minimum.torque_noise[of_equation],
-            left.position[1:-1] / minimum.position_noise[of_equation],
+            left["torque"][:, :joints] / minimum.torque_noise[of_equation],
+            left["position"][1:-1] / minimum.position_noise[of_equation],
         )
-        return cls(error[:, :joints], left.torque[:, :joints], minimum.counted[:, :joints])
+        return cls(error, left["torque"][:, :joints], minimum.counted)
 
 
 def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> LikelihoodFit:
     """The result of a search, with standard errors for independent or correlated residuals."""
     point, p, n = minimum.point, network.size, network.joint_count
     spectrum, border = Spectrum.of(minimum.factored.information), minimum.objective.scale
-    residual, used = minimum.linear.residuals.torque, minimum.counted
-    counts = used[:, :n].sum(axis=0).astype(float)
+    residual, used = minimum.linear.residuals["torque"][:, :n], minimum.counted
+    counts = used.sum(axis=0).astype(float)
     inverse = spectrum.covariance
     sums = RowSums.of(minimum.linear, minimum.factored)
     bound = sums.independent_covariance(inverse)
@@ -185,7 +185,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     systematic = None
     if errors == "correlated":
         reported = reported_errors(minimum.linear, sums, inverse, bound, used)
-        if not len(point.transmission):
+        if not len(point.values("gears")):
             systematic = systematic_errors(
                 minimum.linear, minimum.factored, point, used, reported.effective
             )
@@ -207,9 +207,9 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
             "standard_error": error[:p],
             "covariance": covariance[:p, :p],
             "independent_covariance": independent[:p, :p],
-            "torque_error": np.sqrt(squares[:n] / np.maximum(counts, 1.0)),
+            "torque_error": np.sqrt(squares / np.maximum(counts, 1.0)),
             "equations": counts,
-            "effective_equations": reported.effective[:n],
+            "effective_equations": reported.effective,
             "degrees_of_freedom": np.float64(reported.degrees_of_freedom),
             "rank": p - len(null),
             "condition": np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0]),
@@ -221,35 +221,34 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     fit = Identification(**arrays, result=result, names=network.names, errors=errors)
     static = network.static_slopes is not None
     slopes = np.exp(point.slopes) if static else np.zeros(n)
-    intervals, part = minimum.objective.intervals, minimum.objective.part
-    first = p + n + len(point.transmission)
+    intervals, part = minimum.objective.readings.intervals, minimum.objective.readings.part
     return LikelihoodFit(
         network=network.with_static_slopes(slopes) if static else network,
         fit=fit,
         slopes=slopes,
         slope_error=slopes * error[p : p + n],
-        offset=point.offset[:, :n],
-        offset_error=error[first:].reshape(point.offset.shape)[:, :n],
+        offset=point.offset,
+        offset_error=error[point.layout.part("offset")].reshape(point.offset.shape),
         position=point.q[:, :n],
-        torque_noise=minimum.torque_noise[:, :n],
-        position_noise=minimum.position_noise[:, :n],
-        edge=(np.zeros_like(point.offset) if intervals is None else intervals.edges(part))[:, :n],
-        reversal_moments=minimum.objective.signs.moments(point.turn, len(point.q))[:, :n],
-        lengths=minimum.objective.equations.lengths[:n],
-        reversals=len(minimum.objective.signs.samples),
+        torque_noise=minimum.torque_noise,
+        position_noise=minimum.position_noise,
+        edge=np.zeros_like(point.offset) if intervals is None else intervals.edges(part),
+        reversal_moments=minimum.objective.motion.signs.moments(point.turn, len(point.q)),
+        lengths=minimum.objective.motion.equations.lengths,
+        reversals=len(minimum.objective.motion.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,
         systematic=systematic,
-        transmission=_transmission(minimum, error[p + n : first]),
+        transmission=_transmission(minimum, error[point.layout.part("gears")]),
     )
 
 
 def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> Transmission | None:
     """Gears that give way, with standard errors of their parameters; None of rigid ones."""
-    point, equations = minimum.point, minimum.objective.equations
+    point, equations = minimum.point, minimum.objective.motion.equations
     if not isinstance(equations, ElasticEquations):
         return None
-    values, errors = map(TransmissionParameters.of, (point.transmission, error))
+    values, errors = map(TransmissionParameters.of, (point.values("gears"), error))
     return Transmission(
         joints=tuple(int(joint) + 1 for joint in equations.joints),
         compliance=values.compliance,

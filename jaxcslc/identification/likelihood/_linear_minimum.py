@@ -1,7 +1,8 @@
 import dataclasses
 
 from ._linear import Linear
-from ._objective import Residuals, Step
+from ._objective import Residuals
+from ._point import Step
 from .band import Factored
 
 
@@ -61,7 +62,7 @@ class LinearMinimum:
             return cls(linear, factored, damping, step, after, value - linear.value(after))
 
         result = solved(start or linear)
-        if objective.intervals is None and objective.sticking is None:
+        if not objective.bent:
             return dataclasses.replace(result, promise=linear.promise(result.step))
         fall = value - objective.value(result.after)
         for _ in range(_MOST_SOLUTIONS):

@@ -21,8 +21,7 @@ from ._start import starting_point
 from .knowledge import check_prior, possible_bodies
 from .search import Minimum, search
 from .torque import TorqueSampling
-from .transmission._staged_search import transmission_search
-from .transmission._widened import near_transmission
+from .transmission._added_gears import near_transmission, transmission_search
 
 
 # A misfit is known well enough when the sum of squares falls by no more than this part in a step.
@@ -219,7 +218,7 @@ class MaximumLikelihood:
         first = SearchStart(point_near(first.point, near), near.torque_noise, near.position_noise)
         edge = near.edge
         if near.transmission is not None:
-            problem, first, edge = near_transmission(problem, first, near.transmission, edge)
+            problem, first = near_transmission(problem, first, near.transmission)
         minimum = search(
             problem,
             *first,
@@ -296,17 +295,16 @@ class MaximumLikelihood:
         every = 1 if self.every == "auto" else self.every
         problem, (point, residual, noise) = self.start(network, recordings, None, every)
         slopes, encoders = network.static_slopes, problem.encoder_step > 0.0
-        point = dataclasses.replace(
-            point,
+        point = point.with_values(
             k=np.asarray(k, float),
             slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
         )
         noise = np.where(encoders, np.maximum(noise, position_noise), position_noise)
         first = SearchStart(point, np.broadcast_to(torque_noise, residual.shape), noise)
         if gears is not None and gears.transmission is not None:
-            problem, first, _ = near_transmission(problem, first, gears.transmission)
-        shared = len(first.point.border) - first.point.offset.size
-        scale = np.where(np.arange(len(problem.scale)) < shared, 0.0, problem.scale)
+            problem, first = near_transmission(problem, first, gears.transmission)
+        shared = np.arange(problem.layout.size) < problem.layout.part("offset").start
+        scale = np.where(shared, 0.0, problem.scale)
         minimum = search(
             dataclasses.replace(problem, scale=scale),
             *first,

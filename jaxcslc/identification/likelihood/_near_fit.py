@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 
 from ._likelihood_fit import LikelihoodFit
-from ._objective import Point
+from ._point import Point
 
 
 def point_near(point: Point, fit: LikelihoodFit) -> Point:
@@ -16,10 +16,6 @@ def point_near(point: Point, fit: LikelihoodFit) -> Point:
             f"start: its positions are {fit.position.shape} of {len(fit.offset)} recordings;"
             f" expected {point.q.shape} of {len(point.offset)}"
         )
-    return dataclasses.replace(
-        point,
-        k=np.asarray(fit.k),
-        slopes=np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes,
-        offset=fit.offset,
-        q=fit.position,
-    )
+    slopes = np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes
+    values = point.with_values(k=np.asarray(fit.k), slopes=slopes, offset=fit.offset)
+    return dataclasses.replace(values, q=fit.position)

@@ -102,21 +102,6 @@ class Signs:
             stuck,
         )
 
-    def widened(self, series: int) -> "Signs":
-        """With further columns, of links whose friction is on their rotors."""
-        more = series - self.direction.shape[1]
-        if not more:
-            return self
-        direction, uncertain, stuck = (
-            np.concatenate([values, np.full((len(values), more), value)], axis=1)
-            for values, value in (
-                (self.direction, 1.0),
-                (self.uncertain, False),
-                (self.stuck, False),
-            )
-        )
-        return dataclasses.replace(self, direction=direction, uncertain=uncertain, stuck=stuck)
-
     def turns(
         self, turn: Float[np.ndarray, " reversals"] | None = None
     ) -> Float[np.ndarray, "equations joints"]:

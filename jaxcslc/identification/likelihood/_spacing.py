@@ -67,9 +67,10 @@ class NoiseExcitation:
         linear, inertial = minimum.linear, network.layout.inertial
         there = Linear.of(minimum.objective, dataclasses.replace(minimum.point, q=smooth))
         # Friction has no accelerations, and slow reversals, which smoothing takes out, excite it.
-        columns = linear.by_border.dense
-        columns[:, :, inertial] = there.by_border.dense[:, :, inertial]
-        smoother = dataclasses.replace(linear, by_border=JointColumns.of(columns))
+        columns = linear.motion.by_border.dense
+        columns[:, :, inertial] = there.motion.by_border.dense[:, :, inertial]
+        motion = dataclasses.replace(linear.motion, by_border=JointColumns.of(columns))
+        smoother = linear.with_motion(motion)
         at_smooth_motion = smoother.factored(0.0)
         errors = (_errors(factored)[inertial] for factored in (at_smooth_motion, minimum.factored))
         there_error, error = errors

@@ -10,7 +10,7 @@ from ..friction import checked_lengths
 from ..prior import Prior
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
-from ._objective import Point
+from ._point import Point
 from ._problem import Problem, SearchStart
 from ._readings import Readings
 from ._signs import rests
@@ -131,22 +131,26 @@ def starting_point(
     if any(lengths):
         checked = checked_lengths(network, lengths)
         equations = PreSlidingEquations.of(equations, checked, q, readings.time, readings.part)
+    offset = np.zeros(position_noise.shape)
+    point = Point.of({"k": k, "slopes": slopes, "offset": offset}, q, np.zeros(0))
     problem = Problem(
         equations=equations,
+        layout=point.layout,
         readings=readings,
         stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
         scale=np.concatenate([scale, moves, position_noise.ravel()]),
         known=known,
-        slope_bounds=(
-            np.log(1.0 / (_LEAST_DECAY * fastest)),
-            np.log(1.0 / (_MOST_DECAY * fastest)),
-        ),
+        bounds={
+            "slopes": (
+                np.log(1.0 / (_LEAST_DECAY * fastest)),
+                np.log(1.0 / (_MOST_DECAY * fastest)),
+            )
+        },
         breakaway=breakaway,
         encoder_step=steps,
         least_position_noise=np.where(encoder, steps / np.sqrt(12.0), least),
         scatter=np.where(encoder, 0.0, noise),
     )
-    point = Point(k, slopes, np.zeros(position_noise.shape), q, np.zeros(0))
     return problem, SearchStart(point, np.array(residual), position_noise)
 
 

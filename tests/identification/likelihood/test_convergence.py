@@ -11,7 +11,7 @@ import jaxcslc as jc
 from jaxcslc.identification.likelihood._levenberg import PROMISE
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._linear_minimum import LinearMinimum
-from jaxcslc.identification.likelihood._objective import Point
+from jaxcslc.identification.likelihood._point import Point
 from jaxcslc.identification.likelihood._problem import Problem
 from jaxcslc.identification.likelihood._start import starting_point
 from jaxcslc.identification.likelihood.knowledge._profile import Profile

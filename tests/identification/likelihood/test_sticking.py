@@ -85,7 +85,7 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
     deviation = []
     for value in (0.5, -0.5):
         k = np.array([1.0, 2.0, value])
-        there = dataclasses.replace(point, k=k)
+        there = point.with_values(k=k)
         mean, precision = problem.known(there, there)
         assert mean[static] == 0.0
         deviation.append(precision[static] ** -0.5)
@@ -110,4 +110,4 @@ def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
         fixed_levels=True,
         most_steps=5,
     )
-    assert (minimum.objective.sticking is None) == fixed
+    assert (minimum.objective.motion.sticking is None) == fixed

@@ -18,6 +18,7 @@ from ._traced_equations import TracedEquations
 
 Samples = Float[np.ndarray, "samples series"]
 Rows = Float[np.ndarray, "equations series"]
+Turns = Float[np.ndarray, "equations joints"]
 Joints = Float[np.ndarray, " joints"]
 Coefficients = Float[np.ndarray, " coefficients"]
 Laws = Float[np.ndarray, " laws"]
@@ -44,7 +45,9 @@ class AbstractEquations(abc.ABC):
     intervals: Float[np.ndarray, " intervals"]
 
     @abc.abstractmethod
-    def torque(self, k: Coefficients, laws: Laws, q: Samples, turn: Rows, direction: Rows) -> Rows:
+    def torque(
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
+    ) -> Rows:
         """Torque of every equation, (equations, series).
 
         **Arguments**
@@ -52,13 +55,13 @@ class AbstractEquations(abc.ABC):
         - `k`: (p,); `laws`: (n,) logarithms of slopes of static friction, and what else equations
           have.
         - `q`: (samples, series) positions; joints come first.
-        - `turn`: (equations, series) when a joint turns, in intervals about the sample; -1 for one
+        - `turn`: (equations, n) when a joint turns, in intervals about the sample; -1 for one
           that moves one way. `direction`: 1 or -1, the sign of velocity after `turn`.
         """
 
     @abc.abstractmethod
     def linearised(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Rows, direction: Rows
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
     ) -> Linearisation:
         """`torque` with derivatives."""
 
@@ -79,17 +82,21 @@ class AbstractEquations(abc.ABC):
         q: Samples,
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
-        turn: Rows,
-        direction: Rows,
+        turn: Turns,
+        direction: Turns,
     ) -> Rows:
         """What equations of sampled torques leave out at present positions, (equations, series)."""
-        del k, laws, q, time, part, direction
-        return np.zeros_like(turn)
+        del k, laws, time, part, turn, direction
+        return np.zeros((len(q) - 2, q.shape[1]))
 
     @property
     def lengths(self) -> Joints:
         """(n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity."""
         return np.zeros(self.network.joint_count)
+
+    def noise(self, torque_noise: Float[np.ndarray, "recordings joints"]) -> np.ndarray:
+        """(recordings, series) of all equations, from that of the motors' torque [N m or N]."""
+        return torque_noise
 
     def states(self, k: Coefficients) -> tuple[Joints, Rows | float]:
         """(n,) friction that has a state, 0 of joints without one [N m or N]; and (equations, n)
@@ -113,12 +120,14 @@ class MotionEquations(AbstractEquations):
     network: CSLC
     intervals: Float[np.ndarray, " intervals"]
 
-    def torque(self, k: Coefficients, laws: Laws, q: Samples, turn: Rows, direction: Rows) -> Rows:
+    def torque(
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
+    ) -> Rows:
         """As of `AbstractEquations`."""
         return self._functions.torque(self.intervals, k, laws, q, turn, direction)
 
     def linearised(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Rows, direction: Rows
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
     ) -> Linearisation:
         """As of `AbstractEquations`."""
         return self._functions.linearised(self.intervals, k, laws, q, turn, direction)
@@ -128,7 +137,7 @@ class MotionEquations(AbstractEquations):
         return np.asarray(self._functions.smooth(k, q, velocity, acceleration))
 
     def friction(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Rows, direction: Rows, shift: Rows
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns, shift: Rows
     ) -> Rows:
         """Torque of friction as in `torque`, for velocities that are larger by `shift`."""
         functions = self._functions
@@ -141,8 +150,8 @@ class MotionEquations(AbstractEquations):
         q: Samples,
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
-        turn: Rows,
-        direction: Rows,
+        turn: Turns,
+        direction: Turns,
     ) -> Rows:
         """As of `AbstractEquations`, see `triangle_truncation`."""
 

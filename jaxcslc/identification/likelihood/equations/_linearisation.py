@@ -1,3 +1,5 @@
+"""Torque of equations of motion, with its derivatives."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +18,13 @@ class Linearisation(NamedTuple):
 
     **Attributes**
 
-    - `torque`: (equations, n).
-    - `by_position`: (equations, n, 3 n), by the positions at three samples.
+    - `torque`: (equations, series): joints, and what else moves.
+    - `by_position`: (equations, series, 3 series), by the positions at three samples.
     - `by_coefficient`: p + n columns: by `k`, then by the logarithms of slopes.
     - `by_turn`: (equations, n), by the moment at which the joint turns.
     """
 
-    torque: Float[np.ndarray, "equations joints"]
-    by_position: Float[np.ndarray, "equations joints positions"]
+    torque: Float[np.ndarray, "equations series"]
+    by_position: Float[np.ndarray, "equations series positions"]
     by_coefficient: JointColumns
     by_turn: Float[np.ndarray, "equations joints"]

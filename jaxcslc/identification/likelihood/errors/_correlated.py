@@ -53,14 +53,14 @@ def reported_errors(
       the border's scale.
     - `counted`: (equations, n) whether an equation has its full weight.
     """
-    residual = np.where(counted, linear.residuals.torque, 0.0)
+    residual = np.where(counted, linear.residuals["torque"][:, : counted.shape[1]], 0.0)
     effective = np.asarray(effective_counts(residual, counted.astype(float)))
     used = np.asarray(components_for(effective))
     components = cosine_sums(sums, used)
     sandwich = _sandwich(linear, inverse, components, used, effective)
     whiteness = Whiteness.of(components, inverse, sums.noise, int(used.sum()))
     if not whiteness.white():
-        return sandwich if linear.objective.intervals is None else sandwich.at_least(bound)
+        return sandwich if linear.objective.readings.intervals is None else sandwich.at_least(bound)
     least = np.diag(bound)
     ratio = np.diag(sandwich.covariance) / np.where(least > 0.0, least, np.inf)
     growth = np.sqrt(np.where(whiteness.exceeds(ratio), ratio, 1.0))
@@ -86,7 +86,7 @@ def _sandwich(
     """
     covariance = correlated_covariance(sums, inverse, used)
     objective = linear.objective
-    known = inverse * (objective.scale**2 * objective.weights.border)
+    known = inverse * (objective.scale**2 * objective.weights["border"])
     total = np.asarray(covariance) + known @ inverse
     return CorrelatedErrors(0.5 * (total + total.T), float(used.sum()), effective)
 

@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 from ...solver import components_for
 from ...systematic import SystematicError, missing_terms
 from .._linear import Linear
-from .._objective import Point, Residuals
+from .._point import Point
 from ..band import Factored
 
 
@@ -50,11 +50,12 @@ def _inputs(
     linear: Linear, point: Point, counted: Bool[np.ndarray, "equations joints"]
 ) -> Mapping[str, Inputs]:
     """Inputs of terms by cause."""
-    record, equations = linear.objective.torque, linear.objective.equations
+    motion = linear.objective.motion
+    record, equations = motion.record, motion.equations
     step = equations.intervals[:, None]
     velocity = np.diff(point.q, axis=0) / step
     velocity = (velocity[1:] * step[:-1] + velocity[:-1] * step[1:]) / (step[1:] + step[:-1])
-    predicted = record.averaged - linear.present.torque
+    predicted = record.averaged - linear.present["torque"]
     n = predicted.shape[1]
     result: dict[str, Inputs] = {"torque timing": record.rate[:, :, None]}
     terms = missing_terms(equations.network, velocity, predicted, counted, np.zeros(n))
@@ -75,28 +76,27 @@ def _change(
     """What further inputs change the border by, beyond the noise of this change; in its scale."""
     objective, weights = linear.objective, linear.weights
     # Inputs of a joint that rests, or of torques that never bend, say nothing.
-    size = np.sqrt(np.sum(weights.torque[:, :, None] * inputs**2, axis=(0, 1)))
+    size = np.sqrt(np.sum(weights["torque"][:, :, None] * inputs**2, axis=(0, 1)))
     inputs = inputs[:, :, size > 0.0] / size[size > 0.0]
     count = inputs.shape[2]
-    zeros = Residuals(**{name: 0.0 * values for name, values in vars(linear.residuals).items()})
     explained = np.zeros((count, len(objective.scale)))
-    scores = np.zeros((len(weights.position), count))
+    scores = np.zeros((len(weights["position"]), count))
     gram = np.zeros((count, count))
-    of_inputs = [
-        Residuals(**{**vars(zeros), "torque": inputs[:, :, number]}) for number in range(count)
-    ]
+    of_inputs = [linear.zeros(torque=inputs[:, :, number]) for number in range(count)]
     steps = linear.steps(factored, of_inputs) if of_inputs else []
     for number, (step, of_input) in enumerate(zip(steps, of_inputs, strict=True)):
         left = linear.after(step, of_input)
         explained[number] = step.border
-        weighted = weights.torque * left.torque
+        weighted = weights["torque"] * left["torque"]
         gram[number] = np.einsum("ij,ijk->k", weighted, inputs)
-        scores[1:-1, number] += np.sum(weighted * linear.residuals.torque, axis=1)
+        scores[1:-1, number] += np.sum(weighted * linear.residuals["torque"], axis=1)
         scores[:, number] += np.sum(
-            weights.position * left.position * linear.residuals.position, axis=1
+            weights["position"] * left["position"] * linear.residuals["position"], axis=1
         )
     inverse = np.linalg.pinv(0.5 * (gram + gram.T), rcond=1e-9, hermitian=True)
-    values = inverse @ np.einsum("ijk,ij->k", inputs, weights.torque * linear.residuals.torque)
+    values = inverse @ np.einsum(
+        "ijk,ij->k", inputs, weights["torque"] * linear.residuals["torque"]
+    )
     phase = (np.arange(len(scores)) + 0.5) / len(scores)
     cosines = np.sqrt(2.0) * np.cos(np.pi * np.arange(1, components + 1)[:, None] * phase)
     noise = cosines @ scores @ inverse @ explained

@@ -84,7 +84,7 @@ def possible_bodies(
     else:
         minimum = search(
             with_fixed_coefficients,
-            dataclasses.replace(minimum.point, k=bodies.k),
+            minimum.point.with_values(k=bodies.k),
             *levels,
             lambda _: progress(words),
         )

@@ -13,7 +13,7 @@ from ._weighting import outlier_weights
 
 # Noise levels go all the way to where residuals would have them in so many steps, then half of it;
 # they are fixed when they change by less than this part in a step, or after so many steps.
-_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS, _MOST_STEPS_OF_GEARS = 6, 0.05, 14, 40
+_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS, _MOST_STEPS_OF_ADDED = 6, 0.05, 14, 40
 # Counts become intervals when a step moves no coefficient by more than this part of its standard
 # error. Where all of them will, the level of torque noise need not be settled: it follows later.
 NEAR = 0.3
@@ -42,7 +42,7 @@ def with_levels(
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
         position_noise = np.sqrt(position_noise * state.position_noise)
     change = max(
-        np.abs(np.log(new / old))[:, : problem.joints].max()
+        np.abs(np.log(new / old)).max()
         for new, old in (
             (torque_noise, state.torque_noise),
             (position_noise, state.position_noise),
@@ -50,10 +50,10 @@ def with_levels(
     )
     modelled = number > len(MARGINS)
     settled = modelled and bool(change <= _LEVEL_TOLERANCE)
-    if problem.transmission is None:
+    if not problem.added:
         final = settled or number >= _MOST_LEVEL_STEPS
-    else:  # what gears let links do shows little by little
-        final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_GEARS
+    else:  # what added blocks let bodies do shows little by little
+        final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_ADDED
     if modelled and step.change <= NEAR:
         final |= _all_sharp(problem, draws, position_noise)
     if final:

@@ -7,12 +7,13 @@ from jaxtyping import Float
 from .._levels import Levels
 from .._levenberg import AT_KINK, PROMISE, SMALL_DAMPING, levenberg_step
 from .._linear import Linear
-from .._objective import Objective, Point
+from .._objective import Objective
+from .._point import Point
 from .._problem import Problem
 from ..band import Factored
 from ._common_shafts import with_common_shafts
 from ._noise import LITTLE_DAMPING, NEAR, with_intervals, with_levels, with_refined_intervals
-from ._state import MARGINS, Mask, State, with_link_levels, with_signs
+from ._state import MARGINS, Mask, State, with_signs
 from ._weighting import objective_of, outlier_weights, with_sticking
 
 
@@ -134,7 +135,7 @@ def search_on(
     """
     state = dataclasses.replace(
         state,
-        point=dataclasses.replace(state.point, k=k),
+        point=state.point.with_values(k=k),
         damping=SMALL_DAMPING,
         of_friction=state.of_friction or state.point,
     )
@@ -164,7 +165,6 @@ def _ended(
         state, same = with_signs(problem, state, number)
         state, same_shafts = with_common_shafts(problem, state, number)
         same &= same_shafts
-        state = with_link_levels(problem, state)
         objective, counted = objective_of(problem, state)
         if number >= len(MARGINS):
             objective = with_sticking(problem, state, objective)
@@ -213,7 +213,7 @@ def _ended(
         if (state.final and step.change <= _FIXED) or rises >= _MOST_RISES:
             state = dataclasses.replace(state, of_friction=state.of_friction or state.point)
         if rises >= _MOST_RISES and state.truncation is None:
-            state = dataclasses.replace(state, truncation=objective.truncation)
+            state = dataclasses.replace(state, truncation=objective.motion.truncation)
         waiting = state.levels_fixed and state.intervals is None and not state.final
         if waiting and quiet and (at_kink or step.change <= NEAR):
             state = with_intervals(problem, state, step.minimum)

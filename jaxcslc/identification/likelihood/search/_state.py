@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 
 from .._levels import Levels
 from .._levenberg import DAMPING
-from .._objective import Point
+from .._point import Point
 from .._problem import Problem
 from .._readings import Intervals
 from .._signs import Signs
@@ -51,7 +51,7 @@ class State:
     refinements: int = 0
     moments: Float[np.ndarray, "samples _"] | None = None
     of_friction: Point | None = None
-    truncation: Float[np.ndarray, "equations joints"] | float | None = None
+    truncation: Float[np.ndarray, "equations series"] | float | None = None
 
     @classmethod
     def start(
@@ -101,12 +101,12 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
         signs = Signs.of(
             point.q[:, : problem.joints],
             readings.time,
-            problem.stuck[:, : problem.joints],
+            problem.stuck,
             margin=MARGINS[min(number, len(MARGINS) - 1)],
             modelled=modelled,
             joined=readings.joined,
-            ambiguous=ambiguous[:, : problem.joints],
-        ).widened(point.q.shape[1])
+            ambiguous=ambiguous,
+        )
         if before is None and state.moments is not None:
             unknown = signs.without_moments(state.moments) & ~ambiguous
             if not unknown.any():
@@ -131,14 +131,6 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
         turn = signs.turn
     point = dataclasses.replace(point, turn=turn)
     return dataclasses.replace(state, signs=signs, point=point, ambiguous=ambiguous), False
-
-
-def with_link_levels(problem: Problem, state: State) -> State:
-    """With noise of gears' equations that is as large as that of motors lets it be."""
-    model = problem.transmission
-    if model is None:
-        return state
-    return dataclasses.replace(state, torque_noise=model.levels(state.torque_noise))
 
 
 def intervals_of(problem: Problem, edge: Levels) -> Intervals | None:

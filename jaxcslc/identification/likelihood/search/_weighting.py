@@ -3,8 +3,10 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from .._blocks import TURN, MotionBlock, PriorBlock, ReadingBlock, RestBlock, ReversalBlock
 from .._levenberg import LevenbergStep
-from .._objective import TURN, Objective, Point, Residuals
+from .._objective import Objective
+from .._point import Point
 from .._problem import Problem
 from .._signs import Signs
 from .._sticking import Sticking, sticking_equations
@@ -33,36 +35,32 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
     weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + of_friction)
     without = problem.at_rest | state.undecided | readings.joined[:, None]
     weight[without] = 0.0
+    others = equations.noise(state.torque_noise)[of_equation, problem.joints :] ** -2.0
+    others[readings.joined] = 0.0
     left_out = state.truncation
     if left_out is None:
         left_out = _truncation(problem, equations, signs, point)
     expected, known = problem.known(point, scale)
     at_rest = 1.0 / (_REST * state.position_noise[of_interval]) ** 2
-    weights = Residuals(
-        torque=weight,
-        position=problem.reading_shares / state.position_noise[readings.part] ** 2,
-        standstill=np.where(problem.stuck, at_rest, 0.0),
-        turn=np.full(len(signs.samples), TURN**-2),
-        border=known,
-    )
-    objective = Objective(
-        equations,
-        readings.position,
-        readings.torque,
-        readings.part,
-        signs,
-        weights,
-        expected,
-        problem.scale,
-        state.intervals,
-        truncation=left_out,
-    )
+    position_weight = problem.reading_shares / state.position_noise[readings.part] ** 2
+    weight = np.concatenate([weight, others], axis=1)
+    blocks = {
+        "torque": MotionBlock(equations, readings.torque, signs, weight, truncation=left_out),
+        "position": ReadingBlock(
+            readings.position, readings.part, position_weight, state.intervals
+        ),
+        "standstill": RestBlock(np.where(problem.stuck, at_rest, 0.0)),
+        "turn": ReversalBlock(signs.turn, np.full(len(signs.samples), TURN**-2)),
+        "border": PriorBlock(expected, known),
+        **problem.added,
+    }
+    objective = Objective(blocks, problem.scale)
     return objective, (of_friction == 0.0) & ~without
 
 
 def _truncation(
     problem: Problem, equations: AbstractEquations, signs: Signs, point: Point
-) -> Float[np.ndarray, "equations joints"] | float:
+) -> Float[np.ndarray, "equations series"] | float:
     """What equations of sampled torque leave out at present positions."""
     readings = problem.readings
     if readings.torque.sampling == "held":
@@ -82,8 +80,9 @@ def with_sticking(problem: Problem, state: State, objective: Objective) -> Objec
     fixed = not problem.scale[: len(point.k)].any()
     if fixed or not problem.at_rest.any():
         return objective
-    part, signs = problem.readings.part, objective.signs
-    friction = objective.residuals(point).torque + signs.direction * breakaway
+    part, motion, n = problem.readings.part, objective.motion, problem.joints
+    signs = motion.signs
+    friction = motion.residuals(point)[:, :n] + signs.direction * breakaway
     mask = sticking_equations(problem.at_rest, friction, breakaway) & (
         problem.equations.lengths == 0.0
     )
@@ -91,10 +90,17 @@ def with_sticking(problem: Problem, state: State, objective: Objective) -> Objec
     if not mask.any():
         return objective
     direction = np.where(mask, np.where(friction < 0.0, -1.0, 1.0), signs.direction)
-    return dataclasses.replace(
-        objective,
-        signs=dataclasses.replace(signs, direction=direction),
-        sticking=Sticking(mask, direction, state.torque_noise[part[1:-1]]),
+    mask, direction_of_all = (
+        np.concatenate([values, np.zeros((len(mask), motion.weight.shape[1] - n))], axis=1)
+        for values in (mask, direction)
+    )
+    noise = motion.equations.noise(state.torque_noise)[part[1:-1]]
+    return objective.with_blocks(
+        torque=dataclasses.replace(
+            motion,
+            signs=dataclasses.replace(signs, direction=direction),
+            sticking=Sticking(mask.astype(bool), direction_of_all, noise),
+        )
     )
 
 
@@ -123,14 +129,15 @@ def outlier_weights(
     Uncertain friction is within break-away; what pushes a joint at its limit is not.
     """
     linear = step.minimum.linear
-    signs, noise = linear.objective.signs, state.torque_noise[problem.readings.part[1:-1]]
+    motion, noise = linear.objective.motion, state.torque_noise[problem.readings.part[1:-1]]
+    signs = motion.signs
     breakaway = problem.breakaway(step.point)
-    of_friction = _friction_variance(
-        problem, linear.objective.equations, signs, step.point, breakaway
-    )
+    of_friction = _friction_variance(problem, motion.equations, signs, step.point, breakaway)
     extra = np.where(signs.uncertain, of_friction, 0.0)
     deviation = np.sqrt(noise**2 + extra)
-    robust = (counted | (extra > 0.0)) & (linear.weights.torque > 0.0)
-    robust[:, problem.joints :] = False
-    size = np.maximum(np.abs(step.residuals.torque), 1e-300)
+    weight, residual = (
+        values["torque"][:, : problem.joints] for values in (linear.weights, step.residuals)
+    )
+    robust = (counted | (extra > 0.0)) & (weight > 0.0)
+    size = np.maximum(np.abs(residual), 1e-300)
     return np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)

@@ -1,5 +1,4 @@
 from ._elastic_equations import ElasticEquations as ElasticEquations
-from ._model import TransmissionModel as TransmissionModel
 from ._parameters import TransmissionParameters as TransmissionParameters
 from ._transmission import (
     Transmission as Transmission,

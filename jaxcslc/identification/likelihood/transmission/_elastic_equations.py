@@ -15,6 +15,10 @@ from ._parameters import TransmissionParameters
 
 Series = Float[np.ndarray, "samples series"]
 Rows = Float[np.ndarray, "equations series"]
+Turns = Float[np.ndarray, "equations joints"]
+# Noise of torque that links have and motors have not, as a part of the motors': equations of gears
+# are not quite exact, which also keeps a search from following a wrong spring.
+_LINK_NOISE = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,36 +59,30 @@ class ElasticEquations(AbstractEquations):
         """(samples - 1,) between samples [s]."""
         return self.rigid.intervals
 
-    @property
-    def lengths(self) -> Float[np.ndarray, " series"]:
-        """(n + f,) zeros: no friction yields before it slides."""
-        return np.zeros(self.network.joint_count + len(self.joints))
-
-    def states(
-        self, k: Float[np.ndarray, " coefficients"]
-    ) -> tuple[Float[np.ndarray, " series"], float]:
-        """As of `AbstractEquations`: none."""
-        del k
-        return self.lengths, 0.0
+    def noise(
+        self, torque_noise: Float[np.ndarray, "recordings joints"]
+    ) -> Float[np.ndarray, "recordings series"]:
+        """With that of gears' equations, which is small beside that of motors [N m or N]."""
+        return np.concatenate([torque_noise, _LINK_NOISE * torque_noise[:, self.joints]], axis=1)
 
     def torque(
         self,
         k: Float[np.ndarray, " coefficients"],
         laws: Float[np.ndarray, " laws"],
         q: Series,
-        turn: Rows,
-        direction: Rows,
+        turn: Turns,
+        direction: Turns,
     ) -> Rows:
         """(equations, n + f).
 
         **Arguments**
 
         - `laws`: (n + 4 f,) logarithms of friction's slopes, then `TransmissionParameters`.
-        - `q`: (samples, n + f); `turn`, `direction`: (equations, n + f), those of rotors count.
+        - `q`: (samples, n + f); `turn`, `direction`: (equations, n), of rotors.
         """
         n = self.rigid.network.joint_count
         slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
-        signs = turn[:, :n], direction[:, :n]
+        signs = turn, direction
         of_links = self.rigid.torque(np.where(self.friction, 0.0, k), slopes, link, *signs)
         of_friction = self.rigid.torque(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
         return self._equations(laws, q, of_links, of_friction)
@@ -94,14 +92,14 @@ class ElasticEquations(AbstractEquations):
         k: Float[np.ndarray, " coefficients"],
         laws: Float[np.ndarray, " laws"],
         q: Series,
-        turn: Rows,
-        direction: Rows,
+        turn: Turns,
+        direction: Turns,
     ) -> Linearisation:
         """The same with derivatives: by positions at three samples, by `k` and `laws`, by turns."""
         n, f = self.rigid.network.joint_count, len(self.joints)
         slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
         parameters = TransmissionParameters.of(laws[n:])
-        signs = turn[:, :n], direction[:, :n]
+        signs = turn, direction
         of_links = self.rigid.linearised(np.where(self.friction, 0.0, k), slopes, link, *signs)
         of_friction = self.rigid.linearised(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
         stencil = self._stencil
@@ -151,7 +149,7 @@ class ElasticEquations(AbstractEquations):
             self._equations(laws, q, *torques),
             by_position.reshape(count, n + f, -1),
             JointColumns.of(by_law),
-            np.concatenate([of_friction.by_turn, np.zeros((count, f))], axis=1),
+            of_friction.by_turn,
         )
 
     def _equations(

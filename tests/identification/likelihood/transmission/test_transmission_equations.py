@@ -89,7 +89,7 @@ class TestElasticEquations:
         laws = np.array([3.0, 3.0, 1e-3, 2e-3, 5e-3, 0.2])
         q = np.stack([np.sin(20 * time), np.sin(13 * time), np.sin(13 * time)], axis=1)
         q[:, 2] += 4e-3 * np.sin(200 * time)
-        signs = np.ones((10, 3))
+        signs = np.ones((10, 2))
         obtained = equations.linearised(k, laws, q, -signs, signs)
         assert_allclose(obtained.torque, equations.torque(k, laws, q, -signs, signs))
         by_position = np.asarray(obtained.by_position).reshape(10, 3, 3, 3)
@@ -125,7 +125,7 @@ class TestElasticEquations:
         of_gears = 1 / true.stiffness, lag, true.play, true.rotor_inertia
         laws = np.array([0.0, *of_gears])
         q = np.concatenate([true.rotor, true.link], axis=1)
-        direction = np.where(q[2:] < q[:-2], -1.0, 1.0)
+        direction = np.where(true.rotor[2:] < true.rotor[:-2], -1.0, 1.0)
         turn = -np.ones_like(direction)
         predicted = equations.torque(true.k, laws, q, turn, direction)
         recording = jc.Recording(true.time, true.rotor, true.torque)
