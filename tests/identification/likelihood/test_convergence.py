@@ -18,7 +18,7 @@ from jaxcslc.identification.likelihood.knowledge._profile import Profile
 from jaxcslc.identification.likelihood.search import Minimum, State, search, search_on
 from jaxcslc.identification.likelihood.search._common_shafts import with_common_shafts
 from jaxcslc.identification.likelihood.search._noise import with_intervals
-from jaxcslc.identification.likelihood.search._state import SIGN_STEPS, with_signs
+from jaxcslc.identification.likelihood.search._state import SIGN_STEPS, Stage, with_signs
 from jaxcslc.identification.likelihood.search._weighting import objective_of
 
 
@@ -88,12 +88,12 @@ def test_damping_does_not_make_positions_known(damping: float) -> None:
     # Single counts say more of positions than equations do: none is an interval.
     problem, _, state = start(pendulum("viscous", "dry"), swing(0, 400, 0.5))
     state, _ = with_signs(problem, state, 3)
-    objective, _ = objective_of(problem, state)
+    objective, _ = objective_of(problem, state, 0)
     linear = Linear.of(objective, state.point)
     minimum = LinearMinimum.of(linear, damping, PROMISE)
     after = with_intervals(problem, state, minimum)
     assert after.intervals is None
-    assert after.final
+    assert after.stage is Stage.FINAL
 
 
 def test_equations_in_which_a_common_shaft_turns_do_not_count() -> None:
@@ -118,7 +118,7 @@ def test_equations_in_which_a_common_shaft_turns_do_not_count() -> None:
     assert_array_equal(last.undecided[:, 0], last.undecided[:, 1])
     assert first.undecided.sum() > 3 * last.undecided.sum() > 0
     last, _ = with_signs(problem, last, SIGN_STEPS)
-    _, counted = objective_of(problem, last)
+    _, counted = objective_of(problem, last, 0)
     assert not counted[turns].any()
     # Later, none comes back.
     elsewhere = dataclasses.replace(last, point=dataclasses.replace(point, q=point.q[::-1]))

@@ -7,7 +7,7 @@ from .._levenberg import DAMPING, SMALL_DAMPING, LevenbergStep
 from .._linear_minimum import LinearMinimum
 from .._objective import Residuals
 from .._problem import Problem
-from ._state import MARGINS, Mask, State, intervals_of
+from ._state import MARGINS, Mask, Stage, State, intervals_of
 from ._weighting import outlier_weights
 
 
@@ -64,7 +64,7 @@ def with_levels(
     return dataclasses.replace(
         levelled,
         outlier_weight=outlier_weights(problem, levelled, step, counted),
-        levels_fixed=final,
+        stage=Stage.COUNTS if final else Stage.LEVELS,
     )
 
 
@@ -116,8 +116,8 @@ def with_intervals(problem: Problem, state: State, minimum: LinearMinimum) -> St
     intervals = intervals_of(problem, edge)
     # What linear equations say of intervals holds near only.
     damping = state.damping if intervals is None else max(state.damping, DAMPING)
-    final = intervals is None
-    return dataclasses.replace(state, intervals=intervals, final=final, damping=damping)
+    stage = Stage.FINAL if intervals is None else Stage.INTERVALS
+    return dataclasses.replace(state, intervals=intervals, stage=stage, damping=damping)
 
 
 def with_refined_intervals(
@@ -136,12 +136,13 @@ def with_refined_intervals(
     if state.refinements >= _FREE_REFINEMENTS:
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
     edge = np.clip(_EDGE * errors, _LEAST_EDGE, _EDGE * _SHARP)[part]
+    refinements = state.refinements + 1
     return dataclasses.replace(
         state,
         intervals=dataclasses.replace(intervals, edge=np.where(intervals.edge > 0.0, edge, 0.0)),
         torque_noise=torque_noise,
-        refinements=state.refinements + 1,
-        final=state.refinements + 1 == _REFINEMENTS,
+        refinements=refinements,
+        stage=Stage.FINAL if refinements == _REFINEMENTS else Stage.INTERVALS,
     )
 
 

@@ -1,4 +1,5 @@
 import dataclasses
+import enum
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,6 +21,23 @@ SIGN_STEPS = 7
 Mask = Bool[np.ndarray, "equations joints"]
 
 
+class Stage(enum.Enum):
+    """What follows the motion from step to step, beside signs.
+
+    - `LEVELS`: noise levels and weights of outliers, while readings are normally distributed.
+    - `COUNTS`: nothing, until steps are short: then counts become intervals where that says more.
+    - `INTERVALS`: edges of intervals, and the torque noise that these leave.
+    - `OUTLIERS`: weights of outliers, once, of a search that starts near its end.
+    - `FINAL`: nothing.
+    """
+
+    LEVELS = enum.auto()
+    COUNTS = enum.auto()
+    INTERVALS = enum.auto()
+    OUTLIERS = enum.auto()
+    FINAL = enum.auto()
+
+
 @dataclasses.dataclass(frozen=True)
 class State:
     """What changes from step to step.
@@ -27,8 +45,7 @@ class State:
     - `outlier_weight`: (equations, n) of equations far beyond the noise.
     - `ambiguous`: (equations, n) of reversals that came and went.
     - `undecided`: (equations, n) of joints with a common shaft that may turn either way.
-    - `levels_fixed`: whether noise levels and these weights are, while readings are normally
-      distributed; `final`: and what counts are.
+    - `stage`: what else changes.
     - `moments`: (samples, n) of reversals to start from, NaN where they are not known; None if none
       is.
     - `refinements`: of the level of torque noise beside intervals.
@@ -46,8 +63,7 @@ class State:
     undecided: Mask
     intervals: Intervals | None
     damping: float
-    levels_fixed: bool
-    final: bool
+    stage: Stage
     refinements: int = 0
     moments: Float[np.ndarray, "samples _"] | None = None
     of_friction: Point | None = None
@@ -66,6 +82,9 @@ class State:
     ) -> "State":
         samples, n = problem.readings.position.shape
         intervals = None if edge is None else intervals_of(problem, edge)
+        stage = Stage.LEVELS
+        if fixed:
+            stage = Stage.FINAL if edge is None else Stage.OUTLIERS
         return cls(
             point,
             None,
@@ -76,8 +95,7 @@ class State:
             np.zeros((samples - 2, n), bool),
             intervals,
             DAMPING,
-            fixed,
-            fixed,
+            stage,
             moments=moments,
         )
 

@@ -11,7 +11,7 @@ from .._problem import Problem
 from .._signs import Signs
 from .._sticking import Sticking, sticking_equations
 from ..equations import AbstractEquations
-from ._state import Mask, State
+from ._state import MARGINS, Mask, State
 
 
 # Standard deviation of friction that is anything up to break-away, and of a reversal's whose moment
@@ -23,8 +23,8 @@ _OUTLIER = 4.0
 _REST = 0.02
 
 
-def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
-    """The sum of squares, and which equations have their full weight."""
+def objective_of(problem: Problem, state: State, number: int) -> tuple[Objective, Mask]:
+    """The sum of squares, and which equations have their full weight; `number`: of the step."""
     readings, signs, point = problem.readings, state.signs, state.point
     assert signs is not None
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
@@ -55,6 +55,8 @@ def objective_of(problem: Problem, state: State) -> tuple[Objective, Mask]:
         **problem.added,
     }
     objective = Objective(blocks, problem.scale)
+    if number >= len(MARGINS):
+        objective = _with_sticking(problem, state, objective)
     return objective, (of_friction == 0.0) & ~without
 
 
@@ -69,7 +71,7 @@ def _truncation(
     return equations.truncation(point.k, point.laws, *motion)
 
 
-def with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
+def _with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
     """With the equations of joints that stick, which bound friction at break-away.
 
     Not of joints whose friction has a state, which bears what it does where they rest. Nor where
