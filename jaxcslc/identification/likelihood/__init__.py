@@ -1,3 +1,12 @@
+"""Maximum likelihood: positions and coefficients estimated together, without a smoothing.
+
+```
+recordings ──► problem, start ──► search ──► minimum ──► LikelihoodFit
+               readings, equations   step, test, stages      standard errors
+               what is known         on a sum of residual blocks
+```
+"""
+
 from ._comparison import (
     Estimator as Estimator,
     EstimatorComparison as EstimatorComparison,

@@ -1,3 +1,5 @@
+"""Least squares and maximum likelihood next to each other, as a report has them."""
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal

@@ -1,3 +1,5 @@
+"""Noise levels by marginal likelihood, from draws of the present noise."""
+
 import dataclasses
 
 import numpy as np

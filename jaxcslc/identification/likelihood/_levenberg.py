@@ -1,3 +1,5 @@
+"""A step of Levenberg and Marquardt's method, with corrections for what is not linear."""
+
 import dataclasses
 from typing import NamedTuple
 

@@ -1,3 +1,5 @@
+"""The result of maximum likelihood, and the misfit of fixed coefficients."""
+
 import dataclasses
 from typing import Any
 

@@ -1,3 +1,5 @@
+"""The step to the minimum of linear equations under laws that are no squares."""
+
 import dataclasses
 
 from ._linear import Linear

@@ -14,7 +14,7 @@ from .._settings import Settings
 from ..prior import Prior
 from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
-from ._near_fit import point_near
+from ._point import Point
 from ._problem import Problem, SearchStart
 from ._spacing import NoiseExcitation, SpacingChoice, excess_noise, spacing_for
 from ._start import starting_point
@@ -215,7 +215,7 @@ class MaximumLikelihood:
     ) -> LikelihoodFit:
         """The minimum near a fit, with its noise levels."""
         problem, first = self.start(network, recordings, near.fit, near.every)
-        first = SearchStart(point_near(first.point, near), near.torque_noise, near.position_noise)
+        first = SearchStart(_near(first.point, near), near.torque_noise, near.position_noise)
         edge = near.edge
         if near.transmission is not None:
             problem, first = near_transmission(problem, first, near.transmission)
@@ -303,10 +303,9 @@ class MaximumLikelihood:
         first = SearchStart(point, np.broadcast_to(torque_noise, residual.shape), noise)
         if gears is not None and gears.transmission is not None:
             problem, first = near_transmission(problem, first, gears.transmission)
-        shared = np.arange(problem.layout.size) < problem.layout.part("offset").start
-        scale = np.where(shared, 0.0, problem.scale)
+        others = (name for name, _ in problem.layout.sizes if name != "offset")
         minimum = search(
-            dataclasses.replace(problem, scale=scale),
+            problem.fixing(*others),
             *first,
             lambda words: None,
             fixed_levels=True,
@@ -333,3 +332,18 @@ class MaximumLikelihood:
             every,
             self.lengths,
         )
+
+
+def _near(point: Point, fit: LikelihoodFit) -> Point:
+    """A point with the values of a fit that is near.
+
+    **Raises** `ValueError` if the fit's positions are at other samples than the point's.
+    """
+    if fit.position.shape != point.q.shape or fit.offset.shape != point.offset.shape:
+        raise ValueError(
+            f"start: its positions are {fit.position.shape} of {len(fit.offset)} recordings;"
+            f" expected {point.q.shape} of {len(point.offset)}"
+        )
+    slopes = np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes
+    values = point.with_values(k=np.asarray(fit.k), slopes=slopes, offset=fit.offset)
+    return dataclasses.replace(values, q=fit.position)

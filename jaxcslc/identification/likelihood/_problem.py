@@ -84,6 +84,13 @@ class Problem:
         turn = np.clip(point.turn, -LATEST_TURN, LATEST_TURN)
         return dataclasses.replace(point.with_values(**values), turn=turn)
 
+    def fixing(self, *names: str) -> "Problem":
+        """With parts of the border fixed."""
+        scale = self.scale.copy()
+        for name in names:
+            scale[self.layout.part(name)] = 0.0
+        return dataclasses.replace(self, scale=scale)
+
     def with_unknowns(
         self, name: str, scale: Values, mean: Values, precision: Values, low: Values
     ) -> "Problem":

@@ -1,3 +1,5 @@
+"""Readings of encoders: as recorded, and as the intervals that counts are."""
+
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,3 +1,5 @@
+"""Which way joints move, where they turn and where they rest."""
+
 import dataclasses
 
 import numpy as np

@@ -1,4 +1,8 @@
+"""The problem of recordings, and where its search starts: regression on smoothed motion."""
+
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -76,17 +80,8 @@ def starting_point(
     fastest = np.maximum(speed.max(axis=0), 1e-6)
 
     readings = Readings.of(recordings, torque_sampling, every)
-    samplings = [Sampling.of(recording) for recording in recordings]
-    noise = np.array([sampling.noise for sampling in samplings])
-    if resolution is None:
-        steps = np.array([sampling.resolution for sampling in samplings])
-        steps = np.where(steps > _LEAST_STEP * noise, steps, 0.0)
-    else:
-        steps = np.tile(resolution, (len(recordings), 1))
-    encoder = steps > 0.0
-    least = _LEAST_NOISE * np.maximum(np.ptp(readings.position, axis=0), 1e-3)
-    noise = np.maximum(noise, least)
-    position_noise = np.where(encoder, steps / np.sqrt(12.0), noise)
+    encoders = _Encoders.of(recordings, readings, resolution)
+    position_noise = encoders.noise
 
     k = np.zeros(p)
     index = {name: number for number, name in enumerate(network.names)}
@@ -98,29 +93,6 @@ def starting_point(
         k[static.indices] = _STATIC_SHARE * static.dry(k)[static.joints]
     values, precision, fixed = prior_values(prior, network)
     k[fixed] = values[fixed]
-
-    def known(point: Point, of_dry: Point) -> tuple[np.ndarray, np.ndarray]:
-        # Encoders are within half a step, and friction at rest rarely is above twice the dry one:
-        # without the latter, static friction that the motion does not show grows without bounds,
-        # with a slope that hides it. Nor is it below the dry one: a search whose motion crosses
-        # zero too quickly to show it may end at friction that would drive a joint at rest.
-        spread = static.dry(of_dry.k)[static.joints]
-        spread = np.where(point.k[static.indices] < 0.0, _BELOW_DRY * spread, spread)
-        of_k = np.zeros(p)
-        of_k[static.indices] = np.where(static.with_dry, np.maximum(spread, 1e-9) ** -2.0, 0.0)
-        of_slopes = np.zeros(n)
-        of_slopes[static.joints] = _SLOPE_DEVIATION**-2
-        expected = precision * values / np.maximum(of_k + precision, 1e-300)
-        return (
-            np.concatenate([expected, slopes, np.zeros(position_noise.size)]),
-            np.concatenate([of_k + precision, of_slopes, position_noise.ravel() ** -2.0]),
-        )
-
-    def breakaway(point: Point) -> Joints:
-        dry, at_rest = static.dry(point.k), np.zeros(n)
-        at_rest[static.joints] = np.abs(point.k[static.indices])
-        beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
-        return dry + beyond + 1e-9
 
     moves = np.zeros(n)
     moves[static.joints] = 0.5
@@ -137,19 +109,19 @@ def starting_point(
         equations=equations,
         layout=point.layout,
         readings=readings,
-        stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
+        stuck=_rests(readings, speed, encoders.same, _SLOW * fastest),
         scale=np.concatenate([scale, moves, position_noise.ravel()]),
-        known=known,
+        known=_Known(static, values, precision, slopes, position_noise),
         bounds={
             "slopes": (
                 np.log(1.0 / (_LEAST_DECAY * fastest)),
                 np.log(1.0 / (_MOST_DECAY * fastest)),
             )
         },
-        breakaway=breakaway,
-        encoder_step=steps,
-        least_position_noise=np.where(encoder, steps / np.sqrt(12.0), least),
-        scatter=np.where(encoder, 0.0, noise),
+        breakaway=static.breakaway,
+        encoder_step=encoders.steps,
+        least_position_noise=encoders.least_noise,
+        scatter=encoders.scatter,
     )
     return problem, SearchStart(point, np.array(residual), position_noise)
 
@@ -206,6 +178,97 @@ class _Static:
         result = np.zeros(self._joint_count)
         result[self._dry_joints] = np.abs(k[self._dry])
         return result
+
+    def breakaway(self, point: Point) -> Joints:
+        """(n,) the greatest friction at standstill [N m or N]."""
+        dry, at_rest = self.dry(point.k), np.zeros(self._joint_count)
+        at_rest[self.joints] = np.abs(point.k[self.indices])
+        beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
+        return dry + beyond + 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class _Known:
+    """What is known of the border beforehand, as `Problem.known`.
+
+    Encoders are within half a step, and friction at rest rarely is above twice the dry one: without
+    the latter, static friction that the motion does not show grows without bounds, with a slope
+    that hides it. Nor is it below the dry one: a search whose motion crosses zero too quickly to
+    show it may end at friction that would drive a joint at rest.
+
+    - `values`, `precision`: (p,) of coefficients, from a prior.
+    - `slopes`: (n,) expected logarithms; `position_noise`: (recordings, n) of encoders.
+    """
+
+    static: _Static
+    values: Float[np.ndarray, " coefficients"]
+    precision: Float[np.ndarray, " coefficients"]
+    slopes: Joints
+    position_noise: Recordings
+
+    def __call__(self, point: Point, of_dry: Point) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and inverse variance, (border,) each."""
+        static = self.static
+        spread = static.dry(of_dry.k)[static.joints]
+        spread = np.where(point.k[static.indices] < 0.0, _BELOW_DRY * spread, spread)
+        of_k = np.zeros(len(self.values))
+        of_k[static.indices] = np.where(static.with_dry, np.maximum(spread, 1e-9) ** -2.0, 0.0)
+        of_slopes = np.zeros(len(self.slopes))
+        of_slopes[static.joints] = _SLOPE_DEVIATION**-2
+        precision = of_k + self.precision
+        expected = self.precision * self.values / np.maximum(precision, 1e-300)
+        offsets = self.position_noise.ravel()
+        return (
+            np.concatenate([expected, self.slopes, np.zeros(len(offsets))]),
+            np.concatenate([precision, of_slopes, offsets**-2.0]),
+        )
+
+
+class _Encoders(NamedTuple):
+    """What readings are, by recording and joint.
+
+    - `steps`: of encoders [rad or m], 0 where readings are no counts.
+    - `readings_noise`: what readings scatter by; `least`: (n,) of any reading.
+    """
+
+    steps: Recordings
+    readings_noise: Recordings
+    least: Joints
+
+    @classmethod
+    def of(
+        cls, recordings: Sequence[Recording], readings: Readings, resolution: Joints | None
+    ) -> "_Encoders":
+        """Read off the recordings; `resolution`: (n,) of the encoders, if it is known."""
+        samplings = [Sampling.of(recording) for recording in recordings]
+        noise = np.array([sampling.noise for sampling in samplings])
+        if resolution is None:
+            steps = np.array([sampling.resolution for sampling in samplings])
+            steps = np.where(steps > _LEAST_STEP * noise, steps, 0.0)
+        else:
+            steps = np.tile(resolution, (len(recordings), 1))
+        least = _LEAST_NOISE * np.maximum(np.ptp(readings.position, axis=0), 1e-3)
+        return cls(steps, np.maximum(noise, least), least)
+
+    @property
+    def noise(self) -> Recordings:
+        """Of positions; of counts, that of their steps."""
+        return np.where(self.steps > 0.0, self.steps / np.sqrt(12.0), self.readings_noise)
+
+    @property
+    def least_noise(self) -> Recordings:
+        """Of positions, at least."""
+        return np.where(self.steps > 0.0, self.steps / np.sqrt(12.0), self.least)
+
+    @property
+    def scatter(self) -> Recordings:
+        """Of readings about smooth motion; 0 of counts."""
+        return np.where(self.steps > 0.0, 0.0, self.readings_noise)
+
+    @property
+    def same(self) -> Recordings:
+        """Readings that differ by less than half of it are the same."""
+        return np.where(self.steps > 0.0, self.steps, 2 * self.least)
 
 
 def _scale(

@@ -1,3 +1,5 @@
+"""Torque that friction bears at rest, as a censored observation of break-away."""
+
 import dataclasses
 
 import numpy as np

@@ -63,8 +63,7 @@ def start(network: jc.CSLC, recording: jc.Recording) -> tuple[Problem, Point, St
 def viscous() -> tuple[Problem, Minimum]:
     """A search with coefficients fixed."""
     problem, point, state = start(pendulum("viscous", "dry"), swing(0, 400, 0.1))
-    coefficients = np.arange(len(problem.scale)) < len(point.k)
-    fixed = dataclasses.replace(problem, scale=np.where(coefficients, 0.0, problem.scale))
+    fixed = problem.fixing("k")
     return fixed, search(
         fixed,
         point,

@@ -1,7 +1,5 @@
 """Joints that stick: a bound of friction at break-away, as a censored observation."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import scipy
@@ -99,10 +97,8 @@ def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
     problem, (point, torque_noise, position_noise) = starting_point(
         network, [ramp(0.75)], jc.Settings(), "held", None, None
     )
-    of_coefficients = np.arange(len(problem.scale)) < network.size
-    scale = np.where(of_coefficients & fixed, 0.0, problem.scale)
     minimum = search(
-        dataclasses.replace(problem, scale=scale),
+        problem.fixing("k") if fixed else problem,
         point,
         torque_noise,
         position_noise,

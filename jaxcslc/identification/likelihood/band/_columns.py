@@ -1,3 +1,5 @@
+"""Derivatives by the border without their zeros."""
+
 import dataclasses
 import itertools
 from functools import cached_property

@@ -1,3 +1,5 @@
+"""Banded normal equations with a border, and their factorisation."""
+
 import dataclasses
 from functools import cached_property
 

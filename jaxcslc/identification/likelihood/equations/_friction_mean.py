@@ -1,3 +1,5 @@
+"""Friction averaged over the two intervals of an equation."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -1,3 +1,5 @@
+"""Standard errors where residuals are correlated in time or across joints."""
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Rows of a fit with positions eliminated, summed up."""
+
 import dataclasses
 
 import numpy as np

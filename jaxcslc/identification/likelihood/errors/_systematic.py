@@ -1,3 +1,5 @@
+"""What missing terms and a wrong time of torques may do to coefficients."""
+
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Whether residuals are white, by an information matrix test."""
+
 import dataclasses
 
 import numpy as np

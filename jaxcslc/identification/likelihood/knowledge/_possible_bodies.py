@@ -1,3 +1,5 @@
+"""The most likely physically consistent bodies."""
+
 import dataclasses
 from collections.abc import Callable
 
@@ -68,26 +70,17 @@ def possible_bodies(
             prior_weight=weight,
         )
 
-    coefficients = np.arange(len(problem.scale)) < network.size
-    with_fixed_coefficients = dataclasses.replace(
-        problem, scale=np.where(coefficients, 0.0, problem.scale)
-    )
-
-    words = "maximum likelihood: possible bodies"
+    of_others = problem.fixing("k")
+    step: Callable[[str], None] = lambda _: progress("maximum likelihood: possible bodies")
 
     def search_with(k: Float[np.ndarray, " coefficients"], state: State) -> Minimum:
-        return search_on(with_fixed_coefficients, state, k, lambda _: progress(words))
+        return search_on(of_others, state, k, step)
 
     bodies = bodies_nearest_to(free.fit, None)
     if levels is None:
         minimum = search_with(bodies.k, minimum.state)
     else:
-        minimum = search(
-            with_fixed_coefficients,
-            minimum.point.with_values(k=bodies.k),
-            *levels,
-            lambda _: progress(words),
-        )
+        minimum = search(of_others, minimum.point.with_values(k=bodies.k), *levels, step)
     steps, weight, part, rounds = free.steps + minimum.steps, bodies.prior_weight, 1.0, 1
     while True:
         profile = Profile.of(minimum, problem.scale)

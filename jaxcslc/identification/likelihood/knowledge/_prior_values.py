@@ -1,3 +1,5 @@
+"""Values of coefficients that are known beforehand."""
+
 from collections.abc import Mapping
 
 import numpy as np

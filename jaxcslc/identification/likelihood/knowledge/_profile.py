@@ -1,3 +1,5 @@
+"""The sum of squares as a function of coefficients, all else at its minimum."""
+
 import dataclasses
 from collections.abc import Callable
 

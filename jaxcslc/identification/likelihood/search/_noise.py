@@ -1,3 +1,5 @@
+"""Noise levels and intervals that follow the steps of a search."""
+
 import dataclasses
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""What changes from step to step of a search."""
+
 import dataclasses
 import enum
 

@@ -1,3 +1,5 @@
+"""The residual blocks of a step: their weights, and which equations count."""
+
 import dataclasses
 
 import numpy as np

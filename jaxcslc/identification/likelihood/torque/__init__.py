@@ -1,3 +1,5 @@
+"""Recorded torques."""
+
 from ._torque_record import (
     TorqueRecord as TorqueRecord,
     TorqueSampling as TorqueSampling,

@@ -1,3 +1,5 @@
+"""Recorded torques, averaged as equations of motion average torque."""
+
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property

@@ -1,3 +1,5 @@
+"""Gears that explain smoothed motion, where a search starts."""
+
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,3 +1,5 @@
+"""Means over two intervals of what elastic gears bear."""
+
 import dataclasses
 from typing import NamedTuple
 

@@ -1,3 +1,5 @@
+"""Parameters of elastic gears."""
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Elastic gears as they were estimated."""
+
 from collections.abc import Sequence
 from typing import Any
 
