@@ -81,8 +81,7 @@ def identify(
       `"instrumental-variables"` is of one recording, without possible bodies and systematic errors
       (`InstrumentalVariables`); a note says whether least squares is biased.
     - `likelihood`: how maximum likelihood is fitted; its torque sampling and settings are those of
-      the report. With `unknowns`, lag and gains of torque are estimated on the training recordings,
-      and coefficients, errors and the validation recording are of torques as they then were.
+      the report.
     - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
