@@ -56,15 +56,15 @@ class AbstractDerivatives(abc.ABC):
 
     @abc.abstractmethod
     def changes(self, step: Step) -> Values:
-        """By how much residuals fall in a step."""
+        """Return by how much residuals fall in a step."""
 
     @abc.abstractmethod
     def add_gradient(self, force: Values, total: Step) -> None:
-        """Adds derivatives times `force`, weights times residuals, to a gradient."""
+        """Add derivatives times `force`, weights times residuals, to a gradient."""
 
     @abc.abstractmethod
     def add_squares(self, weight: Values, normal: Normal) -> None:
-        """Adds weighted squares of derivatives to normal equations."""
+        """Add weighted squares of derivatives to normal equations."""
 
 
 class AbstractBlock(abc.ABC):
@@ -79,24 +79,33 @@ class AbstractBlock(abc.ABC):
 
     @abc.abstractmethod
     def residuals(self, point: Point) -> Values:
-        """Recorded or expected minus predicted values."""
+        """Return recorded or expected minus predicted values."""
 
     @abc.abstractmethod
     def derivatives(self, point: Point, scale: Scale) -> AbstractDerivatives:
-        """About a point; `scale` of the border."""
+        """Return derivatives about a point; `scale` of the border."""
 
     def linearised(self, point: Point, scale: Scale) -> tuple[Values, AbstractDerivatives]:
-        """Residuals and derivatives."""
+        """Return residuals and derivatives."""
         return self.residuals(point), self.derivatives(point, scale)
 
     @property
     def bent(self) -> bool:
-        """Whether residuals have a law other than their squares."""
+        """Return whether residuals have a law other than their squares."""
         return False
 
     def law(self, residuals: Values) -> WorkingReadings:
-        """The weighted squares that residuals count as, about these."""
+        """Return the weighted squares that residuals count as, about these."""
         return WorkingReadings(self.weight * residuals**2, self.weight, residuals)
+
+
+class ConstantBlock(AbstractBlock, AbstractDerivatives):
+    """A block whose derivatives are the same everywhere, and no others than by what is in time."""
+
+    def derivatives(self, point: Point, scale: Scale) -> AbstractDerivatives:
+        """Return itself."""
+        del point, scale
+        return self
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,21 +124,21 @@ class ReadingBlock(AbstractBlock):
     intervals: Intervals | None = None
 
     def residuals(self, point: Point) -> Float[np.ndarray, "samples joints"]:
-        """Recorded minus predicted positions."""
+        """Return recorded minus predicted positions."""
         return self.position - point.q[:, : self.position.shape[1]] - point.offset[self.part]
 
     def derivatives(self, point: Point, scale: Scale) -> "ReadingDerivatives":
-        """By positions and offsets."""
+        """Return derivatives by positions and offsets."""
         del point
         return ReadingDerivatives(self.part, self.position.shape[1], scale)
 
     @property
     def bent(self) -> bool:
-        """Whether some readings are intervals."""
+        """Return whether some readings are intervals."""
         return self.intervals is not None
 
     def law(self, residuals: Float[np.ndarray, "samples joints"]) -> WorkingReadings:
-        """Of intervals, minus twice their logarithm."""
+        """Return the law of counts: of intervals, minus twice their logarithm."""
         if self.intervals is None:
             return super().law(residuals)
         return self.intervals.working(residuals, self.weight)
@@ -145,25 +154,25 @@ class ReadingDerivatives(AbstractDerivatives):
 
     @property
     def first(self) -> int:
-        """Where offsets begin in the border."""
+        """Return where offsets begin in the border."""
         return len(self.scale) - self.joints * (int(self.part[-1]) + 1)
 
     @property
     def offset(self) -> Int[np.ndarray, "samples joints"]:
-        """(samples, n): where the offset of each reading is in the border."""
+        """Return (samples, n): where the offset of each reading is in the border."""
         return self.first + self.joints * self.part[:, None] + np.arange(self.joints)
 
     def changes(self, step: Step) -> Float[np.ndarray, "samples joints"]:
-        """Of positions and offsets."""
+        """Return changes with positions and offsets."""
         return step.position[:, : self.joints] + (self.scale * step.border)[self.offset]
 
     def add_gradient(self, force: Float[np.ndarray, "samples joints"], total: Step) -> None:
-        """By positions and offsets."""
+        """Add the gradient by positions and offsets."""
         total.position[:, : self.joints] += force
         total.border[self.first :] += self.scale[self.first :] * self._of_offsets(force)
 
     def add_squares(self, weight: Float[np.ndarray, "samples joints"], normal: Normal) -> None:
-        """Of positions, offsets and both."""
+        """Add squares of positions, offsets and both."""
         index, offset = normal.order.position[:, : self.joints], self.offset
         normal.equations.band[index, 0] += weight
         normal.equations.mixed[index, normal.column[offset]] += weight * self.scale[offset]
@@ -173,7 +182,7 @@ class ReadingDerivatives(AbstractDerivatives):
         np.add.at(normal.equations.border, (column, column), squares)
 
     def _of_offsets(self, readings: Float[np.ndarray, "samples joints"]) -> np.ndarray:
-        """Sums over the readings of each offset, one recording after the other."""
+        """Return sums over the readings of each offset, one recording after the other."""
         firsts = np.flatnonzero(np.diff(self.part, prepend=-1))
         return np.add.reduceat(readings, firsts, axis=0).ravel()
 
@@ -199,18 +208,19 @@ class MotionBlock(AbstractBlock):
     truncation: Float[np.ndarray, "equations series"] | float = 0.0
 
     def residuals(self, point: Point) -> Float[np.ndarray, "equations series"]:
-        """Of joints; and of equations that torque is no part of, minus what these predict."""
+        """Return recorded minus predicted torque; of equations without torque, minus what these
+        predict."""
         motion = point.q, self.signs.turns(point.turn), self.signs.direction
         return self._left(self.equations.torque(point.k, point.laws, *motion))
 
     def derivatives(self, point: Point, scale: Scale) -> "MotionDerivatives":
-        """By three positions, the border and moments of reversals."""
+        """Return derivatives by three positions, the border and moments of reversals."""
         return self.linearised(point, scale)[1]
 
     def linearised(
         self, point: Point, scale: Scale
     ) -> tuple[Float[np.ndarray, "equations series"], "MotionDerivatives"]:
-        """Both from one evaluation; without moments of reversals that are at a bound."""
+        """Return both from one evaluation; without moments of reversals that are at a bound."""
         signs = self.signs
         motion = point.q, signs.turns(point.turn), signs.direction
         values = self.equations.linearised(point.k, point.laws, *motion)
@@ -225,11 +235,11 @@ class MotionBlock(AbstractBlock):
 
     @property
     def bent(self) -> bool:
-        """Whether some equations are bounds."""
+        """Return whether some equations are bounds."""
         return self.sticking is not None
 
     def law(self, residuals: Float[np.ndarray, "equations series"]) -> WorkingReadings:
-        """Of bounds, minus twice their logarithm."""
+        """Return the law of equations: of bounds, minus twice their logarithm."""
         if self.sticking is None:
             return super().law(residuals)
         return self.sticking.working(residuals, self.weight)
@@ -258,14 +268,14 @@ class MotionDerivatives(AbstractDerivatives):
     by_turn: Float[np.ndarray, "rows reversals"]
 
     def changes(self, step: Step) -> Float[np.ndarray, "equations series"]:
-        """Of positions, the border and moments of reversals."""
+        """Return changes with positions, the border and moments of reversals."""
         result = equation_changes(self.by_position, self.by_border, step.position, step.border)
         for reversals, rows, joints, derivative in self.turns:
             np.add.at(result, (rows, joints), derivative * step.turn[reversals])
         return result
 
     def add_gradient(self, force: Float[np.ndarray, "equations series"], total: Step) -> None:
-        """By positions, the border and moments of reversals."""
+        """Add the gradient by positions, the border and moments of reversals."""
         position, border = equation_gradients(self.by_position, self.by_border, force)
         total.position[:] += position
         total.border[:] += border
@@ -274,14 +284,14 @@ class MotionDerivatives(AbstractDerivatives):
     def turn_gradient(
         self, force: Float[np.ndarray, "equations series"]
     ) -> Float[np.ndarray, " reversals"]:
-        """By moments of reversals."""
+        """Return derivatives by moments of reversals."""
         result = np.zeros(self.by_turn.shape[1])
         for reversals, rows, joints, derivative in self.turns:
             result[reversals] += derivative * force[rows, joints]
         return result
 
     def add_squares(self, weight: Float[np.ndarray, "equations series"], normal: Normal) -> None:
-        """Of all unknowns."""
+        """Add squares of all unknowns."""
         result, order = normal.equations, normal.order
         by_border = self.by_border.among(normal.free)
         columns = result.band, result.mixed, order.position
@@ -300,7 +310,7 @@ class MotionDerivatives(AbstractDerivatives):
 
     @property
     def turns(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Equations that a reversal is in, the first of each reversal, then the second, and so on:
+        """Return equations that a reversal is in, the first of each, then the second, and so on:
         numbers of reversals, equations, joints and derivatives."""
         signs, equations = self.signs, len(self.by_position)
         parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
@@ -311,12 +321,12 @@ class MotionDerivatives(AbstractDerivatives):
         return parts
 
     def stencil(self, order: Order) -> Int[np.ndarray, "equations positions"]:
-        """The positions of each equation among the unknowns in order of time."""
+        """Return the positions of each equation among the unknowns in order of time."""
         position = order.position
         return np.concatenate([position[:-2], position[1:-1], position[2:]], axis=1)
 
     def diagonals(self, order: Order) -> int:
-        """Of the band: how far apart in order of time unknowns of one equation are, and one."""
+        """Return the diagonals of the band: how far apart unknowns of an equation are, and one."""
         position, stencil = order.position, self.stencil(order)
         apart = [stencil[:, -1] - stencil[:, 0], position[1:, -1] - position[:-1, 0]]
         for reversals, row, _, _ in self.turns:
@@ -326,32 +336,27 @@ class MotionDerivatives(AbstractDerivatives):
 
 
 @dataclasses.dataclass(frozen=True)
-class RestBlock(AbstractBlock, AbstractDerivatives):
+class RestBlock(ConstantBlock):
     """Joints at rest, which hardly move from sample to sample."""
 
     weight: Float[np.ndarray, "intervals joints"]
 
     def residuals(self, point: Point) -> Float[np.ndarray, "intervals joints"]:
-        """Minus the motion of an interval."""
+        """Return minus the motion of an interval."""
         return -np.diff(point.q[:, : self.weight.shape[1]], axis=0)
 
-    def derivatives(self, point: Point, scale: Scale) -> "RestBlock":
-        """They are always the same."""
-        del point, scale
-        return self
-
     def changes(self, step: Step) -> Float[np.ndarray, "intervals joints"]:
-        """Of positions."""
+        """Return changes with positions."""
         return np.diff(step.position[:, : self.weight.shape[1]], axis=0)
 
     def add_gradient(self, force: Float[np.ndarray, "intervals joints"], total: Step) -> None:
-        """By positions."""
+        """Add the gradient by positions."""
         n = self.weight.shape[1]
         total.position[1:, :n] += force
         total.position[:-1, :n] -= force
 
     def add_squares(self, weight: Float[np.ndarray, "intervals joints"], normal: Normal) -> None:
-        """Of the two positions of an interval."""
+        """Add squares of the two positions of an interval."""
         index, (row, joint) = normal.order.position, np.nonzero(weight)
         pair = np.stack([index[row, joint], index[row + 1, joint]], axis=1)
         difference = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -359,31 +364,26 @@ class RestBlock(AbstractBlock, AbstractDerivatives):
 
 
 @dataclasses.dataclass(frozen=True)
-class ReversalBlock(AbstractBlock, AbstractDerivatives):
+class ReversalBlock(ConstantBlock):
     """Moments of reversals, expected where velocity crosses zero; `expected`: (reversals,)."""
 
     expected: Float[np.ndarray, " reversals"]
     weight: Float[np.ndarray, " reversals"]
 
     def residuals(self, point: Point) -> Float[np.ndarray, " reversals"]:
-        """Expected minus present moments."""
+        """Return expected minus present moments."""
         return self.expected - point.turn
 
-    def derivatives(self, point: Point, scale: Scale) -> "ReversalBlock":
-        """They are always the same."""
-        del point, scale
-        return self
-
     def changes(self, step: Step) -> Float[np.ndarray, " reversals"]:
-        """Of moments."""
+        """Return changes with moments."""
         return step.turn
 
     def add_gradient(self, force: Float[np.ndarray, " reversals"], total: Step) -> None:
-        """By moments."""
+        """Add the gradient by moments."""
         total.turn[:] += force
 
     def add_squares(self, weight: Float[np.ndarray, " reversals"], normal: Normal) -> None:
-        """Of moments."""
+        """Add squares of moments."""
         normal.equations.add(normal.order.turn[:, None], weight[:, None, None])
 
 
@@ -395,11 +395,11 @@ class PriorBlock(AbstractBlock):
     weight: Float[np.ndarray, " border"]
 
     def residuals(self, point: Point) -> Float[np.ndarray, " border"]:
-        """Expected minus present values."""
+        """Return expected minus present values."""
         return self.expected - point.border
 
     def derivatives(self, point: Point, scale: Scale) -> "PriorDerivatives":
-        """The scale."""
+        """Return the scale."""
         del point
         return PriorDerivatives(scale)
 
@@ -411,14 +411,14 @@ class PriorDerivatives(AbstractDerivatives):
     scale: Scale
 
     def changes(self, step: Step) -> Float[np.ndarray, " border"]:
-        """Of the border."""
+        """Return changes with the border."""
         return self.scale * step.border
 
     def add_gradient(self, force: Float[np.ndarray, " border"], total: Step) -> None:
-        """By the border."""
+        """Add the gradient by the border."""
         total.border[:] += self.scale * force
 
     def add_squares(self, weight: Float[np.ndarray, " border"], normal: Normal) -> None:
-        """Of the border."""
+        """Add squares of the border."""
         diagonal = np.arange(len(normal.free))
         normal.equations.border[diagonal, diagonal] += (self.scale**2 * weight)[normal.free]

@@ -45,7 +45,7 @@ class Linear:
 
     @classmethod
     def of(cls, objective: Objective, point: Point) -> "Linear":
-        """The Gauss-Newton equations about a point."""
+        """Return the Gauss-Newton equations about a point."""
         parts = {
             name: block.linearised(point, objective.scale)
             for name, block in objective.blocks.items()
@@ -67,20 +67,20 @@ class Linear:
 
     @property
     def motion(self) -> MotionDerivatives:
-        """Derivatives of equations of motion."""
+        """Return derivatives of equations of motion."""
         return cast(MotionDerivatives, self.derivatives["torque"])
 
     @property
     def readings(self) -> ReadingDerivatives:
-        """Derivatives of readings."""
+        """Return derivatives of readings."""
         return cast(ReadingDerivatives, self.derivatives["position"])
 
     def with_motion(self, motion: MotionDerivatives) -> "Linear":
-        """With other derivatives of equations of motion."""
+        """Return it with other derivatives of equations of motion."""
         return dataclasses.replace(self, derivatives={**self.derivatives, "torque": motion})
 
     def factored(self, damping: float) -> Factored:
-        """The normal equations, damped and factorised.
+        """Return the normal equations, damped and factorised.
 
         **Raises** `numpy.linalg.LinAlgError` if rounding has made them indefinite.
         """
@@ -102,7 +102,7 @@ class Linear:
         return equations.factored(damping * diagonal, free, len(scale))
 
     def step(self, factored: Factored, residuals: Residuals, damping: float = 0.0) -> Step:
-        """The change of all unknowns that fits residuals best.
+        """Return the change of all unknowns that fits residuals best.
 
         **Arguments**
 
@@ -115,7 +115,7 @@ class Linear:
     def steps(
         self, factored: Factored, residuals: Sequence[Residuals], damping: float = 0.0
     ) -> list[Step]:
-        """`step` for several residuals, which takes less time than one by one."""
+        """Return `step` for several residuals, which takes less time than one by one."""
         order, gradients = self.order, [self._gradient(values) for values in residuals]
         inner = np.zeros((order.size, len(gradients)))
         for number, gradient in enumerate(gradients):
@@ -129,7 +129,7 @@ class Linear:
         ]
 
     def about(self, residuals: Residuals) -> "Linear":
-        """With the parabolas of laws at other residuals, where they are above the present ones.
+        """Return it with parabolas of laws at other residuals, where these are above the present.
 
         A count is flat inside its interval and steep outside, and so is the bound of a joint that
         sticks: a step that knows the flat part alone goes far out.
@@ -151,7 +151,7 @@ class Linear:
         return dataclasses.replace(self, weights=weights, residuals=vertices, levels=levels)
 
     def value(self, residuals: Residuals) -> float:
-        """The sum of squares at other residuals of the objective's, by these parabolas."""
+        """Return the sum of squares at other residuals of the objective's, by these parabolas."""
         total = 0.0
         for name, values in residuals.items():
             level = self.levels.get(name)
@@ -161,7 +161,7 @@ class Linear:
         return total
 
     def promise(self, step: Step) -> float:
-        """How much the sum of squares would fall in a step, were all equations linear."""
+        """Return how much the sum of squares would fall in a step, were all equations linear."""
         gradient = self._gradient(self.residuals)
         return float(
             gradient.border @ step.border
@@ -170,14 +170,14 @@ class Linear:
         )
 
     def after(self, step: Step, residuals: Residuals) -> Residuals:
-        """The residuals that a step leaves, were all equations linear."""
+        """Return the residuals that a step leaves, were all equations linear."""
         return {
             name: residuals[name] - derivatives.changes(step)
             for name, derivatives in self.derivatives.items()
         }
 
     def zeros(self, **residuals: np.ndarray) -> Residuals:
-        """Residuals of some blocks; those of all others are 0."""
+        """Return residuals of some blocks; those of all others are 0."""
         return {name: residuals.get(name, 0.0 * values) for name, values in self.present.items()}
 
     def _gradient(self, residuals: Residuals) -> Step:
@@ -192,7 +192,7 @@ class Linear:
         return total
 
     def _within_bounds(self, turn: Float[np.ndarray, " reversals"]) -> "Linear":
-        """The same without moments of reversals that are at a bound and would go beyond it.
+        """Return the same without moments of reversals that are at a bound and would go beyond it.
 
         What linear equations promise of such a step does not come, and a search that waits for it
         does not end.

@@ -46,7 +46,7 @@ class _Searched(NamedTuple):
         every: int,
         report: Callable[[str], None],
     ) -> "_Searched":
-        """With positions at every so many samples."""
+        """Search with positions at every so many samples."""
         problem, first = estimator.start(network, recordings, start, every)
         minimum = search(problem, *first, report)
         noise = NoiseExcitation.of(network, minimum, first.point.q, every)
@@ -151,7 +151,7 @@ class MaximumLikelihood:
         start: Identification | LikelihoodFit | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> LikelihoodFit:
-        """The most likely coefficients of a recording, or of several together.
+        """Fit the most likely coefficients of a recording, or of several together.
 
         **Arguments**
 
@@ -182,28 +182,38 @@ class MaximumLikelihood:
             problem, first = self.start(network, recordings, start, every)
             minimum = transmission_search(problem, first, self.transmission, report)
             return self._fit(network, minimum, every)
-        searched = _Searched.of(self, network, recordings, start, every, report)
-        spacing: SpacingChoice | None = None
-        if self.every == "auto":
-            excess = excess_noise(searched.problem, searched.minimum)
-            noisy: tuple[NoiseExcitation, ...] = ()
-            samples = min(recording.samples for recording in recordings)
-            wider: int | None = spacing_for(excess, samples)
-            while wider:
-                if wider > every:
-                    every = wider
-                    searched = _Searched.of(self, network, recordings, start, every, report)
-                wider = searched.noise.wider_spacing(samples)
-                noisy += (searched.noise,) if wider else ()
-            spacing = SpacingChoice(every, tuple(excess.tolist()), noisy)
+        searched, spacing = self._spaced(network, recordings, start, every, report)
         problem, first, minimum, noise = searched
-        fit = dataclasses.replace(
-            self._fit(network, minimum, every), spacing=spacing, noise_excitation=noise
-        )
+        fit = self._fit(network, minimum, noise.every)
+        fit = dataclasses.replace(fit, spacing=spacing, noise_excitation=noise)
         return self._with_bodies(network, problem, minimum, fit, first[1:], report)
 
+    def _spaced(
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        start: Identification | None,
+        every: int,
+        report: Callable[[str], None],
+    ) -> tuple[_Searched, SpacingChoice | None]:
+        """Search with positions as far apart as they are to be, and say why if that is chosen."""
+        searched = _Searched.of(self, network, recordings, start, every, report)
+        if self.every != "auto":
+            return searched, None
+        excess = excess_noise(searched.problem, searched.minimum)
+        noisy: tuple[NoiseExcitation, ...] = ()
+        samples = min(recording.samples for recording in recordings)
+        wider: int | None = spacing_for(excess, samples)
+        while wider:
+            if wider > every:
+                every = wider
+                searched = _Searched.of(self, network, recordings, start, every, report)
+            wider = searched.noise.wider_spacing(samples)
+            noisy += (searched.noise,) if wider else ()
+        return searched, SpacingChoice(every, tuple(excess.tolist()), noisy)
+
     def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
-        """The same with the spacing of a fit."""
+        """Return the same with the spacing of a fit."""
         return dataclasses.replace(self, every=fit.every)
 
     def _near(
@@ -213,9 +223,9 @@ class MaximumLikelihood:
         near: LikelihoodFit,
         report: Callable[[str], None],
     ) -> LikelihoodFit:
-        """The minimum near a fit, with its noise levels."""
+        """Fit near another fit, with its noise levels."""
         problem, first = self.start(network, recordings, near.fit, near.every)
-        first = SearchStart(_near(first.point, near), near.torque_noise, near.position_noise)
+        first = SearchStart(_point_near(first.point, near), near.torque_noise, near.position_noise)
         edge = near.edge
         if near.transmission is not None:
             problem, first = near_transmission(problem, first, near.transmission)
@@ -246,7 +256,7 @@ class MaximumLikelihood:
         levels: tuple[np.ndarray, np.ndarray] | None,
         report: Callable[[str], None],
     ) -> LikelihoodFit:
-        """With possible bodies if they are asked for; `levels` as of `possible_bodies`."""
+        """Return the fit, with possible bodies if they are asked for; `levels` are theirs."""
         if not self.possible:
             return fit
         with_bodies = possible_bodies(
@@ -271,7 +281,7 @@ class MaximumLikelihood:
         position_noise: Float[np.ndarray, " joints"],
         gears: LikelihoodFit | None = None,
     ) -> Misfit:
-        """How well coefficients agree with recordings, without a smoothing of these.
+        """Return how well coefficients agree with recordings, without a smoothing of these.
 
         Torque errors of smoothed motion are least for coefficients that make up for what smoothing
         does: true ones lose. Here positions are estimated, for coefficients, slopes and noise
@@ -320,7 +330,7 @@ class MaximumLikelihood:
         start: Identification | None,
         every: int,
     ) -> tuple[Problem, SearchStart]:
-        """The problem, and where its search starts."""
+        """Return the problem, and where its search starts."""
         return starting_point(
             network,
             recordings,
@@ -334,8 +344,8 @@ class MaximumLikelihood:
         )
 
 
-def _near(point: Point, fit: LikelihoodFit) -> Point:
-    """A point with the values of a fit that is near.
+def _point_near(point: Point, fit: LikelihoodFit) -> Point:
+    """Return a point with the values of a fit that is near.
 
     **Raises** `ValueError` if the fit's positions are at other samples than the point's.
     """

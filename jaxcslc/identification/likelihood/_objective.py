@@ -32,42 +32,42 @@ class Objective:
 
     @property
     def motion(self) -> MotionBlock:
-        """Equations of motion."""
+        """Return equations of motion."""
         return cast(MotionBlock, self.blocks["torque"])
 
     @property
     def readings(self) -> ReadingBlock:
-        """Of joints."""
+        """Return readings of joints."""
         return cast(ReadingBlock, self.blocks["position"])
 
     @property
     def weights(self) -> Residuals:
-        """Of all residuals, were they to count by their squares."""
+        """Return weights of all residuals, were they to count by their squares."""
         return {name: block.weight for name, block in self.blocks.items()}
 
     @property
     def bent(self) -> bool:
-        """Whether some residuals count other than by their squares."""
+        """Return whether some residuals count other than by their squares."""
         return any(block.bent for block in self.blocks.values())
 
     def with_blocks(self, **blocks: AbstractBlock) -> "Objective":
-        """With others of these names."""
+        """Return the sum with other blocks of these names."""
         return dataclasses.replace(self, blocks={**self.blocks, **blocks})
 
     def residuals(self, point: Point) -> Residuals:
-        """Recorded minus predicted, by block."""
+        """Return recorded minus predicted, by block."""
         return {name: block.residuals(point) for name, block in self.blocks.items()}
 
     def laws(self, residuals: Residuals) -> Mapping[str, WorkingReadings]:
-        """The weighted squares that residuals count as, about these."""
+        """Return the weighted squares that residuals count as, about these."""
         return {name: block.law(residuals[name]) for name, block in self.blocks.items()}
 
     def value(self, residuals: Residuals) -> float:
-        """The sum of squares over their variances; of intervals, minus twice their logarithm."""
+        """Return the sum of squares over variances; of other laws, minus twice the logarithm."""
         return sum(float(np.sum(law.value)) for law in self.laws(residuals).values())
 
     def moved(self, point: Point, step: Step) -> Point:
-        """The point after a step."""
+        """Return the point after a step."""
         return dataclasses.replace(
             point,
             border=point.border + self.scale * step.border,

@@ -31,11 +31,11 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """How many unknowns."""
+        """Return how many unknowns."""
         return sum(size for _, size in self.sizes)
 
     def part(self, name: str) -> slice:
-        """Indices of a part; none of one that there is not."""
+        """Return indices of a part; none of one that there is not."""
         first = 0
         for other, size in self.sizes:
             if other == name:
@@ -45,11 +45,11 @@ class Layout:
 
     @property
     def laws(self) -> slice:
-        """What equations have beside coefficients: slopes, and unknowns of added blocks."""
+        """Return what equations have beside coefficients: slopes, and unknowns of added blocks."""
         return slice(self.part("slopes").start, self.part(_LAST).start)
 
     def with_part(self, name: str, size: int) -> "Layout":
-        """With the unknowns of an added block."""
+        """Return it with the unknowns of an added block."""
         return Layout((*self.sizes[:-1], (name, size), self.sizes[-1]))
 
     def inserted(
@@ -58,7 +58,7 @@ class Layout:
         name: str,
         added: Float[np.ndarray, " added"],
     ) -> Float[np.ndarray, " longer"]:
-        """Values in this layout, from those of a layout without a part, and the part's."""
+        """Return values in this layout, from those of a layout without a part, and the part's."""
         return np.insert(values, self.part(name).start, added)
 
 
@@ -85,39 +85,39 @@ class Point:
         q: Float[np.ndarray, "samples series"],
         turn: Float[np.ndarray, " reversals"],
     ) -> "Point":
-        """From values of the border by name, in the order of `Layout`."""
+        """Return from values of the border by name, in the order of `Layout`."""
         layout = Layout(tuple((name, np.size(part)) for name, part in values.items()))
         return cls(np.concatenate([np.ravel(part) for part in values.values()]), layout, q, turn)
 
     def with_values(self, **values: np.ndarray) -> "Point":
-        """With other values of some parts of the border."""
+        """Return it with other values of some parts of the border."""
         border = self.border.copy()
         for name, part in values.items():
             border[self.layout.part(name)] = np.ravel(part)
         return dataclasses.replace(self, border=border)
 
     def values(self, name: str) -> Float[np.ndarray, " values"]:
-        """Those of a part of the border; none of one that there is not."""
+        """Return those of a part of the border; none of one that there is not."""
         return self.border[self.layout.part(name)]
 
     @property
     def k(self) -> Float[np.ndarray, " coefficients"]:
-        """(p,) coefficients."""
+        """Return (p,) coefficients."""
         return self.values("k")
 
     @property
     def slopes(self) -> Float[np.ndarray, " joints"]:
-        """(n,) logarithms of static friction's slopes."""
+        """Return (n,) logarithms of static friction's slopes."""
         return self.values("slopes")
 
     @property
     def laws(self) -> Float[np.ndarray, " laws"]:
-        """What equations have beside coefficients, see `Layout.laws`."""
+        """Return what equations have beside coefficients, see `Layout.laws`."""
         return self.border[self.layout.laws]
 
     @property
     def offset(self) -> Float[np.ndarray, "recordings joints"]:
-        """(recordings, n) of the encoders [rad or m]."""
+        """Return (recordings, n) of the encoders [rad or m]."""
         return self.values(_LAST).reshape(-1, len(self.slopes))
 
 
@@ -130,5 +130,5 @@ class Step:
     turn: Float[np.ndarray, " reversals"]
 
     def scaled(self, factor: float) -> "Step":
-        """A part of it."""
+        """Return a part of it."""
         return Step(factor * self.border, factor * self.position, factor * self.turn)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from .._blocks import AbstractBlock, AbstractDerivatives, Normal
+from .._blocks import ConstantBlock, Normal
 from .._point import Point, Step
 from .._problem import Problem, SearchStart
 from ..search import Minimum, search
@@ -28,7 +28,7 @@ GEARS, LINKS = "gears", "links"
 
 
 @dataclasses.dataclass(frozen=True)
-class LinkBlock(AbstractBlock, AbstractDerivatives):
+class LinkBlock(ConstantBlock):
     """Positions of links, which nothing reads: about 0, within as much as a joint may ever turn.
 
     - `joints`: n; links are the columns behind them.
@@ -38,31 +38,26 @@ class LinkBlock(AbstractBlock, AbstractDerivatives):
     weight: Float[np.ndarray, "samples links"]
 
     def residuals(self, point: Point) -> Float[np.ndarray, "samples links"]:
-        """Minus positions."""
+        """Return minus positions."""
         return -point.q[:, self.joints :]
 
-    def derivatives(self, point: Point, scale: Float[np.ndarray, " border"]) -> "LinkBlock":
-        """They are always the same."""
-        del point, scale
-        return self
-
     def changes(self, step: Step) -> Float[np.ndarray, "samples links"]:
-        """Of positions."""
+        """Return changes with positions."""
         return step.position[:, self.joints :]
 
     def add_gradient(self, force: Float[np.ndarray, "samples links"], total: Step) -> None:
-        """By positions."""
+        """Add the gradient by positions."""
         total.position[:, self.joints :] += force
 
     def add_squares(self, weight: Float[np.ndarray, "samples links"], normal: Normal) -> None:
-        """Of positions."""
+        """Add squares of positions."""
         normal.equations.band[normal.order.position[:, self.joints :], 0] += weight
 
 
 def with_gears(
     problem: Problem, start: SearchStart, links: Sequence[int], first: FirstGears
 ) -> tuple[Problem, SearchStart]:
-    """A problem of rigid gears with elastic ones, which have no play at first.
+    """Return a problem of rigid gears with elastic ones, which have no play at first.
 
     **Arguments**
 
@@ -102,7 +97,7 @@ def with_gears(
 def near_transmission(
     problem: Problem, start: SearchStart, gears: Transmission
 ) -> tuple[Problem, SearchStart]:
-    """The same with gears that are known, and links where these have them.
+    """Return the same with gears that are known, and links where these have them.
 
     **Arguments** as of `with_gears`, and
 
@@ -124,7 +119,7 @@ def transmission_search(
     joints: Sequence[int],
     progress: Callable[[str], None],
 ) -> Minimum:
-    """The most likely rotors and links that move apart.
+    """Search for the most likely rotors and links that move apart.
 
     From rigid gears, a search may end with ever stiffer ones: phases of vibrations change by more
     than a radian on the way to the right stiffness. So it starts from gears that explain smoothed
