@@ -56,7 +56,7 @@ class EstimatorComparison:
     units: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """What a report's file says of it, as plain data."""
+        """Return what a report's file says of it, as plain data."""
         likelihood = self.likelihood
         return {
             "used": self.used,
@@ -103,7 +103,7 @@ class EstimatorComparison:
 
 
 def lengths_line(lengths: Sequence[float], units: Sequence[str]) -> str:
-    """What friction both estimators have where it yields before it slides.
+    """Say over which distances friction of both estimators yields before it slides.
 
     **Arguments**
 

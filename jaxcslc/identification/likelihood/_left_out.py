@@ -25,7 +25,7 @@ class LeftOut:
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], every: int = 1) -> "LeftOut | None":
-        """None where a recording is too short to be divided.
+        """Divide recordings; None where one is too short.
 
         - `every`: rows are those of positions at every so many samples.
         """

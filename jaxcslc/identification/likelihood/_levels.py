@@ -43,7 +43,7 @@ class NoiseDraws:
         torque_noise: Levels,
         position_noise: Levels,
     ) -> "NoiseDraws":
-        """`part`: number of the recording of each sample."""
+        """Draw noise and fit it; `part`: number of the recording of each sample."""
         rng = np.random.default_rng(0)
         counts = linear.weights["torque"] > 0.0
         normal = np.where(counts, rng.normal(size=counts.shape), 0.0)
@@ -73,7 +73,7 @@ def noise_levels(
     torque_noise: Levels,
     position_noise: Levels,
 ) -> tuple[Levels, Levels]:
-    """The levels at which residuals would be as large as they are.
+    """Return the levels at which residuals would be as large as they are.
 
     The squares of what is left of both kinds of noise add up, so that the level of torque noise
     follows from what positions do not explain (a fixed point of the marginal likelihood, whose
@@ -114,7 +114,7 @@ def hidden_noise(
     part: Int[np.ndarray, " samples"],
     torque_noise: Levels,
 ) -> Levels:
-    """The least noise of positions beside torque noise that would hide it.
+    """Return the least noise of positions beside torque noise that would hide it.
 
     Where noise of positions makes less of an equation's error than torque noise does, residuals say
     little of its level, and a small one is as likely as none; with none, noise of accelerations
@@ -149,7 +149,8 @@ def position_errors(
     part: Int[np.ndarray, " samples"],
     recordings: int,
 ) -> Levels:
-    """Standard deviations of estimated positions with their offsets; infinite if none moves."""
+    """Return standard deviations of estimated positions with their offsets; infinite if none
+    moves."""
     of_torque, of_position = draws.by_torque["position"], draws.by_position["position"]
     squares = (draws.position - of_position) ** 2 + of_torque**2
     result = np.full((recordings, squares.shape[1]), np.inf)

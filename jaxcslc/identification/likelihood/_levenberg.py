@@ -60,7 +60,7 @@ class LevenbergStep:
 
 
 def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: float) -> LevenbergStep:
-    """Damped until the sum of squares falls; without a change where it never does.
+    """Take a step, damped until the sum of squares falls; none where it never does.
 
     Where torque is nearly exact, a minimum is at the end of a bent valley: magnitude times slope of
     static friction stays the same along it. A step that misses it is solved again for the torque
@@ -128,7 +128,8 @@ class _Trials:
     rounding: float
 
     def best(self) -> _Trial:
-        """The step with its corrections or, where none is good, the first part of it that is.
+        """Return the step with its corrections or, where none is good, the first part of it that
+        is.
 
         The sum of squares need not fall in it.
         """

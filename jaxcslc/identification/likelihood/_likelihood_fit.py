@@ -109,7 +109,7 @@ class LikelihoodFit(eqx.Module):
         return self.fit.k
 
     def at(self, samples: Bool[np.ndarray, " samples"]) -> "LikelihoodFit":
-        """The same with some of the estimated positions."""
+        """Return the same with some of the estimated positions."""
         gears = self.transmission
         if gears is not None:
             gears = eqx.tree_at(
@@ -165,7 +165,7 @@ class Misfit:
 
     @classmethod
     def of(cls, minimum: Minimum, part: Int[np.ndarray, " samples"], joints: int) -> "Misfit":
-        """At the minimum of a search; `part`: number of the recording of each sample."""
+        """Read it off the minimum of a search; `part`: number of the recording of each sample."""
         left, of_equation = minimum.linear.residuals, part[1:-1]
         error = np.hypot(
             left["torque"][:, :joints] / minimum.torque_noise[of_equation],
@@ -175,7 +175,8 @@ class Misfit:
 
 
 def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> LikelihoodFit:
-    """The result of a search, with standard errors for independent or correlated residuals."""
+    """Return the result of a search, with standard errors for independent or correlated
+    residuals."""
     point, p, n = minimum.point, network.size, network.joint_count
     spectrum, border = Spectrum.of(minimum.factored.information), minimum.objective.scale
     residual, used = minimum.linear.residuals["torque"][:, :n], minimum.counted
@@ -246,7 +247,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
 
 
 def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> Transmission | None:
-    """Gears that give way, with standard errors of their parameters; None of rigid ones."""
+    """Return gears that give way, with standard errors of their parameters; None of rigid ones."""
     point, equations = minimum.point, minimum.objective.motion.equations
     if not isinstance(equations, ElasticEquations):
         return None

@@ -45,7 +45,7 @@ class LinearMinimum:
     def of(
         cls, linear: Linear, damping: float, least: float, start: Linear | None = None
     ) -> "LinearMinimum":
-        """Of equations about a point.
+        """Solve equations about a point.
 
         **Arguments**
 
@@ -82,7 +82,7 @@ class LinearMinimum:
         return dataclasses.replace(result, promise=max(result.promise, fall))
 
     def _shortened(self, value: float) -> "LinearMinimum":
-        """A part of the step in which laws fall from a value, the best of its halves.
+        """Return a part of the step in which laws fall from a value, the best of its halves.
 
         The set of steep laws only grows. Where many are steep that should not be, the step to the
         minimum of their parabolas goes up, and a search that waits for another one does not end.

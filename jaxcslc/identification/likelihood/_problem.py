@@ -76,7 +76,8 @@ class Problem:
         return self.stuck.shape[1]
 
     def bounded(self, point: Point, before: Point) -> Point:
-        """A point within bounds, whose slopes and reversals are no further than a step may go."""
+        """Return a point within bounds, whose slopes and reversals are no further than a step may
+        go."""
         near = np.clip(point.slopes, before.slopes - _SLOPE_STEP, before.slopes + _SLOPE_STEP)
         values = {"slopes": near}
         for name, (low, high) in self.bounds.items():
@@ -85,7 +86,7 @@ class Problem:
         return dataclasses.replace(point.with_values(**values), turn=turn)
 
     def fixing(self, *names: str) -> "Problem":
-        """With parts of the border fixed."""
+        """Fix parts of the border."""
         scale = self.scale.copy()
         for name in names:
             scale[self.layout.part(name)] = 0.0
@@ -94,7 +95,7 @@ class Problem:
     def with_unknowns(
         self, name: str, scale: Values, mean: Values, precision: Values, low: Values
     ) -> "Problem":
-        """With the unknowns of an added block in the border.
+        """Add the unknowns of an added block to the border.
 
         **Arguments**
 

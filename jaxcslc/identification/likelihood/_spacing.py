@@ -58,7 +58,7 @@ class NoiseExcitation:
         smooth: Float[np.ndarray, "samples joints"],
         every: int,
     ) -> "NoiseExcitation":
-        """Of a search that has ended.
+        """Judge the end of a search.
 
         **Arguments**
 
@@ -84,8 +84,8 @@ class NoiseExcitation:
         return self.ratio > _GREATEST_RATIO
 
     def wider_spacing(self, samples: int) -> int | None:
-        """The next larger spacing where noise excites; None if recordings of so many samples have
-        none, and where it does not."""
+        """Return the next larger spacing where noise excites; None if recordings of so many
+        samples have none, and where it does not."""
         wider = [every for every in _SPACINGS if every > self.every]
         return wider[0] if self.excessive and wider and _enough(samples, wider[0]) else None
 
@@ -98,7 +98,7 @@ class NoiseExcitation:
         )
 
     def document(self) -> dict[str, Any]:
-        """It as plain data."""
+        """Return it as plain data."""
         return {"every": self.every, "ratio": self.ratio, "coefficient": self.name}
 
 
@@ -135,7 +135,7 @@ class SpacingChoice:
         return tuple(lines)
 
     def document(self) -> dict[str, Any]:
-        """It as plain data."""
+        """Return it as plain data."""
         return {
             "every": self.every,
             "excess_position_noise": list(self.excess),
@@ -145,7 +145,7 @@ class SpacingChoice:
 
 
 def excess_noise(problem: Problem, minimum: Minimum) -> Float[np.ndarray, " joints"]:
-    """(n,) estimated noise of positions over that of encoders' steps, or over what readings
+    """Return (n,) estimated noise of positions over that of encoders' steps, or over what readings
     without steps scatter by; the greatest of several recordings.
 
     Above 1, joints move as the equations of rigid links do not.
@@ -156,7 +156,7 @@ def excess_noise(problem: Problem, minimum: Minimum) -> Float[np.ndarray, " join
 
 
 def spacing_for(excess: Float[np.ndarray, " joints"], samples: int) -> int:
-    """The spacing for joints that vibrate, 1 for others and for recordings of few samples.
+    """Return the spacing for joints that vibrate, 1 for others and for recordings of few samples.
 
     >>> spacing_for(np.array([1.0, 1.2]), 1000), spacing_for(np.array([1.0, 1.5]), 1000)
     (1, 3)
@@ -170,5 +170,5 @@ def _enough(samples: int, every: int) -> bool:
 
 
 def _errors(factored: Factored) -> Float[np.ndarray, " border"]:
-    """Standard errors in units of the border's scale; 0 where nothing is known."""
+    """Return standard errors in units of the border's scale; 0 where nothing is known."""
     return np.sqrt(np.diag(Spectrum.of(factored.information).covariance))

@@ -53,7 +53,7 @@ def starting_point(
     every: int = 1,
     lengths: tuple[float, ...] = (),
 ) -> tuple[Problem, SearchStart]:
-    """The problem of recordings, and where its search starts: regression on smoothed motion.
+    """Return the problem of recordings, and where its search starts: regression on smoothed motion.
 
     **Arguments** as attributes of `MaximumLikelihood`, and
 
@@ -129,7 +129,7 @@ def starting_point(
 def _regression(
     network: CSLC, patterns: Mapping[str, Patterns], settings: Settings
 ) -> Identification:
-    """Of all recordings together."""
+    """Fit all recordings together."""
     if len(patterns) > 1:
         return fit_recordings(network, patterns, settings.solver).fit
     (only,) = patterns.values()
@@ -137,7 +137,7 @@ def _regression(
 
 
 def _residual(network: CSLC, patterns: Patterns, fit: Identification) -> Joints:
-    """(n,) RMS residual of a recording."""
+    """Return (n,) RMS residual of a recording."""
     error = np.asarray(patterns.torque) - torque_of(network, patterns, fit.k)
     mask = np.asarray(patterns.mask)
     squares = np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
@@ -150,7 +150,7 @@ def _rests(
     resolution: Recordings,
     slowest: Joints,
 ) -> Bool[np.ndarray, "intervals joints"]:
-    """Where joints are at rest, never between two recordings."""
+    """Tell where joints are at rest, never between two recordings."""
     stuck = np.zeros((len(speed) - 1, speed.shape[1]), bool)
     for number in range(readings.recordings):
         rows = np.flatnonzero(readings.part == number)
@@ -174,13 +174,13 @@ class _Static:
         self._joint_count = network.joint_count
 
     def dry(self, k: Float[np.ndarray, " coefficients"]) -> Joints:
-        """(n,) absolute coefficients of dry friction, 0 for joints without."""
+        """Return (n,) absolute coefficients of dry friction, 0 for joints without."""
         result = np.zeros(self._joint_count)
         result[self._dry_joints] = np.abs(k[self._dry])
         return result
 
     def breakaway(self, point: Point) -> Joints:
-        """(n,) the greatest friction at standstill [N m or N]."""
+        """Return (n,) the greatest friction at standstill [N m or N]."""
         dry, at_rest = self.dry(point.k), np.zeros(self._joint_count)
         at_rest[self.joints] = np.abs(point.k[self.indices])
         beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
@@ -207,7 +207,7 @@ class _Known:
     position_noise: Recordings
 
     def __call__(self, point: Point, of_dry: Point) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and inverse variance, (border,) each."""
+        """Return mean and inverse variance, (border,) each."""
         static = self.static
         spread = static.dry(of_dry.k)[static.joints]
         spread = np.where(point.k[static.indices] < 0.0, _BELOW_DRY * spread, spread)
@@ -239,7 +239,7 @@ class _Encoders(NamedTuple):
     def of(
         cls, recordings: Sequence[Recording], readings: Readings, resolution: Joints | None
     ) -> "_Encoders":
-        """Read off the recordings; `resolution`: (n,) of the encoders, if it is known."""
+        """Read them off recordings; `resolution`: (n,) of the encoders, if it is known."""
         samplings = [Sampling.of(recording) for recording in recordings]
         noise = np.array([sampling.noise for sampling in samplings])
         if resolution is None:
@@ -274,7 +274,8 @@ class _Encoders(NamedTuple):
 def _scale(
     network: CSLC, patterns: Iterable[Patterns], torque_error: Joints
 ) -> Float[np.ndarray, " coefficients"]:
-    """One over the length of each column of the regressor, joints weighted by their residual."""
+    """Return one over the length of each column of the regressor, joints weighted by their
+    residual."""
     weights = 1.0 / np.maximum(torque_error, 1e-6 * max(float(torque_error.max()), 1e-12))
     square = np.zeros(network.size)
     for values in patterns:

@@ -48,7 +48,7 @@ class AbstractEquations(abc.ABC):
     def torque(
         self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
     ) -> Rows:
-        """Torque of every equation, (equations, series).
+        """Return torque of every equation, (equations, series).
 
         **Arguments**
 
@@ -71,7 +71,8 @@ class AbstractEquations(abc.ABC):
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
     ) -> "AbstractEquations":
-        """The equations for a step from positions; `part`: number of the recording of each."""
+        """Return the equations for a step from positions; `part`: number of the recording of
+        each."""
         del q, time, part
         return self
 
@@ -95,12 +96,13 @@ class AbstractEquations(abc.ABC):
         return np.zeros(self.network.joint_count)
 
     def noise(self, torque_noise: Float[np.ndarray, "recordings joints"]) -> np.ndarray:
-        """(recordings, series) of all equations, from that of the motors' torque [N m or N]."""
+        """Return (recordings, series) of all equations, from that of the motors' torque [N m or
+        N]."""
         return torque_noise
 
     def states(self, k: Coefficients) -> tuple[Joints, Rows | float]:
-        """(n,) friction that has a state, 0 of joints without one [N m or N]; and (equations, n)
-        which part of it nothing tells."""
+        """Return (n,) friction that has a state, 0 of joints without one [N m or N]; and
+        (equations, n) which part of it nothing tells."""
         del k
         return np.zeros(self.network.joint_count), 0.0
 
@@ -133,13 +135,13 @@ class MotionEquations(AbstractEquations):
         return self._functions.linearised(self.intervals, k, laws, q, turn, direction)
 
     def smooth(self, k: Coefficients, q: Rows, velocity: Rows, acceleration: Rows) -> Rows:
-        """Torque of all terms but friction at instants, (equations, n)."""
+        """Return torque of all terms but friction at instants, (equations, n)."""
         return np.asarray(self._functions.smooth(k, q, velocity, acceleration))
 
     def friction(
         self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns, shift: Rows
     ) -> Rows:
-        """Torque of friction as in `torque`, for velocities that are larger by `shift`."""
+        """Return torque of friction as in `torque`, for velocities that are larger by `shift`."""
         functions = self._functions
         return np.asarray(functions.friction(self.intervals, k, laws, q, turn, direction, shift))
 
@@ -175,8 +177,8 @@ def triangle_truncation(
     time: Float[np.ndarray, " samples"],
     part: Int[np.ndarray, " samples"],
 ) -> tuple[Rows, Rows]:
-    """The triangle's mean of smooth torque less what equations have for it, (equations, n), and
-    what is missing in the mean velocity of friction.
+    """Return the triangle's mean of smooth torque less what equations have for it, (equations, n),
+    and what is missing in the mean velocity of friction.
 
     Torque of an equation is of one instant, but for the mean of acceleration: what means of
     products leave out is of second order in the interval. Here all is of fourth order: velocity and
@@ -208,13 +210,13 @@ def _of_recording(
     q: Samples,
     time: Float[np.ndarray, " samples"],
 ) -> tuple[Rows, Rows]:
-    """`triangle_truncation` of one recording."""
+    """Return `triangle_truncation` of one recording."""
     h = np.diff(time)[:, None]
     before, after = h[:-1], h[1:]
     middle = time[1:-1]
 
     def mean(values: np.ndarray) -> np.ndarray:
-        """Of a triangle about each instant; the first and the last change as their neighbours."""
+        """Average with a triangle about each instant; the ends change as their neighbours."""
         change = triangle_mean(middle, values) - values[1:-1]
         return values + np.concatenate([change[:1], change, change[-1:]])
 

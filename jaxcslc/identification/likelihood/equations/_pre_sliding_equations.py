@@ -59,7 +59,7 @@ class PreSlidingEquations(AbstractEquations):
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
     ) -> "PreSlidingEquations":
-        """At present positions.
+        """Compute states at present positions.
 
         **Arguments**
 
@@ -120,7 +120,7 @@ class PreSlidingEquations(AbstractEquations):
     def about(
         self, q: Samples, time: Float[np.ndarray, " samples"], part: Int[np.ndarray, " samples"]
     ) -> "PreSlidingEquations":
-        """With states of these positions."""
+        """Return them with states of these positions."""
         return self.of(self.base, self.distances, q, time, part)
 
     def truncation(
@@ -137,7 +137,7 @@ class PreSlidingEquations(AbstractEquations):
         return self.base.truncation(self._others(k), laws, q, time, part, turn, direction)
 
     def _sizes(self, k: Coefficients) -> Joints:
-        """(n,) what states are multiplied by [N m or N]; 0 of joints without one."""
+        """Return (n,) what states are multiplied by [N m or N]; 0 of joints without one."""
         sizes = np.zeros(len(self.distances))
         for joint, index in self._dry:
             sizes[joint] = k[index]
@@ -151,7 +151,7 @@ class PreSlidingEquations(AbstractEquations):
         return [pair for pair in zip(joints, indices, strict=True) if self.distances[pair[0]] > 0.0]
 
     def _others(self, k: Coefficients) -> Coefficients:
-        """Coefficients without friction that has a state."""
+        """Return coefficients without friction that has a state."""
         others = k.copy()
         others[[index for _, index in self._dry]] = 0.0
         return others
@@ -160,8 +160,8 @@ class PreSlidingEquations(AbstractEquations):
 def mean_states(
     q: Samples, time: Float[np.ndarray, " samples"], lengths: Joints
 ) -> Float[np.ndarray, "2 equations joints"]:
-    """States of contacts averaged with a triangle about each sample but the ends, and the part of
-    them that is the first state's.
+    """Return states of contacts averaged with a triangle about each sample but the ends, and the
+    part of them that is the first state's.
 
     Between samples the path is the cubic with the velocities of parabolas through three samples:
     where a joint turns is known to a part of an interval.
@@ -189,7 +189,7 @@ def mean_states(
 
 
 def _mean(values: Float[np.ndarray, "points joints"], h: Float[np.ndarray, "intervals 1"]) -> Rows:
-    """Of a triangle about each sample, by Simpson's rule on either side."""
+    """Average with a triangle about each sample, by Simpson's rule on either side."""
     simpson = np.full(_POINTS + 1, 2.0)
     simpson[1::2], simpson[[0, -1]] = 4.0, 1.0
     x = np.arange(_POINTS + 1) / _POINTS

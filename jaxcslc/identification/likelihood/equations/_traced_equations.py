@@ -44,7 +44,7 @@ class TracedEquations(eqx.Module):
         turn: Rows,
         direction: Rows,
     ) -> Float[np.ndarray, "equations joints"]:
-        """(equations, n)."""
+        """Return torque, (equations, n)."""
         return np.asarray(self._torque(intervals, k, slopes, q, turn, direction))
 
     def linearised(
@@ -56,7 +56,7 @@ class TracedEquations(eqx.Module):
         turn: Rows,
         direction: Rows,
     ) -> Linearisation:
-        """The same with derivatives."""
+        """Return torque with derivatives."""
         values = self._derivatives(intervals, k, slopes, q, turn, direction)
         torque, by_q, by_k, by_slope, by_turn = map(np.asarray, values)
         count, n = torque.shape
@@ -75,7 +75,7 @@ class TracedEquations(eqx.Module):
     def smooth(
         self, k: Coefficients, q: Rows, velocity: Rows, acceleration: Rows
     ) -> Float[Array, "equations joints"]:
-        """Torque of all terms but friction, at instants, (equations, n)."""
+        """Return torque of all terms but friction, at instants, (equations, n)."""
         network, total = self.network, jnp.zeros(q.shape)
         k, q, velocity, acceleration = map(jnp.asarray, (k, q, velocity, acceleration))
         for term in network.terms:
@@ -94,7 +94,7 @@ class TracedEquations(eqx.Module):
         direction: Rows,
         shift: Rows | float = 0.0,
     ) -> Float[Array, "equations joints"]:
-        """Torque of friction alone, for velocities that are larger by `shift`."""
+        """Return torque of friction alone, for velocities that are larger by `shift`."""
         k, slopes, q, turn, direction = map(jnp.asarray, (k, slopes, q, turn, direction))
         position, velocity, acceleration = _motion(intervals, q)
         network = self.network
@@ -137,8 +137,8 @@ class TracedEquations(eqx.Module):
         turn: Values,
         direction: Values,
     ) -> tuple[Array, ...]:
-        """Torque; its changes with every third position of one joint, (3, n, equations, n); what
-        coefficients are multiplied by, (p, equations, n); changes with slopes and turns."""
+        """Return torque; its changes with every third position of one joint, (3, n, equations, n);
+        what coefficients are multiplied by, (p, equations, n); changes with slopes and turns."""
         k, slopes, q, turn = map(jnp.asarray, (k, slopes, q, turn))
 
         def torque(k: Array, slopes: Array, q: Array, turn: Array) -> Array:
@@ -162,7 +162,7 @@ class TracedEquations(eqx.Module):
 
 
 def _motion(intervals: Values, q: Array) -> tuple[Array, Array, Array]:
-    """Position, velocity and acceleration at each sample but the ends."""
+    """Return position, velocity and acceleration at each sample but the ends."""
     intervals = jnp.asarray(intervals)
     h1, h2 = intervals[:-1, None], intervals[1:, None]
     mean = jnp.diff(q, axis=0) / intervals[:, None]

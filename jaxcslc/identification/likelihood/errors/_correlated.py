@@ -24,7 +24,7 @@ class CorrelatedErrors(NamedTuple):
     effective: Float[np.ndarray, " joints"]
 
     def at_least(self, bound: Float[np.ndarray, "border border"]) -> "CorrelatedErrors":
-        """The same with no variance below that of a bound.
+        """Return the same with no variance below that of a bound.
 
         Few readings are near the edges of their intervals. Each of them is fitted more closely than
         it would be otherwise, and the spread of scores says less than the truth.
@@ -41,7 +41,8 @@ def reported_errors(
     bound: Float[np.ndarray, "border border"],
     counted: Bool[np.ndarray, "equations joints"],
 ) -> CorrelatedErrors:
-    """Errors of a fit: the bound where residuals are white, else what correlated ones do to it.
+    """Return errors of a fit: the bound where residuals are white, else what correlated ones do to
+    it.
 
     The bound is known as well as noise levels are, the sandwich from a few components of a
     spectrum: so the sandwich is for where residuals say that it is needed (White 1982, the
@@ -77,7 +78,7 @@ def _sandwich(
     used: Float[np.ndarray, " components"],
     effective: Float[np.ndarray, " joints"],
 ) -> CorrelatedErrors:
-    """What residuals as they are, correlated in time and across joints, do to a fit.
+    """Return what residuals as they are, correlated in time and across joints, do to a fit.
 
     With positions eliminated, a fit is a regression whose rows are what an equation or a reading
     says of the border beyond what it says of positions. The sum over time of these rows times
@@ -94,7 +95,7 @@ def _sandwich(
 
 
 def cosine_sums(rows: RowSums, used: Float[np.ndarray, " components"]) -> CosineSums:
-    """Components of scores, and how much of rows is in each."""
+    """Return components of scores, and how much of rows is in each."""
     samples = len(rows.scores)
     frequency = np.arange(1, len(used) + 1)[:, None]
 

@@ -38,7 +38,7 @@ class RowSums:
 
     @classmethod
     def of(cls, linear: Linear, factored: Factored) -> "RowSums":
-        """Of equations at the minimum."""
+        """Sum up rows of equations at the minimum."""
         samples, intervals = len(linear.order.position), linear.objective.readings.intervals
         ends = np.linspace(0, samples, min(_STRETCHES, samples) + 1).astype(int)
         size = len(linear.objective.scale)
@@ -63,7 +63,7 @@ class RowSums:
     def independent_covariance(
         self, inverse: Float[np.ndarray, "border border"]
     ) -> Float[np.ndarray, "border border"]:
-        """The Cramér-Rao bound; for counts that are intervals, what replaces it.
+        """Return the Cramér-Rao bound; for counts that are intervals, what replaces it.
 
         The bound of sharp intervals is none: errors fall with the number of readings, not with its
         root. With edges of some width, scores vary less than curvatures say (`score_share`): a
@@ -79,7 +79,7 @@ class RowSums:
 def eliminated_rows(
     linear: Linear, factored: Factored, stretch: slice
 ) -> tuple[Float[np.ndarray, "samples rows border"], Float[np.ndarray, "samples border"]]:
-    """Rows of a stretch's instants in standard deviations, and their sums times residuals.
+    """Return rows of a stretch's instants in standard deviations, and their sums times residuals.
 
     With positions eliminated, a fit is a regression whose rows are what an equation or a reading
     says of the border beyond what it says of positions: n equations, then n readings. The first
@@ -123,6 +123,6 @@ def eliminated_rows(
 
 
 def _common(one: slice, other: slice) -> slice:
-    """What two slices share; empty, not reversed, where that is nothing."""
+    """Return what two slices share; empty, not reversed, where that is nothing."""
     first = max(one.start, other.start)
     return slice(first, max(min(one.stop, other.stop), first))

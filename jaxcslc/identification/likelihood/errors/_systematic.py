@@ -22,7 +22,7 @@ def systematic_errors(
     counted: Bool[np.ndarray, "equations joints"],
     effective: Float[np.ndarray, " joints"],
 ) -> SystematicError:
-    """What a wrong time of torques and terms that the network lacks may do to its coefficients.
+    """Return what a wrong time of torques and missing terms may do to coefficients.
 
     As `systematic_error` of least squares, without the causes that are smoothing's: each of
     `missing_terms` is added to the equations, for all joints that lack it, and so is the derivative
@@ -51,7 +51,7 @@ def systematic_errors(
 def _inputs(
     linear: Linear, point: Point, counted: Bool[np.ndarray, "equations joints"]
 ) -> Mapping[str, Inputs]:
-    """Inputs of terms by cause."""
+    """Return inputs of terms by cause."""
     motion = linear.objective.motion
     record, equations = motion.record, motion.equations
     step = equations.intervals[:, None]
@@ -75,7 +75,7 @@ def _inputs(
 def _change(
     linear: Linear, factored: Factored, inputs: Inputs, components: int
 ) -> Float[np.ndarray, " border"]:
-    """What further inputs change the border by, beyond the noise of this change; in its scale."""
+    """Return by how much inputs change the border, beyond noise; in its scale."""
     objective, weights = linear.objective, linear.weights
     # Inputs of a joint that rests, or of torques that never bend, say nothing.
     size = np.sqrt(np.sum(weights["torque"][:, :, None] * inputs**2, axis=(0, 1)))

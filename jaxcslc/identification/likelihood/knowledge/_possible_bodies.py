@@ -35,7 +35,7 @@ def possible_bodies(
     errors: Errors,
     progress: Callable[[str], None],
 ) -> LikelihoodFit:
-    """The most likely possible bodies, with positions, slopes and noise that belong to them.
+    """Return the most likely possible bodies, with positions, slopes and noise that belong to them.
 
     With positions eliminated, a Gauss-Newton step makes the objective a square of coefficients:
     its minimum and its information. The possible bodies nearest to that in its metric are what

@@ -10,7 +10,7 @@ from ...prior import Known, Prior
 
 
 def check_prior(prior: Prior | None, *, possible: bool) -> None:
-    """What the search can make use of.
+    """Check that the search can make use of a prior.
 
     **Arguments**
 
@@ -37,7 +37,8 @@ def prior_values(
     Float[np.ndarray, " coefficients"],
     Bool[np.ndarray, " coefficients"],
 ]:
-    """Values, (p,) inverse variances that are 0 where nothing is known, and what is fixed."""
+    """Return values, (p,) inverse variances that are 0 where nothing is known, and what is
+    fixed."""
     known: Mapping[int, Known] = {} if prior is None else prior.coefficient_values(network)
     size = network.size
     values, precision, fixed = np.zeros(size), np.zeros(size), np.zeros(size, bool)

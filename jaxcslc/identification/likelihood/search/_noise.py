@@ -35,7 +35,7 @@ LITTLE_DAMPING = 1e-2
 def with_levels(
     problem: Problem, state: State, step: LevenbergStep, counted: Mask, number: int
 ) -> State:
-    """Noise levels and weights of outliers that follow the residuals of a step."""
+    """Let noise levels and weights of outliers follow the residuals of a step."""
     draws = _draws(problem, state, step.minimum)
     torque_noise, position_noise = _levels_of(problem, state, step.residuals, draws, counted)
     hidden = hidden_noise(problem.scatter, step.minimum.linear, problem.readings.part, torque_noise)
@@ -87,7 +87,7 @@ def _draws(problem: Problem, state: State, minimum: LinearMinimum) -> NoiseDraws
 def _levels_of(
     problem: Problem, state: State, residuals: Residuals, draws: NoiseDraws, counted: Mask
 ) -> tuple[Levels, Levels]:
-    """Noise levels that residuals have, of torque and of positions, none below its least."""
+    """Return noise levels that residuals have, of torque and of positions, none below its least."""
     torque_noise, position_noise = noise_levels(
         residuals,
         draws,
@@ -104,14 +104,14 @@ def _levels_of(
 
 
 def _all_sharp(problem: Problem, draws: NoiseDraws, position_noise: Levels) -> bool:
-    """Whether positions of all joints that move are known much better than steps of encoders."""
+    """Return whether positions of all joints that move are known much better than steps."""
     errors = _in_steps(problem, draws)
     steps = position_noise <= _MORE_THAN_STEPS * problem.least_position_noise
     return bool(np.all(np.isinf(errors) | (steps & (errors <= _SHARP))))
 
 
 def with_intervals(problem: Problem, state: State, minimum: LinearMinimum) -> State:
-    """Counts as intervals, where positions are known much better than a step."""
+    """Make counts intervals, where positions are known much better than a step."""
     errors = _in_steps(problem, _draws(problem, state, minimum))
     counts = state.position_noise <= problem.least_position_noise
     edge = np.where(counts & (errors <= _SHARP), np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
@@ -125,7 +125,7 @@ def with_intervals(problem: Problem, state: State, minimum: LinearMinimum) -> St
 def with_refined_intervals(
     problem: Problem, state: State, step: LevenbergStep, counted: Mask
 ) -> State:
-    """Torque noise and edges that follow what intervals leave.
+    """Let torque noise and edges follow what intervals leave.
 
     Single counts hide torque noise far below what they leave of torque. Intervals show it, and with
     a level that is too large, standard errors would be.
@@ -149,7 +149,7 @@ def with_refined_intervals(
 
 
 def _in_steps(problem: Problem, draws: NoiseDraws) -> Levels:
-    """Errors of estimated positions in steps of encoders; infinite where there are none."""
+    """Return errors of estimated positions in steps of encoders; infinite where there are none."""
     step = problem.encoder_step
     errors = position_errors(draws, problem.moving, problem.readings.part, len(step))
     return errors / np.where(step > 0.0, step, 1e-300)

@@ -93,7 +93,7 @@ def search(
     most_steps: int = _MOST_STEPS,
     moments: Float[np.ndarray, "samples _"] | None = None,
 ) -> Minimum:
-    """Minimises step by step: signs, weights and noise levels are fixed within each step.
+    """Minimise step by step: signs, weights and noise levels are fixed within each step.
 
     What else follows the motion between steps is said by stages (`Stage`).
 
@@ -118,7 +118,7 @@ def search_on(
     k: Float[np.ndarray, " coefficients"],
     progress: Callable[[str], None],
 ) -> Minimum:
-    """Goes on from where a search has ended, with other coefficients.
+    """Go on from where a search has ended, with other coefficients.
 
     Signs of the motion, weights and noise levels are those of its end, unless reversals come or go.
     So the sum of squares is the same function of all unknowns, and its minima for several
@@ -147,7 +147,7 @@ def _ended(
     tolerance: float = 0.0,
     most_steps: int = _MOST_STEPS,
 ) -> Minimum:
-    """Where a search from a state ends.
+    """Search from a state to an end.
 
     **Arguments** as of `search`, and
 
@@ -197,7 +197,7 @@ class _Test:
 
     @classmethod
     def of(cls, state: State, step: LevenbergStep, same: bool, number: int) -> "_Test":
-        """Of a step from a state; `same`: whether its signs are those of the step before."""
+        """Test a step from a state; `same`: whether its signs are those of the step before."""
         quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
         # Damping makes any step small.
         quiet &= step.minimum.damping <= LITTLE_DAMPING
@@ -220,7 +220,7 @@ class _Test:
 def _followed(
     problem: Problem, state: State, step: LevenbergStep, counted: Mask, number: int
 ) -> State:
-    """What follows a step in a stage; the state itself where nothing does."""
+    """Apply what follows a step in a stage; return the state itself where nothing does."""
     if state.stage is Stage.OUTLIERS:
         weight = outlier_weights(problem, state, step, counted)
         return dataclasses.replace(state, outlier_weight=weight, stage=Stage.FINAL)
@@ -232,7 +232,7 @@ def _followed(
 
 
 def _settled(state: State, step: LevenbergStep, objective: Objective, rises: int) -> State:
-    """With what follows the motion fixed at the end, and where it goes to and fro with it."""
+    """Fix what follows the motion, at the end and where it goes to and fro."""
     to_and_fro = rises >= _MOST_RISES
     if (state.stage is Stage.FINAL and step.change <= _FIXED) or to_and_fro:
         state = dataclasses.replace(state, of_friction=state.of_friction or state.point)

@@ -108,7 +108,7 @@ class State:
 
 
 def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool]:
-    """The signs of the present motion, unless they are those of before, which is said.
+    """Return the signs of the present motion, unless they are those of before, which is said.
 
     A reversal between two samples belongs to the one that it was with. Of a reversal that comes and
     goes, as next to a rest, and of one whose moment would leave its samples, as where a joint
@@ -154,7 +154,7 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
 
 
 def intervals_of(problem: Problem, edge: Levels) -> Intervals | None:
-    """Readings with edges of these widths; None if all are 0."""
+    """Return readings with edges of these widths; None if all are 0."""
     if not edge.any():
         return None
     part = problem.readings.part

@@ -26,7 +26,8 @@ _REST = 0.02
 
 
 def objective_of(problem: Problem, state: State, number: int) -> tuple[Objective, Mask]:
-    """The sum of squares, and which equations have their full weight; `number`: of the step."""
+    """Return the sum of squares, and which equations have their full weight; `number`: of the
+    step."""
     readings, signs, point = problem.readings, state.signs, state.point
     assert signs is not None
     of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
@@ -65,7 +66,7 @@ def objective_of(problem: Problem, state: State, number: int) -> tuple[Objective
 def _truncation(
     problem: Problem, equations: AbstractEquations, signs: Signs, point: Point
 ) -> Float[np.ndarray, "equations series"] | float:
-    """What equations of sampled torque leave out at present positions."""
+    """Return what equations of sampled torque leave out at present positions."""
     readings = problem.readings
     if readings.torque.sampling == "held":
         return 0.0
@@ -74,7 +75,7 @@ def _truncation(
 
 
 def _with_sticking(problem: Problem, state: State, objective: Objective) -> Objective:
-    """With the equations of joints that stick, which bound friction at break-away.
+    """Add equations of joints that stick, which bound friction at break-away.
 
     Not of joints whose friction has a state, which bears what it does where they rest. Nor where
     all coefficients are fixed, of which alone bounds say something: wrong ones would draw positions
@@ -115,7 +116,8 @@ def _friction_variance(
     point: Point,
     breakaway: Float[np.ndarray, " joints"],
 ) -> Float[np.ndarray, "equations joints"]:
-    """Variance of friction that signs do not tell, and of states at the start of a recording."""
+    """Return variance of friction that signs do not tell, and of states at the start of a
+    recording."""
     sizes, unknown = equations.states(point.k)
     of_states = (_UNCERTAIN * sizes * unknown) ** 2
     breakaway = np.maximum(breakaway - sizes, 0.0)
@@ -128,7 +130,7 @@ def _friction_variance(
 def outlier_weights(
     problem: Problem, state: State, step: LevenbergStep, counted: Mask
 ) -> Float[np.ndarray, "equations joints"]:
-    """Huber's weights of a step's residuals.
+    """Return Huber's weights of a step's residuals.
 
     Uncertain friction is within break-away; what pushes a joint at its limit is not.
     """

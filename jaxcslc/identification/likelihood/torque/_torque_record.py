@@ -45,7 +45,7 @@ class TorqueRecord:
     def of(
         cls, recordings: Sequence[Recording], sampling: TorqueSampling, every: int = 1
     ) -> "TorqueRecord":
-        """Those of recordings of the same joints."""
+        """Join recordings of the same joints."""
         return cls(
             tuple(np.asarray(recording.time, float) for recording in recordings),
             tuple(np.asarray(recording.torque, float) for recording in recordings),
@@ -82,7 +82,8 @@ class TorqueRecord:
     def _of_each(
         self, values: Callable[[np.ndarray, np.ndarray], np.ndarray]
     ) -> Float[np.ndarray, "equations joints"]:
-        """Values of each recording, with zeros for the two equations that span two recordings."""
+        """Return values of each recording, with zeros for the two equations that span two
+        recordings."""
         between = np.zeros((2, self.torques[0].shape[1]))
         parts: list[np.ndarray] = []
         for time, torque in zip(self.times, self.torques, strict=True):
@@ -102,7 +103,7 @@ def _held(
     knots: Float[np.ndarray, " knots"],
     weight: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
 ) -> Float[np.ndarray, "equations joints"]:
-    """The triangle's mean of steps: each step counts by the part of the triangle after it.
+    """Return the triangle's mean of steps: each step counts by the part of the triangle after it.
 
     **Arguments**
 
@@ -126,7 +127,7 @@ def _remaining(
     before: Float[np.ndarray, " equations"],
     after: Float[np.ndarray, " equations"],
 ) -> Float[np.ndarray, " equations"]:
-    """The part of a triangle over two intervals that is after a moment."""
+    """Return the part of a triangle over two intervals that is after a moment."""
     early = 1.0 - np.square(np.maximum(moment + before, 0.0)) / (before * (before + after))
     late = np.square(np.maximum(after - moment, 0.0)) / (after * (before + after))
     return np.where(moment < 0.0, early, late)
@@ -137,7 +138,7 @@ def _density(
     before: Float[np.ndarray, " equations"],
     after: Float[np.ndarray, " equations"],
 ) -> Float[np.ndarray, " equations"]:
-    """The height of a triangle over two intervals at a moment."""
+    """Return the height of a triangle over two intervals at a moment."""
     side = np.where(moment < 0.0, (moment + before) / before, (after - moment) / after)
     return 2.0 * np.maximum(side, 0.0) / (before + after)
 
@@ -148,7 +149,7 @@ def _integrated(
     knots: Float[np.ndarray, " knots"],
     times: int,
 ) -> Float[np.ndarray, "equations joints"]:
-    """The triangle's mean of a spline: the second difference of its integral's integral.
+    """Return the triangle's mean of a spline: the second difference of its integral's integral.
 
     **Arguments**
 
@@ -163,7 +164,8 @@ def _integrated(
 def triangle_mean(
     time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
 ) -> Float[np.ndarray, "equations joints"]:
-    """The mean of a parabola through three samples, from the triangle's mean and mean square.
+    """Return the mean of a parabola through three samples, from the triangle's mean and mean
+    square.
 
     >>> import numpy as np
     >>> triangle_mean(np.arange(5.0), np.arange(5.0)[:, None])[:, 0].tolist()

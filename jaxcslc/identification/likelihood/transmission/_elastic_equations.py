@@ -62,7 +62,7 @@ class ElasticEquations(AbstractEquations):
     def noise(
         self, torque_noise: Float[np.ndarray, "recordings joints"]
     ) -> Float[np.ndarray, "recordings series"]:
-        """With that of gears' equations, which is small beside that of motors [N m or N]."""
+        """Add that of gears' equations, which is small beside that of motors [N m or N]."""
         return np.concatenate([torque_noise, _LINK_NOISE * torque_noise[:, self.joints]], axis=1)
 
     def torque(
@@ -73,7 +73,7 @@ class ElasticEquations(AbstractEquations):
         turn: Turns,
         direction: Turns,
     ) -> Rows:
-        """(equations, n + f).
+        """Return torque of motors, then what is left of gears' equations, (equations, n + f).
 
         **Arguments**
 
@@ -95,7 +95,7 @@ class ElasticEquations(AbstractEquations):
         turn: Turns,
         direction: Turns,
     ) -> Linearisation:
-        """The same with derivatives: by positions at three samples, by `k` and `laws`, by turns."""
+        """Return the same with derivatives by positions, by `k` and `laws`, and by turns."""
         n, f = self.rigid.network.joint_count, len(self.joints)
         slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
         parameters = TransmissionParameters.of(laws[n:])
@@ -170,7 +170,7 @@ class ElasticEquations(AbstractEquations):
         return np.concatenate([motor, borne - gears / parameters.compliance], axis=1)
 
     def _link(self, q: Series) -> Float[np.ndarray, "samples joints"]:
-        """Positions of all links."""
+        """Return positions of all links."""
         n = self.rigid.network.joint_count
         result = q[:, :n].copy()
         result[:, self.joints] = q[:, n:]

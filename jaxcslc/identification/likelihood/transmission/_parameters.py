@@ -24,7 +24,7 @@ class TransmissionParameters(NamedTuple):
 
     @classmethod
     def of(cls, values: Float[np.ndarray, " parameters"]) -> "TransmissionParameters":
-        """Of (4 f,) values one after the other."""
+        """Split (4 f,) values one after the other."""
         return cls(*values.reshape(4, -1))
 
     @property

@@ -84,7 +84,7 @@ class Transmission(eqx.Module):
         return np.concatenate([self.compliance, self.lag, self.play, self.rotor_inertia])
 
     def document(self) -> list[dict[str, Any]]:
-        """What a report's file says of it, joint by joint, as plain data."""
+        """Return what a report's file says of it, joint by joint, as plain data."""
         return [
             {
                 "joint": joint,
@@ -104,7 +104,7 @@ class Transmission(eqx.Module):
 
 
 def transmission_lines(entries: Sequence[dict[str, Any]] | None) -> list[str]:
-    """Gears in words, a line for each joint.
+    """Say in words what gears are, a line for each joint.
 
     **Arguments**
 
