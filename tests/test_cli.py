@@ -206,10 +206,6 @@ class TestReidentify:
             (["--previous", "KNOWN"], ["--reidentify and --previous", "both or neither"]),
             (["--possible", "often"], ["--possible: expected auto, always, never, got 'often'"]),
             (["--prior", "none.toml"], ["none.toml", "no such"]),
-            (
-                ["--likelihood-unknowns", "torque_gains"],
-                ["expected a prior that knows the value of"],
-            ),
             (["--estimator", "both"], ["--estimator: expected least-squares, maximum-likelihood"]),
             (["--reidentify", "oil", "--previous", "KNOWN"], ["'oil'", "viscous, dry"]),
             (["--reidentify", "dry", "--previous", "none.json"], ["none.json", "no such"]),

@@ -11,7 +11,6 @@ from .._processes import processes_beside
 from ..identification import (
     ESTIMATORS,
     MaximumLikelihood,
-    Prior,
     Report,
     identify,
     load_prior,
@@ -95,7 +94,7 @@ def identify_command(
 
 def _identified(
     network: CSLC,
-    saved: SavedReport | None,
+    saved: Report | None,
     options: IdentifyOptions,
     drives: Drives,
     recordings: RecordingOptions,
@@ -104,6 +103,7 @@ def _identified(
     """The report of a robot; `saved`: that of which a part is fitted again."""
     settings = None if saved is None else saved.settings
     prior = None if options.prior is None else load_prior(options.prior)
+    every = options.likelihood_every
     read: Callable[[Path], Any] = lambda path: recordings.read(
         path, network.robot, options.measured
     )
@@ -113,7 +113,7 @@ def _identified(
         None if options.validate is None else read(options.validate),
         settings if options.settings is None else load_settings(options.settings),
         estimator=choice_of("--estimator", options.estimator, tuple(ESTIMATORS)),
-        likelihood=_likelihood(options, prior),
+        likelihood=None if every is None else MaximumLikelihood(every=every),
         offsets=options.offsets,
         previous=None if saved is None else saved.fit,
         groups=None if options.reidentify is None else names_in(options.reidentify),
@@ -149,18 +149,6 @@ def _previous_report(
     if typed_options(context) & {"lengths", "friction", "coupled"}:
         raise ValueError("--lengths, --friction and --coupled: not with --previous, which has them")
     return load_report(path, robot)
-
-
-def _likelihood(options: IdentifyOptions, prior: Prior | None) -> MaximumLikelihood | None:
-    """How maximum likelihood is fitted, if anything is said of it."""
-    said: dict[str, Any] = dict(
-        without_none(every=options.likelihood_every, noise_order=options.noise_order)
-    )
-    if options.likelihood_unknowns is not None:
-        said["unknowns"] = tuple(names_in(options.likelihood_unknowns))
-        if "torque_gains" in said["unknowns"] and prior is not None:
-            said["prior"] = Prior(prior.coefficients)
-    return MaximumLikelihood(**said) if said else None
 
 
 def _identified_system(

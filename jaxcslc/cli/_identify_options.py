@@ -38,22 +38,7 @@ class IdentifyOptions:
         int | None,
         typer.Option(
             help="Maximum likelihood: equations of motion over two times so many samples, for arms"
-            " whose transmission vibrates. Selected on motion that is left out if omitted.",
-        ),
-    ] = None
-    noise_order: Annotated[
-        int | None,
-        typer.Option(
-            help="Maximum likelihood: order of the autoregression of torque noise, 0 to 2."
-            " Selected by Bayes's information criterion if omitted.",
-        ),
-    ] = None
-    likelihood_unknowns: Annotated[
-        str | None,
-        typer.Option(
-            help="Maximum likelihood: what is estimated too, with commas: torque_lag,"
-            " torque_gains, which need a coefficient's value in --prior, and transmission, gears"
-            " that give way.",
+            " whose transmission vibrates. By the noise of estimated positions if omitted.",
         ),
     ] = None
     measured: Annotated[

@@ -58,13 +58,9 @@ from .likelihood import (
     LikelihoodFit as LikelihoodFit,
     MaximumLikelihood as MaximumLikelihood,
     Misfit as Misfit,
-    ModelSelection as ModelSelection,
     NoiseExcitation as NoiseExcitation,
-    NoiseOrders as NoiseOrders,
-    OrderChoice as OrderChoice,
-    SpacingTrial as SpacingTrial,
+    SpacingChoice as SpacingChoice,
     TorqueSampling as TorqueSampling,
-    TorqueUnknown as TorqueUnknown,
     Transmission as Transmission,
 )
 from .possible import (

@@ -91,10 +91,7 @@ FEATURES: Mapping[str, Callable[[Request], bool]] = {
     "prior of links": lambda r: r.prior is not None and bool(r.prior.links),
     "prior of the likelihood": lambda r: r.likelihood_options.prior is not None,
     "bodies of the likelihood": lambda r: r.likelihood_options.possible,
-    "torque gains": lambda r: "torque_gains" in r.likelihood_options.unknowns,
-    "elastic gears": lambda r: bool(
-        r.likelihood_options.transmission or "transmission" in r.likelihood_options.unknowns
-    ),
+    "elastic gears": lambda r: bool(r.likelihood_options.transmission),
     "lengths": lambda r: bool(r.likelihood_options.lengths),
     "horizon": lambda r: r.horizon,
     "known masses": lambda r: any(inertia.has_known for inertia in r.network.robot.inertia),
@@ -141,9 +138,6 @@ EXCLUSIONS = (
     Exclusion(
         ("no bodies", "prior of links"),
         "prior, links: possible bodies alone can follow it; got 'never'",
-    ),
-    Exclusion(
-        ("torque gains", "horizon"), "horizon: is of recorded torques, not with torque gains"
     ),
     Exclusion(
         ("bodies of the likelihood",),

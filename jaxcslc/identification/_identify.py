@@ -93,8 +93,7 @@ def identify(
       (`InstrumentalVariables`); a note says whether least squares is biased. Or an estimator
       itself, an `AbstractEstimator`.
     - `likelihood`: how maximum likelihood is fitted; its torque sampling and settings are those of
-      the report. With `unknowns`, lag and gains of torque are estimated on the training recordings,
-      and coefficients, errors and the validation recording are of torques as they then were.
+      the report.
     - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
       coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).

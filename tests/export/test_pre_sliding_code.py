@@ -209,7 +209,7 @@ def test_code_of_a_saved_identification_by_maximum_likelihood(
         jc.Recording(t[:, 0], q, torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)),
         settings=jc.Settings(),
         estimator="maximum-likelihood",
-        likelihood=jc.MaximumLikelihood(every=1, noise_order=0, lengths=(0.02,)),
+        likelihood=jc.MaximumLikelihood(every=1, lengths=(0.02,)),
         possible="never",
         systematic=False,
     )

@@ -135,16 +135,12 @@ def test_options_of_maximum_likelihood(network: jc.CSLC) -> None:
         network,
         swing(network, 0),
         estimator="maximum-likelihood",
-        likelihood=jc.MaximumLikelihood(every=2, noise_order=1),
+        likelihood=jc.MaximumLikelihood(every=2),
         **QUICK,
     )
     assert report.estimators is not None
     likelihood = report.estimators.likelihood
-    assert likelihood.noise_coefficients.shape == (1, 1)
     assert len(likelihood.position) == (swing(network, 0).samples + 1) // 2
-    # Of one lag, the variance is that of white noise over 1 - a².
-    factor = np.sqrt(1.0 - likelihood.noise_coefficients[0] ** 2)
-    assert_allclose(likelihood.torque_deviation * factor, likelihood.torque_noise, rtol=1e-6)
     assert_allclose(report.k, K, atol=0.03)
 
 
@@ -165,11 +161,6 @@ class TestBadInput:
         options = jc.MaximumLikelihood(every=2)
         with pytest.raises(ValueError, match="takes no options of maximum likelihood"):
             jc.identify(network, swing(network, 0), likelihood=options, **QUICK)
-        prior = Prior({"kv1": Known(0.2, 0.01)})
-        options = jc.MaximumLikelihood(unknowns=("torque_gains",), prior=prior)
-        recording = swing(network, 0)
-        with pytest.raises(ValueError, match="horizon: is of recorded torques, not with torque"):
-            jc.identify(network, recording, estimator="auto", likelihood=options, horizon=True)
 
     def test_a_re_identification(self, network: jc.CSLC) -> None:
         with pytest.raises(ValueError, match="'auto': not with previous, which is of least-squ"):

@@ -13,7 +13,7 @@ from jaxcslc.identification.estimators import Likelihood, _maximum_likelihood
 from jaxcslc.identification.likelihood import MaximumLikelihood
 
 
-OPTIONS = MaximumLikelihood(torque_sampling="held", every=1, noise_order=0)
+OPTIONS = MaximumLikelihood(torque_sampling="held", every=1)
 
 
 @pytest.fixture(scope="module")

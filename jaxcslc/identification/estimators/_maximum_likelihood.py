@@ -109,19 +109,7 @@ class Likelihood(AbstractEstimator):
             fits = LikelihoodFits(fit.source, None)
         else:
             fits: LikelihoodFits = problem.begun()
-        likelihood = fits.whole
-        if not likelihood.unknowns:
-            return _better(base, problem, fits, always=self.always)
-        right = _calibrated(base, likelihood)
-        judged = _better(right, problem, fits, always=self.always)
-        assert judged.comparison is not None
-        if judged.comparison.used == "least-squares":
-            fit = dataclasses.replace(base.fit, notes=judged.fit.notes)
-            return dataclasses.replace(base, fit=fit, comparison=judged.comparison)
-        lag = problem.lag + likelihood.torque_lag
-        settings = problem.settings.with_options(torque_lag=lag)
-        problem = dataclasses.replace(judged.problem, settings=settings)
-        return dataclasses.replace(judged, problem=problem)
+        return _better(base, fits, always=self.always)
 
     @contextlib.contextmanager
     def beside(self, request: Request) -> Generator[Begin | None]:
@@ -183,36 +171,6 @@ def _needed(network: CSLC, training: Mapping[str, Recording]) -> float:
     samples = sum(recording.samples for recording in training.values())
     n = network.joint_count
     return 8e-9 * samples * n * (network.size + 2 * n) * _MATRICES
-
-
-def _calibrated_recording(recording: Recording, likelihood: LikelihoodFit) -> Recording:
-    """A recording on time, with torques as maximum likelihood says that they were."""
-    if not likelihood.unknowns:
-        return recording
-    late = without_lag(recording, likelihood.torque_lag)
-    return dataclasses.replace(late, torque=np.asarray(late.torque) * likelihood.torque_gain)
-
-
-def _calibrated_problem(problem: Problem, likelihood: LikelihoodFit) -> Problem:
-    """The problem had torques been right, all recordings by the settings of the longest."""
-    settings = problem.settings.with_options(torque_lag=0.0)
-    return problem.with_recordings(
-        lambda x: dataclasses.replace(
-            x,
-            recording=_calibrated_recording(without_lag(x.recording, problem.lag), likelihood),
-            settings=settings,
-            motion=None,
-        )
-    )
-
-
-def _calibrated(base: Judged, likelihood: LikelihoodFit) -> Judged:
-    """Least squares had torques been right; uncertainty and bodies are those of before."""
-    problem = _calibrated_problem(base.problem, likelihood)
-    fit = problem.solver.fit(base.fit.network, problem.patterns["training"])
-    return dataclasses.replace(
-        base, problem=problem, fit=dataclasses.replace(base.fit, identification=fit)
-    )
 
 
 def _fit_of(problem: Problem, likelihood: LikelihoodFit) -> Fit:
@@ -333,16 +291,15 @@ class _Unfitted(NamedTuple):
     contact: np.ndarray | None = None
 
 
-def _better(base: Judged, recorded: Problem, fits: LikelihoodFits, *, always: bool) -> Judged:
+def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     """Whichever predicts unfitted motion better, or maximum likelihood in any case.
 
-    - `base`: least squares, with patterns of torques as `fits` say they were.
-    - `recorded`: the problem with torques as they were recorded.
+    - `base`: least squares.
     """
     problem, likelihood = base.problem, fits.whole
     request = problem.request
     ours = _fit_of(problem, likelihood)
-    unfitted = _unfitted(base, recorded, fits)
+    unfitted = _unfitted(base, fits)
     along = along_motion(ours.network, unfitted.patterns, ours.lengths, unfitted.contact)
     parts = Part.held_out(along, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES)
     fit = likelihood.free
@@ -362,7 +319,7 @@ def _better(base: Judged, recorded: Problem, fits: LikelihoodFits, *, always: bo
     problem.step("judging estimators")
     predicted = _predicted(request, unfitted.likelihood.fit, ours.network, bodies)
     error = _error(unfitted, _with_k(ours, predicted))
-    relative = _relative(recorded, unfitted, ours.network, predicted)
+    relative = _relative(problem, unfitted, ours.network, predicted)
     better = always or relative.beyond_chance()
     comparison = _comparison(unfitted, ours, error, relative, better)
     if comparison.used == "least-squares":
@@ -391,15 +348,16 @@ def _better(base: Judged, recorded: Problem, fits: LikelihoodFits, *, always: bo
     )
 
 
-def _unfitted(base: Judged, recorded: Problem, fits: LikelihoodFits) -> _Unfitted:
+def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
     """Motion that was not fitted: the validation recording, or the last part of each other."""
-    request, likelihood = recorded.request, fits.whole
+    problem, likelihood = base.problem, fits.whole
+    request = problem.request
     if request.validation is not None:
-        recording = without_lag(request.validation, recorded.lag)
-        patterns = base.problem.patterns["validation"]
+        recording = without_lag(request.validation, problem.lag)
+        patterns = problem.patterns["validation"]
         fit = base.fit
         if base.pre_sliding is not None:
-            fit = _regression(base, base.problem.patterns["training"])
+            fit = _regression(base, problem.patterns["training"])
         return _Unfitted("validation", [recording], patterns, fit, likelihood)
     shortest = min(recording.samples for recording in request.training.values())
     if shortest < FEWEST_SAMPLES:
@@ -412,20 +370,20 @@ def _unfitted(base: Judged, recorded: Problem, fits: LikelihoodFits) -> _Unfitte
     unfitted: list[Patterns] = []
     contacts: list[np.ndarray] = []
     lengths = _lengths(base)
-    right = _calibrated_problem(recorded, likelihood)
-    for name, recording in recorded.on_time.items():
+    settings = problem.settings.with_options(torque_lag=0.0)
+    for recording in problem.on_time.values():
         start, end, split = recording.time[0], recording.time[-1], held_out_from(recording)
         late.append(recording.between(split - float(start), float(end - start)))
-        patterns = right.recordings[name].patterns
+        patterns = settings.patterns(recording)
         fitted.append(patterns.between(float(start), split))
         unfitted.append(patterns.between(split, float(end)))
         first = int(np.searchsorted(np.asarray(patterns.time), unfitted[-1].time[0]))
         contacts.append(state_at(patterns, lengths, first))
     shorter = fits.before
     if shorter is None:
-        options = options_for(request.likelihood_options, recorded.settings)
-        recordings = list(recorded.on_time.values())
-        shorter = _fit_before(options, request.network, recordings, likelihood, recorded.step)
+        options = options_for(request.likelihood_options, problem.settings)
+        recordings = list(problem.on_time.values())
+        shorter = _fit_before(options, request.network, recordings, likelihood, problem.step)
     return _Unfitted(
         "held-out stretch",
         late,
@@ -498,7 +456,7 @@ def _misfit(
         network,
         recordings,
         k,
-        np.sqrt(np.mean(likelihood.torque_deviation**2, axis=0)),
+        np.sqrt(np.mean(likelihood.torque_noise**2, axis=0)),
         np.sqrt(np.mean(likelihood.position_noise**2, axis=0)),
         likelihood,
     )

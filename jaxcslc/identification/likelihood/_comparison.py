@@ -1,3 +1,5 @@
+"""Least squares and maximum likelihood next to each other, as a report has them."""
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -8,7 +10,6 @@ from jaxtyping import Float
 from .._held_out import RelativeError, Source
 from ._likelihood_fit import LikelihoodFit
 from .transmission import transmission_lines
-from .transmission._choice import choice_line
 
 
 Estimator = Literal["least-squares", "maximum-likelihood"]
@@ -55,9 +56,8 @@ class EstimatorComparison:
     units: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """What a report's file says of it, as plain data."""
+        """Return what a report's file says of it, as plain data."""
         likelihood = self.likelihood
-        unknowns = likelihood.unknowns
         return {
             "used": self.used,
             "held_out": self.source,
@@ -69,22 +69,9 @@ class EstimatorComparison:
             "change_error": self.relative.change_error,
             "torque_noise": self.likelihood.torque_noise.tolist(),
             "position_noise": self.likelihood.position_noise.tolist(),
-            "torque_lag": _pair(
-                "torque_lag" in unknowns, likelihood.torque_lag, likelihood.torque_lag_error
-            ),
-            "torque_gains": _pair(
-                "torque_gains" in unknowns,
-                likelihood.torque_gain.tolist(),
-                likelihood.torque_gain_error.tolist(),
-            ),
-            "selection": None if likelihood.selection is None else likelihood.selection.document(),
+            "spacing": None if likelihood.spacing is None else likelihood.spacing.document(),
             "transmission": (
                 None if likelihood.transmission is None else likelihood.transmission.document()
-            ),
-            "transmission_choice": (
-                None
-                if likelihood.transmission_choice is None
-                else likelihood.transmission_choice.document()
             ),
             "lengths": likelihood.lengths.tolist() if likelihood.lengths.any() else None,
             "steps": self.likelihood.steps,
@@ -118,37 +105,14 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
     )
     if document["lengths"] is not None:
         lines.append(f"    {lengths_line(document['lengths'], units)}")
-    lines += [f"    {line}" for line in calibration_lines(document)]
-    if document["selection"] is not None:
-        lines += [f"    {line}" for line in document["selection"]["lines"]]
+    lines += [f"    {line}" for line in transmission_lines(document["transmission"])]
+    if document["spacing"] is not None:
+        lines += [f"    {line}" for line in document["spacing"]["lines"]]
     return "\n".join(lines)
 
 
-def calibration_lines(comparison: Mapping[str, Any]) -> list[str]:
-    """Lag and gains of torque, and gears, in words; nothing of what was not asked for.
-
-    **Arguments**
-
-    - `comparison`: an `EstimatorComparison.document`.
-
-    >>> entry = {"value": 0.0007, "error": 2e-6}
-    >>> calibration_lines({"torque_lag": entry, "torque_gains": None})
-    ['torque lag: 0.7 ms ± 0.002 ms']
-    """
-    lines: list[str] = []
-    if lag := comparison.get("torque_lag"):
-        lines.append(f"torque lag: {1e3 * lag['value']:.4g} ms ± {1e3 * lag['error']:.2g} ms")
-    if gains := comparison.get("torque_gains"):
-        pairs = zip(gains["value"], gains["error"], strict=True)
-        values = ", ".join(f"{value:.4g} ± {error:.2g}" for value, error in pairs)
-        lines.append(f"torque over what was recorded, joint by joint: {values}")
-    if choice := comparison.get("transmission_choice"):
-        lines.append(choice_line(choice))
-    return lines + transmission_lines(comparison.get("transmission"))
-
-
 def lengths_line(lengths: Sequence[float], units: Sequence[str]) -> str:
-    """What friction both estimators have where it yields before it slides.
+    """Say over which distances friction of both estimators yields before it slides.
 
     **Arguments**
 
@@ -164,7 +128,3 @@ def lengths_line(lengths: Sequence[float], units: Sequence[str]) -> str:
         if length > 0.0
     )
     return f"dry friction of both yields before it slides: {joints}"
-
-
-def _pair(asked: bool, value: Any, error: Any) -> dict[str, Any] | None:
-    return {"value": value, "error": error} if asked else None

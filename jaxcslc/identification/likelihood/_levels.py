@@ -1,3 +1,5 @@
+"""Noise levels by marginal likelihood, from draws of the present noise."""
+
 import dataclasses
 
 import numpy as np
@@ -29,7 +31,7 @@ class NoiseDraws:
 
     by_torque: Residuals
     by_position: Residuals
-    torque: Float[np.ndarray, "equations joints"]
+    torque: Float[np.ndarray, "equations series"]
     position: Float[np.ndarray, "samples joints"]
 
     @classmethod
@@ -41,25 +43,22 @@ class NoiseDraws:
         torque_noise: Levels,
         position_noise: Levels,
     ) -> "NoiseDraws":
-        """`part`: number of the recording of each sample."""
+        """Draw noise and fit it; `part`: number of the recording of each sample."""
         rng = np.random.default_rng(0)
-        zeros = Residuals(**{name: 0.0 * values for name, values in vars(linear.residuals).items()})
-        counts = linear.weights.torque > 0.0
+        counts = linear.weights["torque"] > 0.0
         normal = np.where(counts, rng.normal(size=counts.shape), 0.0)
-        torque = normal * torque_noise[part[1:-1]]
-        weight = linear.weights.position
+        noise = linear.objective.motion.equations.noise(torque_noise)
+        torque = normal * noise[part[1:-1]]
+        weight = linear.weights["position"]
         position = rng.normal(size=weight.shape) * position_noise[part]
-        intervals = linear.objective.intervals
+        intervals = linear.objective.readings.intervals
         if intervals is not None:
             counts = intervals.edge > 0.0
             errors = rng.uniform(-0.5, 0.5, weight.shape) * intervals.step
             readings = intervals.working(np.where(counts, errors, 0.0), weight)
             position = np.where(counts, readings.weight * readings.residual / weight, position)
 
-        drawn = [
-            dataclasses.replace(zeros, torque=torque),
-            dataclasses.replace(zeros, position=position),
-        ]
+        drawn = [linear.zeros(torque=torque), linear.zeros(position=position)]
         steps = linear.steps(factored, drawn)
         by_torque, by_position = map(linear.after, steps, drawn)
         return cls(by_torque, by_position, normal, position)
@@ -74,7 +73,7 @@ def noise_levels(
     torque_noise: Levels,
     position_noise: Levels,
 ) -> tuple[Levels, Levels]:
-    """The levels at which residuals would be as large as they are.
+    """Return the levels at which residuals would be as large as they are.
 
     The squares of what is left of both kinds of noise add up, so that the level of torque noise
     follows from what positions do not explain (a fixed point of the marginal likelihood, whose
@@ -93,7 +92,7 @@ def noise_levels(
         rows = counted[:, joint] & (part[1:-1] == number)
         if rows.any():
             square, alone, others = (
-                np.median(np.abs(x.torque[rows, joint])) ** 2
+                np.median(np.abs(x["torque"][rows, joint])) ** 2
                 for x in (residuals, draws.by_torque, draws.by_position)
             )
             ratio = (square - others) / alone if alone > 0.0 else 0.0
@@ -101,7 +100,7 @@ def noise_levels(
         rows = moving[:, joint] & (part == number)
         if rows.any():
             square, alone, others = (
-                np.mean(x.position[rows, joint] ** 2)
+                np.mean(x["position"][rows, joint] ** 2)
                 for x in (residuals, draws.by_position, draws.by_torque)
             )
             ratio = (square - others) / alone if alone > 0.0 else 1.0
@@ -115,7 +114,7 @@ def hidden_noise(
     part: Int[np.ndarray, " samples"],
     torque_noise: Levels,
 ) -> Levels:
-    """The least noise of positions beside torque noise that would hide it.
+    """Return the least noise of positions beside torque noise that would hide it.
 
     Where noise of positions makes less of an equation's error than torque noise does, residuals say
     little of its level, and a small one is as likely as none; with none, noise of accelerations
@@ -130,7 +129,9 @@ def hidden_noise(
     - `torque_noise`: the present levels.
     """
     count, n = seen.shape
-    stencil = linear.by_position.reshape(len(linear.by_position), n, -1, n)
+    by_position = linear.motion.by_position
+    series = by_position.shape[1]
+    stencil = by_position.reshape(len(by_position), series, -1, series)[:, :n, :, :n]
     size = np.sqrt(np.sum(stencil**2, axis=2))  # of the equation of one joint, by another's noise
     result = np.zeros_like(seen)
     for number in range(count):
@@ -148,8 +149,10 @@ def position_errors(
     part: Int[np.ndarray, " samples"],
     recordings: int,
 ) -> Levels:
-    """Standard deviations of estimated positions with their offsets; infinite if none moves."""
-    squares = (draws.position - draws.by_position.position) ** 2 + draws.by_torque.position**2
+    """Return standard deviations of estimated positions with their offsets; infinite if none
+    moves."""
+    of_torque, of_position = draws.by_torque["position"], draws.by_position["position"]
+    squares = (draws.position - of_position) ** 2 + of_torque**2
     result = np.full((recordings, squares.shape[1]), np.inf)
     for index in np.ndindex(*result.shape):
         number, joint = index

@@ -1,3 +1,5 @@
+"""A step of Levenberg and Marquardt's method, with corrections for what is not linear."""
+
 import dataclasses
 from typing import NamedTuple
 
@@ -6,9 +8,9 @@ from scipy.linalg import LinAlgError
 
 from ._linear import Linear
 from ._linear_minimum import LinearMinimum
-from ._objective import Point, Residuals, Step
+from ._objective import Residuals
+from ._point import Point, Step
 from ._problem import Problem
-from ._signs import LATEST_TURN
 
 
 _MOST_TRIALS, _MOST_HALVINGS = 8, 4
@@ -31,8 +33,6 @@ PROMISE = 0.02
 # At a kink they may promise as much as this, and it never comes; damping that grew there says
 # nothing of the next step.
 AT_KINK = 0.1
-# How far the logarithm of a slope moves in a step.
-_SLOPE_STEP = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +60,7 @@ class LevenbergStep:
 
 
 def levenberg_step(problem: Problem, linear: Linear, point: Point, damping: float) -> LevenbergStep:
-    """Damped until the sum of squares falls; without a change where it never does.
+    """Take a step, damped until the sum of squares falls; none where it never does.
 
     Where torque is nearly exact, a minimum is at the end of a bent valley: magnitude times slope of
     static friction stays the same along it. A step that misses it is solved again for the torque
@@ -128,14 +128,14 @@ class _Trials:
     rounding: float
 
     def best(self) -> _Trial:
-        """The step with its corrections or, where none is good, the first part of it that is.
+        """Return the step with its corrections or, where none is good, the first part of it that
+        is.
 
         The sum of squares need not fall in it.
         """
         trial, promise = self._corrected(), self.minimum.promise
         objective = self.minimum.linear.objective
-        smooth = objective.intervals is None and objective.sticking is None
-        if smooth and trial.fall < _POOR * promise and promise > PROMISE:
+        if not objective.bent and trial.fall < _POOR * promise and promise > PROMISE:
             # To the minimum of the parabola with this slope and this fall.
             part = promise / (2.0 * promise - trial.fall)
             shorter = self._trial(self.minimum.step.scaled(part), whole=False)
@@ -162,32 +162,14 @@ class _Trials:
             moved, left = linear.objective.moved(self.start, part), trial.residuals
             if not np.array_equal(moved.border, trial.point.border):  # it went to a bound
                 left = linear.objective.residuals(moved)
-            missed = left.torque - linear.after(part, linear.present).torque
-            corrected = dataclasses.replace(
-                linear.residuals, torque=linear.residuals.torque + missed
-            )
+            missed = left["torque"] - linear.after(part, linear.present)["torque"]
+            corrected = {**linear.residuals, "torque": linear.residuals["torque"] + missed}
             part, last = linear.step(self.minimum.factored, corrected, self.damping), missing
             trial = self._trial(part, whole=True)
         return trial if trial.fall > best.fall else best
 
     def _trial(self, part: Step, *, whole: bool) -> _Trial:
         objective = self.minimum.linear.objective
-        point = _bounded(self.problem, objective.moved(self.start, part), self.start)
+        point = self.problem.bounded(objective.moved(self.start, part), self.start)
         residuals = objective.residuals(point)
         return _Trial(point, residuals, self.value - objective.value(residuals), whole)
-
-
-def _bounded(problem: Problem, point: Point, before: Point) -> Point:
-    low, high = problem.slope_bounds
-    near = np.clip(point.slopes, before.slopes - _SLOPE_STEP, before.slopes + _SLOPE_STEP)
-    return dataclasses.replace(
-        point,
-        slopes=np.clip(near, low, high),
-        calibration=problem.calibration.bounded(point.calibration, before.calibration),
-        turn=np.clip(point.turn, -LATEST_TURN, LATEST_TURN),
-        transmission=(
-            point.transmission
-            if problem.transmission is None
-            else problem.transmission.bounded(point.transmission)
-        ),
-    )

@@ -1,3 +1,5 @@
+"""The result of maximum likelihood, and the misfit of fixed coefficients."""
+
 import dataclasses
 from typing import Any
 
@@ -10,9 +12,8 @@ from ...network import CSLC
 from ..possible import PhysicalParameters
 from ..solver import RESULTS, Errors, Identification
 from ..systematic import SystematicError
-from ._objective import Equations
+from ._spacing import NoiseExcitation, SpacingChoice
 from .band import Spectrum
-from .equations import YieldingEquations
 from .errors import (
     CorrelatedErrors,
     RowSums,
@@ -20,14 +21,11 @@ from .errors import (
     systematic_errors,
 )
 from .search import Minimum
-from .selection import ModelSelection, NoiseExcitation
-from .torque import TorqueUnknown, Whitening
 from .transmission import (
+    ElasticEquations,
     Transmission,
-    TransmissionEquations,
     TransmissionParameters,
 )
-from .transmission._choice import TransmissionChoice
 
 
 # A coefficient that shares this part of a unit null vector is not determined by itself.
@@ -47,26 +45,18 @@ class LikelihoodFit(eqx.Module):
     - `slopes`: (n,) of static friction [s/rad or s/m]; `slope_error`: their standard deviations.
       Zeros for a network without static friction.
     - `offset`: (recordings, n) of each encoder within a step [rad or m]; `offset_error`.
-    - `torque_lag`: how much later than positions torques were measured [s], 0 if that was not
-      asked for; `torque_lag_error`: its standard deviation.
-    - `torque_gain`: (n,) torque over what was recorded, ones if that was not asked for;
-      `torque_gain_error`: infinite where nothing tells it from coefficients.
     - `position`: (samples, n) estimated positions [rad or m], of one recording after the other; at
       every `MaximumLikelihood.every`-th sample.
     - `torque_noise`: (recordings, n) [N m or N]; `position_noise`: (recordings, n) [rad or m]:
       standard deviations.
-    - `noise_coefficients`: (order, n) of the autoregression of torque residuals r of each joint,
-      r(t) + a₁ r(t-1) + ... = w(t), whose white noise w has the level `torque_noise`.
     - `edge`: (recordings, n) widths of the edges of counts that are intervals, in steps of the
       encoder; 0 where readings count as normally distributed.
-    - `unknowns`: which of lag and gains were asked for.
     - `reversal_moments`: (samples, n) when a joint reverses next to a sample, in intervals after
       it; NaN where it does not.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
     - `transmission`: gears that give way; None if they are rigid. The network's coefficients are
-      those of links and rotors together. `transmission_choice`: whether the recording supports
-      them, if that was asked for.
+      those of links and rotors together.
     - `bodies`: with `MaximumLikelihood.possible`, those whose coefficients `fit` has; its standard
       errors are those of coefficients that nothing confines, an upper bound. `free`: the fit
       without bodies. Both are None otherwise.
@@ -76,8 +66,8 @@ class LikelihoodFit(eqx.Module):
       `errors="independent"` and with `transmission`.
     - `lengths`: (n,) of pre-sliding [rad or m], as `MaximumLikelihood.lengths` set them: dry
       friction of these joints is for motion that slides. Standard errors are for known lengths.
-    - `selection`: what was tried of `MaximumLikelihood`'s `every` and `noise_order`, where one of
-      them was `"auto"`; None otherwise.
+    - `spacing`: why positions are as far apart as they are, where `every` was `"auto"`; None
+      otherwise.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
@@ -96,28 +86,21 @@ class LikelihoodFit(eqx.Module):
     slope_error: Float[np.ndarray, " joints"]
     offset: Float[np.ndarray, "recordings joints"]
     offset_error: Float[np.ndarray, "recordings joints"]
-    torque_lag: float
-    torque_lag_error: float
-    torque_gain: Float[np.ndarray, " joints"]
-    torque_gain_error: Float[np.ndarray, " joints"]
     position: Float[np.ndarray, "samples joints"]
     torque_noise: Float[np.ndarray, "recordings joints"]
     position_noise: Float[np.ndarray, "recordings joints"]
-    noise_coefficients: Float[np.ndarray, "order joints"]
     edge: Float[np.ndarray, "recordings joints"]
     reversal_moments: Float[np.ndarray, "samples joints"]
     lengths: Float[np.ndarray, " joints"]
-    unknowns: tuple[TorqueUnknown, ...] = eqx.field(static=True)
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
     transmission: Transmission | None = None
-    transmission_choice: TransmissionChoice | None = None
     bodies: PhysicalParameters | None = None
     free: Identification | None = None
     systematic: SystematicError | None = None
     every: int = eqx.field(static=True, default=1)
-    selection: ModelSelection | None = eqx.field(static=True, default=None)
+    spacing: SpacingChoice | None = eqx.field(static=True, default=None)
     noise_excitation: NoiseExcitation | None = eqx.field(static=True, default=None)
 
     @property
@@ -126,7 +109,7 @@ class LikelihoodFit(eqx.Module):
         return self.fit.k
 
     def at(self, samples: Bool[np.ndarray, " samples"]) -> "LikelihoodFit":
-        """The same with some of the estimated positions."""
+        """Return the same with some of the estimated positions."""
         gears = self.transmission
         if gears is not None:
             gears = eqx.tree_at(
@@ -138,12 +121,6 @@ class LikelihoodFit(eqx.Module):
             reversal_moments=self.reversal_moments[samples],
             transmission=gears,
         )
-
-    @property
-    def torque_deviation(self) -> Float[np.ndarray, "recordings joints"]:
-        """(recordings, n) standard deviations of torque noise [N m or N], as it is before it is
-        made white: `torque_noise` for noise that is white anyway."""
-        return self.torque_noise * Whitening(self.noise_coefficients).deviation
 
     def __repr__(self) -> str:
         noise = "; ".join(
@@ -188,21 +165,22 @@ class Misfit:
 
     @classmethod
     def of(cls, minimum: Minimum, part: Int[np.ndarray, " samples"], joints: int) -> "Misfit":
-        """At the minimum of a search; `part`: number of the recording of each sample."""
+        """Read it off the minimum of a search; `part`: number of the recording of each sample."""
         left, of_equation = minimum.linear.residuals, part[1:-1]
         error = np.hypot(
-            left.torque / minimum.torque_noise[of_equation],
-            left.position[1:-1] / minimum.position_noise[of_equation],
+            left["torque"][:, :joints] / minimum.torque_noise[of_equation],
+            left["position"][1:-1] / minimum.position_noise[of_equation],
         )
-        return cls(error[:, :joints], left.torque[:, :joints], minimum.counted[:, :joints])
+        return cls(error, left["torque"][:, :joints], minimum.counted)
 
 
 def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> LikelihoodFit:
-    """The result of a search, with standard errors for independent or correlated residuals."""
+    """Return the result of a search, with standard errors for independent or correlated
+    residuals."""
     point, p, n = minimum.point, network.size, network.joint_count
     spectrum, border = Spectrum.of(minimum.factored.information), minimum.objective.scale
-    residual, used = minimum.linear.residuals.torque, minimum.counted
-    counts = used[:, :n].sum(axis=0).astype(float)
+    residual, used = minimum.linear.residuals["torque"][:, :n], minimum.counted
+    counts = used.sum(axis=0).astype(float)
     inverse = spectrum.covariance
     sums = RowSums.of(minimum.linear, minimum.factored)
     bound = sums.independent_covariance(inverse)
@@ -210,7 +188,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     systematic = None
     if errors == "correlated":
         reported = reported_errors(minimum.linear, sums, inverse, bound, used)
-        if not isinstance(minimum.objective.equations, TransmissionEquations):
+        if not len(point.values("gears")):
             systematic = systematic_errors(
                 minimum.linear, minimum.factored, point, used, reported.effective
             )
@@ -223,8 +201,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
     determined = ~unclear[:p]
     error = np.where(unclear, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-    unfiltered = minimum.objective.whitening.removed(residual)
-    squares = np.sum(np.where(used, unfiltered, 0.0) ** 2, axis=0)
+    squares = np.sum(np.where(used, residual, 0.0) ** 2, axis=0)
     complete = len(null) == 0
     # Put on the device together: one by one, each is a program of its own.
     arrays: dict[str, Any] = as_jax(
@@ -233,9 +210,9 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
             "standard_error": error[:p],
             "covariance": covariance[:p, :p],
             "independent_covariance": independent[:p, :p],
-            "torque_error": np.sqrt(squares[:n] / np.maximum(counts, 1.0)),
+            "torque_error": np.sqrt(squares / np.maximum(counts, 1.0)),
             "equations": counts,
-            "effective_equations": reported.effective[:n],
+            "effective_equations": reported.effective,
             "degrees_of_freedom": np.float64(reported.degrees_of_freedom),
             "rank": p - len(null),
             "condition": np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0]),
@@ -247,49 +224,34 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
     fit = Identification(**arrays, result=result, names=network.names, errors=errors)
     static = network.static_slopes is not None
     slopes = np.exp(point.slopes) if static else np.zeros(n)
-    calibration, values = minimum.objective.torque, point.calibration
-    intervals, part = minimum.objective.intervals, minimum.objective.part
-    of_gears = p + n + len(point.transmission)
-    first = of_gears + len(values)
-    of_calibration = error[of_gears:first] if len(values) else np.zeros(1 + n)
+    intervals, part = minimum.objective.readings.intervals, minimum.objective.readings.part
     return LikelihoodFit(
         network=network.with_static_slopes(slopes) if static else network,
         fit=fit,
         slopes=slopes,
         slope_error=slopes * error[p : p + n],
-        offset=point.offset[:, :n],
-        offset_error=error[first:].reshape(point.offset.shape)[:, :n],
-        torque_lag=calibration.lag(values),
-        torque_lag_error=float(of_calibration[0]),
-        torque_gain=calibration.gain(values)[:n],
-        torque_gain_error=of_calibration[1 : 1 + n],
+        offset=point.offset,
+        offset_error=error[point.layout.part("offset")].reshape(point.offset.shape),
         position=point.q[:, :n],
-        torque_noise=minimum.torque_noise[:, :n],
-        position_noise=minimum.position_noise[:, :n],
-        noise_coefficients=minimum.objective.whitening.coefficients[:, :n],
-        edge=(np.zeros_like(point.offset) if intervals is None else intervals.edges(part))[:, :n],
-        reversal_moments=minimum.objective.signs.moments(point.turn, len(point.q))[:, :n],
-        lengths=_lengths(minimum.objective.equations, n),
-        unknowns=calibration.unknowns,
-        reversals=len(minimum.objective.signs.samples),
+        torque_noise=minimum.torque_noise,
+        position_noise=minimum.position_noise,
+        edge=np.zeros_like(point.offset) if intervals is None else intervals.edges(part),
+        reversal_moments=minimum.objective.motion.signs.moments(point.turn, len(point.q)),
+        lengths=minimum.objective.motion.equations.lengths,
+        reversals=len(minimum.objective.motion.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,
         systematic=systematic,
-        transmission=_transmission(minimum, error[p + n : of_gears]),
+        transmission=_transmission(minimum, error[point.layout.part("gears")]),
     )
 
 
-def _lengths(equations: Equations, joints: int) -> Float[np.ndarray, " joints"]:
-    """Of pre-sliding; 0 where dry friction follows the sign of velocity."""
-    return equations.lengths if isinstance(equations, YieldingEquations) else np.zeros(joints)
-
-
 def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> Transmission | None:
-    """Gears that give way, with standard errors of their parameters; None of rigid ones."""
-    point, equations = minimum.point, minimum.objective.equations
-    if not isinstance(equations, TransmissionEquations):
+    """Return gears that give way, with standard errors of their parameters; None of rigid ones."""
+    point, equations = minimum.point, minimum.objective.motion.equations
+    if not isinstance(equations, ElasticEquations):
         return None
-    values, errors = map(TransmissionParameters.of, (point.transmission, error))
+    values, errors = map(TransmissionParameters.of, (point.values("gears"), error))
     return Transmission(
         joints=tuple(int(joint) + 1 for joint in equations.joints),
         compliance=values.compliance,
@@ -300,9 +262,5 @@ def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> 
         play_error=errors.play,
         rotor_inertia=values.rotor_inertia,
         rotor_inertia_error=errors.rotor_inertia,
-        viscous_share=values.viscous_share,
-        viscous_share_error=errors.viscous_share,
-        dry_share=values.dry_share,
-        dry_share_error=errors.dry_share,
         link_position=point.q[:, len(point.slopes) :],
     )

@@ -1,7 +1,10 @@
+"""The step to the minimum of linear equations under laws that are no squares."""
+
 import dataclasses
 
 from ._linear import Linear
-from ._objective import Residuals, Step
+from ._objective import Residuals
+from ._point import Step
 from .band import Factored
 
 
@@ -42,7 +45,7 @@ class LinearMinimum:
     def of(
         cls, linear: Linear, damping: float, least: float, start: Linear | None = None
     ) -> "LinearMinimum":
-        """Of equations about a point.
+        """Solve equations about a point.
 
         **Arguments**
 
@@ -61,7 +64,7 @@ class LinearMinimum:
             return cls(linear, factored, damping, step, after, value - linear.value(after))
 
         result = solved(start or linear)
-        if objective.intervals is None and objective.sticking is None:
+        if not objective.bent:
             return dataclasses.replace(result, promise=linear.promise(result.step))
         fall = value - objective.value(result.after)
         for _ in range(_MOST_SOLUTIONS):
@@ -79,7 +82,7 @@ class LinearMinimum:
         return dataclasses.replace(result, promise=max(result.promise, fall))
 
     def _shortened(self, value: float) -> "LinearMinimum":
-        """A part of the step in which laws fall from a value, the best of its halves.
+        """Return a part of the step in which laws fall from a value, the best of its halves.
 
         The set of steep laws only grows. Where many are steep that should not be, the step to the
         minimum of their parabolas goes up, and a search that waits for another one does not end.

@@ -1,7 +1,8 @@
+"""The estimator of maximum likelihood: its options, and what it fits."""
+
 import dataclasses
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,33 +12,45 @@ from ...motion import Recording
 from ...network import CSLC
 from .._settings import Settings
 from ..prior import Prior
-from ..solver import Errors, Identification
+from ..solver import ERRORS, Errors, Identification
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
-from ._near_fit import calibration_values, point_near
-from ._objective import Point
-from ._options import LikelihoodUnknown, check_options
-from ._problem import Problem
+from ._point import Point
+from ._problem import Problem, SearchStart
+from ._spacing import NoiseExcitation, SpacingChoice, excess_noise, spacing_for
 from ._start import starting_point
 from .knowledge import check_prior, possible_bodies
 from .search import Minimum, search
-from .selection import (
-    ModelSelection,
-    NoiseExcitation,
-    NoiseOrders,
-    OrderChoice,
-    SpacingTrial,
-    best_spacing,
-)
-from .selection._trials import EXCESS, excess_noise, spacing_trials, with_spectrum
 from .torque import TorqueSampling
-from .transmission._apart import apart_minimum, check_transmission
-from .transmission._choice import TransmissionChoice
-from .transmission._search_start import SearchStart
-from .transmission._widened import near_transmission
+from .transmission._added_gears import near_transmission, transmission_search
 
 
 # A misfit is known well enough when the sum of squares falls by no more than this part in a step.
 _MISFIT_TOLERANCE = 1e-3
+
+
+class _Searched(NamedTuple):
+    """A problem, where its search started, where it ended, and noise that excites there."""
+
+    problem: Problem
+    first: SearchStart
+    minimum: Minimum
+    noise: NoiseExcitation
+
+    @classmethod
+    def of(
+        cls,
+        estimator: "MaximumLikelihood",
+        network: CSLC,
+        recordings: Sequence[Recording],
+        start: Identification | None,
+        every: int,
+        report: Callable[[str], None],
+    ) -> "_Searched":
+        """Search with positions at every so many samples."""
+        problem, first = estimator.start(network, recordings, start, every)
+        minimum = search(problem, *first, report)
+        noise = NoiseExcitation.of(network, minimum, first.point.q, every)
+        return cls(problem, first, minimum, noise)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +81,7 @@ class MaximumLikelihood:
       the noise count by size, not square (Huber).
 
     Right where torque acts on rigid bodies. Compliance and backlash make errors that are neither
-    white nor small: see `transmission`, `noise_order`, and `docs/likelihood.md`.
+    white nor small: see `every`, `transmission`, and `docs/likelihood.md`.
 
     **Attributes**
 
@@ -81,20 +94,10 @@ class MaximumLikelihood:
     - `every`: equations of motion hold over two times so many samples, and positions are unknown at
       every so many; torque between them counts, readings do not. Two or more for arms whose
       transmission vibrates: a rigid model is right below those frequencies only. `"auto"`: 1, and
-      more where positions have more noise than readings explain and motion that was left out is
-      predicted better by more than chance, or where noise excites (`NoiseExcitation`).
-    - `noise_order`: 0 for torque noise that is white; 1 or 2 for an autoregression of that order,
-      joint by joint, whose coefficients are estimated. `"auto"`: the order that torque residuals of
-      a fit with white noise support (Bayes's information criterion), unless noise would drift or
-      motion that was left out is predicted worse with it.
-    - `unknowns`: of recorded torques, to be estimated too. `"torque_lag"`: how much later than
-      positions they were measured, the same for all joints; negative for demands that act later
-      than they are recorded. `"torque_gains"`: torque of each joint over what was recorded.
-      Gains and coefficients scale together, so that gains need a `prior`. `"transmission"`: gears
-      that give way, where the likelihood supports them.
+      3 where positions have more noise than readings explain; more where noise excites
+      (`NoiseExcitation`).
     - `transmission`: joints, from 1, whose rotor and link are two bodies, with a spring, a damper
-      and play between them; readings are of rotors. With `"transmission"` among `unknowns`, those
-      that may be, all of them if there are none here. Automatic spacing is then one sample.
+      and play between them; readings are of rotors. Automatic spacing is then one sample.
     - `prior`: values of coefficients that are known beforehand, with their errors, or fixed; with
       `possible`, of links, too.
     - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
@@ -102,9 +105,8 @@ class MaximumLikelihood:
     - `lengths`: (n,) of dry friction that yields before it slides [rad or m], such as those of
       `fit_pre_sliding`; 0 where it follows the sign of velocity; of no joint if there are none.
 
-    **Raises** `ValueError`: a `torque_sampling`, `errors` or `unknowns` that are none of these,
-    gains without a value that is known, bounds in a prior, links without `possible`, or a
-    transmission with gains, `possible`, `noise_order` or `lengths`.
+    **Raises** `ValueError`: a `torque_sampling`, `errors` or `every` that is none of these, bounds
+    in a prior, links without `possible`, or a transmission with `possible` or `lengths`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -123,25 +125,24 @@ class MaximumLikelihood:
     resolution: tuple[float, ...] | None = None
     errors: Errors = "correlated"
     every: int | Literal["auto"] = "auto"
-    noise_order: int | Literal["auto"] = "auto"
-    unknowns: tuple[LikelihoodUnknown, ...] = ()
     transmission: tuple[int, ...] = ()
     prior: Prior | None = None
     possible: bool = False
     lengths: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        check_options(
-            self.torque_sampling, self.errors, self.every, self.noise_order, self.unknowns
-        )
-        check_transmission(
-            self.transmission,
-            self.unknowns,
-            possible=self.possible,
-            noise_order=self.noise_order,
-            lengths=self.lengths,
-        )
-        check_prior(self.prior, gains="torque_gains" in self.unknowns, possible=self.possible)
+        if self.torque_sampling not in get_args(TorqueSampling):
+            raise ValueError(
+                f"torque_sampling {self.torque_sampling!r} is unknown; expected 'held' or 'sampled'"
+            )
+        if self.errors not in ERRORS:
+            raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
+        if self.every != "auto" and self.every < 1:
+            raise ValueError(f"every: expected 1 or more or 'auto', got {self.every}")
+        for name, excluded in (("possible", self.possible), ("lengths", any(self.lengths))):
+            if self.transmission and excluded:
+                raise ValueError(f"transmission: not with {name}")
+        check_prior(self.prior, possible=self.possible)
 
     def fit(
         self,
@@ -150,7 +151,7 @@ class MaximumLikelihood:
         start: Identification | LikelihoodFit | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> LikelihoodFit:
-        """The most likely coefficients of a recording, or of several together.
+        """Fit the most likely coefficients of a recording, or of several together.
 
         **Arguments**
 
@@ -177,93 +178,43 @@ class MaximumLikelihood:
         if isinstance(start, LikelihoodFit):
             return self.as_of(start)._near(network, recordings, start, report)
         every = 1 if self.every == "auto" else self.every
-        choice: TransmissionChoice | None = None
-        if self.transmission or "transmission" in self.unknowns:
-            problem, point, *noise = self._start(network, recordings, start, every)
-            torque_noise, position_noise = noise
-            minimum, choice = apart_minimum(
-                problem,
-                SearchStart(point, torque_noise, position_noise),
-                self.transmission,
-                report,
-                optional="transmission" in self.unknowns,
-            )
-            if minimum is not None:
-                fit = self._fit(network, minimum, every)
-                return dataclasses.replace(fit, transmission_choice=choice)
-        problem, first, minimum = self._minimum(network, recordings, start, every, report)
-        orders = NoiseOrders.of(problem, minimum) if self.noise_order == "auto" else None
-        excess, trials = None, ()
-        if self.every == "auto":
-            excess = excess_noise(problem, minimum)
-            # Vibration is taken for noise of positions, or of torque with a spectrum of its own.
-            if excess.max() > EXCESS or (orders is not None and orders.order):
-                trials = self._trials(network, recordings, minimum, report)
-            every = best_spacing(trials)
-            if every > 1:
-                problem, first, minimum = self._minimum(network, recordings, start, every, report)
-        noise = NoiseExcitation.of(network, minimum, first.point.q, every)
-        noisy: tuple[NoiseExcitation, ...] = ()
-        samples = min(recording.samples for recording in recordings)
-        while self.every == "auto" and noise.excessive and noise.wider_spacing(samples):
-            noisy += (noise,)
-            every = noise.wider_spacing(samples) or every
-            problem, first, minimum = self._minimum(network, recordings, start, every, report)
-            noise = NoiseExcitation.of(network, minimum, first.point.q, every)
-        if orders is not None and every > 1 and self.every == "auto":
-            orders = NoiseOrders.of(problem, minimum)
-        order_choice: OrderChoice | None = None
-        if orders is not None and orders.order:
-            white = self._white(every)
-            fitted = partial(white._fit, network, every=every)
-            minimum, order_choice = with_spectrum(
-                problem, minimum, orders.order, fitted, white, recordings, report
-            )
-        fit = self._fit(network, minimum, every)
-        if self.every == "auto" or self.noise_order == "auto":
-            order = len(fit.noise_coefficients)
-            of_joints = None if excess is None else tuple(excess.tolist())
-            selection = ModelSelection(every, order, of_joints, trials, orders, noisy, order_choice)
-            fit = dataclasses.replace(fit, selection=selection)
-        fit = dataclasses.replace(fit, transmission_choice=choice, noise_excitation=noise)
+        if self.transmission:
+            problem, first = self.start(network, recordings, start, every)
+            minimum = transmission_search(problem, first, self.transmission, report)
+            return self._fit(network, minimum, every)
+        searched, spacing = self._spaced(network, recordings, start, every, report)
+        problem, first, minimum, noise = searched
+        fit = self._fit(network, minimum, noise.every)
+        fit = dataclasses.replace(fit, spacing=spacing, noise_excitation=noise)
         return self._with_bodies(network, problem, minimum, fit, first[1:], report)
 
-    def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
-        """The same with the spacing and the order of torque noise of a fit."""
-        return dataclasses.replace(self, every=fit.every, noise_order=len(fit.noise_coefficients))
-
-    def _minimum(
+    def _spaced(
         self,
         network: CSLC,
         recordings: Sequence[Recording],
         start: Identification | None,
         every: int,
         report: Callable[[str], None],
-    ) -> tuple[Problem, SearchStart, Minimum]:
-        """The problem, what its search starts with, and its minimum; for torque noise that is white
-        unless its order is set."""
-        problem, point, *levels = self._start(network, recordings, start, every)
-        first = SearchStart(point, *levels)
-        order = 0 if self.noise_order == "auto" else self.noise_order
-        coefficients = np.zeros((order, network.joint_count))
-        return problem, first, search(problem, *first, report, noise_coefficients=coefficients)
+    ) -> tuple[_Searched, SpacingChoice | None]:
+        """Search with positions as far apart as they are to be, and say why if that is chosen."""
+        searched = _Searched.of(self, network, recordings, start, every, report)
+        if self.every != "auto":
+            return searched, None
+        excess = excess_noise(searched.problem, searched.minimum)
+        noisy: tuple[NoiseExcitation, ...] = ()
+        samples = min(recording.samples for recording in recordings)
+        wider: int | None = spacing_for(excess, samples)
+        while wider:
+            if wider > every:
+                every = wider
+                searched = _Searched.of(self, network, recordings, start, every, report)
+            wider = searched.noise.wider_spacing(samples)
+            noisy += (searched.noise,) if wider else ()
+        return searched, SpacingChoice(every, tuple(excess.tolist()), noisy)
 
-    def _trials(
-        self,
-        network: CSLC,
-        recordings: Sequence[Recording],
-        minimum: Minimum,
-        report: Callable[[str], None],
-    ) -> tuple[SpacingTrial, ...]:
-        """Spacings beside that of a minimum with positions at every sample."""
-        plain = self._white(1)._fit(network, minimum, 1)
-        return spacing_trials(self._white, network, recordings, plain, report)
-
-    def _white(self, every: int) -> "MaximumLikelihood":
-        """The same for trials: white torque noise, nothing that is not judged."""
-        return dataclasses.replace(
-            self, every=every, noise_order=0, errors="independent", possible=False
-        )
+    def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
+        """Return the same with the spacing of a fit."""
+        return dataclasses.replace(self, every=fit.every)
 
     def _near(
         self,
@@ -272,25 +223,23 @@ class MaximumLikelihood:
         near: LikelihoodFit,
         report: Callable[[str], None],
     ) -> LikelihoodFit:
-        """The minimum near a fit, with its noise levels."""
-        problem, point, _, _ = self._start(network, recordings, near.fit, near.every)
-        first = SearchStart(point_near(point, near), near.torque_noise, near.position_noise)
-        edge, coefficients = near.edge, near.noise_coefficients
+        """Fit near another fit, with its noise levels."""
+        problem, first = self.start(network, recordings, near.fit, near.every)
+        first = SearchStart(_point_near(first.point, near), near.torque_noise, near.position_noise)
+        edge = near.edge
         if near.transmission is not None:
-            problem, first, edge = near_transmission(problem, first, near.transmission, edge)
-            coefficients = None
+            problem, first = near_transmission(problem, first, near.transmission)
         minimum = search(
             problem,
             *first,
             report,
             fixed_levels=True,
             edge=edge,
-            noise_coefficients=coefficients,
             moments=near.reversal_moments,
         )
         fit = dataclasses.replace(
             self._fit(network, minimum, near.every),
-            selection=near.selection,
+            spacing=near.spacing,
             noise_excitation=near.noise_excitation,
         )
         return self._with_bodies(network, problem, minimum, fit, None, report)
@@ -307,7 +256,7 @@ class MaximumLikelihood:
         levels: tuple[np.ndarray, np.ndarray] | None,
         report: Callable[[str], None],
     ) -> LikelihoodFit:
-        """With possible bodies if they are asked for; `levels` as of `possible_bodies`."""
+        """Return the fit, with possible bodies if they are asked for; `levels` are theirs."""
         if not self.possible:
             return fit
         with_bodies = possible_bodies(
@@ -320,7 +269,7 @@ class MaximumLikelihood:
             errors=self.errors,
             progress=report,
         )
-        kept = {name: getattr(fit, name) for name in ("every", "selection", "noise_excitation")}
+        kept = {name: getattr(fit, name) for name in ("every", "spacing", "noise_excitation")}
         return dataclasses.replace(with_bodies, **kept)
 
     def misfit(
@@ -330,9 +279,9 @@ class MaximumLikelihood:
         k: Float[Array | np.ndarray, " coefficients"],
         torque_noise: Float[np.ndarray, " joints"],
         position_noise: Float[np.ndarray, " joints"],
-        calibration: LikelihoodFit | None = None,
+        gears: LikelihoodFit | None = None,
     ) -> Misfit:
-        """How well coefficients agree with recordings, without a smoothing of these.
+        """Return how well coefficients agree with recordings, without a smoothing of these.
 
         Torque errors of smoothed motion are least for coefficients that make up for what smoothing
         does: true ones lose. Here positions are estimated, for coefficients, slopes and noise
@@ -345,8 +294,7 @@ class MaximumLikelihood:
         - `k`: (p,) coefficients.
         - `torque_noise`: (n,) standard deviations [N m or N].
         - `position_noise`: (n,) [rad or m]; of encoders, at least that of their steps counts.
-        - `calibration`: a fit whose lag and gains of torque, and whose gears, hold; by default
-          there are none, and gears are rigid.
+        - `gears`: a fit whose gears hold; by default gears are rigid.
 
         **Returns** a `Misfit`.
 
@@ -355,22 +303,19 @@ class MaximumLikelihood:
         require_float64()
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
         every = 1 if self.every == "auto" else self.every
-        problem, point, residual, noise = self._start(network, recordings, None, every)
+        problem, (point, residual, noise) = self.start(network, recordings, None, every)
         slopes, encoders = network.static_slopes, problem.encoder_step > 0.0
-        point = dataclasses.replace(
-            point,
+        point = point.with_values(
             k=np.asarray(k, float),
             slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
-            calibration=calibration_values(point, calibration),
         )
         noise = np.where(encoders, np.maximum(noise, position_noise), position_noise)
         first = SearchStart(point, np.broadcast_to(torque_noise, residual.shape), noise)
-        if calibration is not None and calibration.transmission is not None:
-            problem, first, _ = near_transmission(problem, first, calibration.transmission)
-        shared = len(first.point.border) - first.point.offset.size
-        scale = np.where(np.arange(len(problem.scale)) < shared, 0.0, problem.scale)
+        if gears is not None and gears.transmission is not None:
+            problem, first = near_transmission(problem, first, gears.transmission)
+        others = (name for name, _ in problem.layout.sizes if name != "offset")
         minimum = search(
-            dataclasses.replace(problem, scale=scale),
+            problem.fixing(*others),
             *first,
             lambda words: None,
             fixed_levels=True,
@@ -378,14 +323,14 @@ class MaximumLikelihood:
         )
         return Misfit.of(minimum, problem.readings.part, problem.joints)
 
-    def _start(
+    def start(
         self,
         network: CSLC,
         recordings: Sequence[Recording],
         start: Identification | None,
         every: int,
-    ) -> tuple[Problem, Point, np.ndarray, np.ndarray]:
-        """As `starting_point` returns them."""
+    ) -> tuple[Problem, SearchStart]:
+        """Return the problem, and where its search starts."""
         return starting_point(
             network,
             recordings,
@@ -393,8 +338,22 @@ class MaximumLikelihood:
             self.torque_sampling,
             None if self.resolution is None else np.array(self.resolution),
             start,
-            tuple(name for name in self.unknowns if name != "transmission"),
             self.prior,
             every,
             self.lengths,
         )
+
+
+def _point_near(point: Point, fit: LikelihoodFit) -> Point:
+    """Return a point with the values of a fit that is near.
+
+    **Raises** `ValueError` if the fit's positions are at other samples than the point's.
+    """
+    if fit.position.shape != point.q.shape or fit.offset.shape != point.offset.shape:
+        raise ValueError(
+            f"start: its positions are {fit.position.shape} of {len(fit.offset)} recordings;"
+            f" expected {point.q.shape} of {len(point.offset)}"
+        )
+    slopes = np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes
+    values = point.with_values(k=np.asarray(fit.k), slopes=slopes, offset=fit.offset)
+    return dataclasses.replace(values, q=fit.position)

@@ -1,3 +1,5 @@
+"""Readings of encoders: as recorded, and as the intervals that counts are."""
+
 import dataclasses
 from collections.abc import Sequence
 
@@ -53,7 +55,7 @@ class Readings:
     def of(
         cls, recordings: Sequence[Recording], torque_sampling: TorqueSampling, every: int = 1
     ) -> "Readings":
-        """Those of recordings of the same joints; positions at every so many samples."""
+        """Join recordings of the same joints; positions at every so many samples."""
         times: list[np.ndarray] = []
         start = 0.0
         for recording in recordings:
@@ -122,7 +124,7 @@ class Intervals:
     edge: Float[np.ndarray, "samples joints"]
 
     def edges(self, part: Int[np.ndarray, " samples"]) -> Float[np.ndarray, "recordings joints"]:
-        """Of each recording; `part`: number of the recording of each sample."""
+        """Return edges of each recording; `part`: number of the recording of each sample."""
         return self.edge[np.unique(part, return_index=True)[1]]
 
     def working(
@@ -130,7 +132,8 @@ class Intervals:
         residual: Float[np.ndarray, "samples joints"],
         weight: Float[np.ndarray, "samples joints"],
     ) -> WorkingReadings:
-        """Values and derivatives at residuals [rad or m]; `weight` of those without intervals."""
+        """Return values and derivatives at residuals [rad or m]; `weight` of those without
+        intervals."""
         value, weight, working = weight * residual**2, weight.copy(), residual.copy()
         rows = self.edge > 0.0
         step, share = self.step[rows], self.share[rows]
@@ -144,7 +147,7 @@ class Intervals:
 def interval(
     residual: Float[np.ndarray, "*shape"], edge: Float[np.ndarray, "*shape"]
 ) -> WorkingReadings:
-    """Of readings that are intervals, residuals and edges in steps.
+    """Return the law of readings that are intervals, residuals and edges in steps.
 
     >>> import numpy as np
     >>> interval(np.array([0.0, 0.49, 0.5, 0.53]), np.full(4, 0.01)).value.round(2).tolist()
@@ -167,7 +170,7 @@ def interval(
 def _near_edges(
     residual: Float[np.ndarray, " readings"], edge: Float[np.ndarray, " readings"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values, weights and residuals of `interval`."""
+    """Return values, weights and residuals of `interval`."""
     size = np.abs(residual)
     outside = np.maximum(size - 0.5 - _OUTSIDE * edge, 0.0)
     inside = size - outside
@@ -185,7 +188,7 @@ def _near_edges(
 
 
 def score_share(edge: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """The variance of scores over their mean curvature, were edges sharp; 1 for none.
+    """Return the variance of scores over their mean curvature, were edges sharp; 1 for none.
 
     The width of an edge stands for what is not known of the position, not for noise: positions are
     inside their intervals. So errors are smaller than a law says in which they may be outside.

@@ -1,3 +1,5 @@
+"""Which way joints move, where they turn and where they rest."""
+
 import dataclasses
 
 import numpy as np
@@ -39,7 +41,7 @@ class Signs:
         joined: Bool[np.ndarray, " equations"] | None = None,
         ambiguous: Bool[np.ndarray, "equations joints"] | None = None,
     ) -> "Signs":
-        """The signs of a motion.
+        """Return the signs of a motion.
 
         **Arguments**
 
@@ -102,25 +104,11 @@ class Signs:
             stuck,
         )
 
-    def widened(self, series: int) -> "Signs":
-        """With further columns, of links whose friction is on their rotors."""
-        more = series - self.direction.shape[1]
-        if not more:
-            return self
-        direction, uncertain, stuck = (
-            np.concatenate([values, np.full((len(values), more), value)], axis=1)
-            for values, value in (
-                (self.direction, 1.0),
-                (self.uncertain, False),
-                (self.stuck, False),
-            )
-        )
-        return dataclasses.replace(self, direction=direction, uncertain=uncertain, stuck=stuck)
-
     def turns(
         self, turn: Float[np.ndarray, " reversals"] | None = None
     ) -> Float[np.ndarray, "equations joints"]:
-        """(equations, n): when the joint turns within each equation's two intervals, -1 if not."""
+        """Return (equations, n): when the joint turns within each equation's two intervals, -1 if
+        not."""
         turn = self.turn if turn is None else turn
         result = np.full(self.direction.shape, -1.0)
         for offset in (-1, 0, 1):
@@ -130,7 +118,8 @@ class Signs:
     def moments(
         self, turn: Float[np.ndarray, " reversals"], samples: int
     ) -> Float[np.ndarray, "samples joints"]:
-        """(samples, n): the moment of the reversal next to a sample, NaN where there is none."""
+        """Return (samples, n): the moment of the reversal next to a sample, NaN where there is
+        none."""
         result = np.full((samples, self.direction.shape[1]), np.nan)
         result[self.samples, self.joints] = turn
         return result
@@ -138,7 +127,7 @@ class Signs:
     def from_moments(
         self, moments: Float[np.ndarray, "samples _"]
     ) -> Float[np.ndarray, " reversals"]:
-        """Moments of these reversals where `moments` has them, else `self.turn`."""
+        """Return moments of these reversals where `moments` has them, else `self.turn`."""
         result = self.turn.copy()
         for offset in (-1, 1, 0):  # the latter's counts, where there are two
             near = moments[self.samples + offset, self.joints] + offset
@@ -148,14 +137,15 @@ class Signs:
     def without_moments(
         self, moments: Float[np.ndarray, "samples _"]
     ) -> Bool[np.ndarray, "equations joints"]:
-        """Equations of reversals that `moments` has not within a sample."""
+        """Return equations of reversals that `moments` has not within a sample."""
         result = np.zeros(self.direction.shape, bool)
         near = [moments[self.samples + offset, self.joints] for offset in (-1, 0, 1)]
         result[self.samples - 1, self.joints] = np.all(np.isnan(near), axis=0)
         return result
 
     def unmatched(self, other: "Signs") -> Bool[np.ndarray, "equations joints"]:
-        """Equations of reversals, of either, that are more than a sample from all of the other."""
+        """Return equations of reversals, of either, that are more than a sample from all of the
+        other."""
         result = np.zeros(self.direction.shape, bool)
         for signs, others in ((self, other), (other, self)):
             for sample, joint in zip(signs.samples, signs.joints, strict=True):
@@ -166,8 +156,8 @@ class Signs:
     def at_bounds(
         self, turn: Float[np.ndarray, " reversals"]
     ) -> Bool[np.ndarray, "equations joints"]:
-        """Equations of reversals whose moments are as far from their samples as they may be: there
-        velocity is zero at one moment, and friction changes its sign at another."""
+        """Return equations of reversals whose moments are as far from their samples as they may
+        be: there velocity is zero at one moment, and friction changes its sign at another."""
         result = np.zeros(self.direction.shape, bool)
         late = np.abs(turn) >= LATEST_TURN
         result[self.samples[late] - 1, self.joints[late]] = True
@@ -176,7 +166,8 @@ class Signs:
     def carried(
         self, before: "Signs", turn: Float[np.ndarray, " earlier"]
     ) -> Float[np.ndarray, " reversals"]:
-        """Moments of these reversals where they are those of earlier signs, else `self.turn`."""
+        """Return moments of these reversals where they are those of earlier signs, else
+        `self.turn`."""
         moments = {
             joint: (before.samples + turn)[before.joints == joint] for joint in set(before.joints)
         }
@@ -195,7 +186,7 @@ _ALONE = 4
 
 
 def dilated(mask: Bool[np.ndarray, "rows joints"], by: int) -> Bool[np.ndarray, "rows joints"]:
-    """True also so many rows before and after each true row."""
+    """Return a mask that is true also so many rows before and after each true row."""
     result = mask.copy()
     for offset in range(1, by + 1):
         result[offset:] |= mask[:-offset]
@@ -204,7 +195,7 @@ def dilated(mask: Bool[np.ndarray, "rows joints"], by: int) -> Bool[np.ndarray, 
 
 
 def runs(mask: Bool[np.ndarray, " rows"]) -> list[tuple[int, int]]:
-    """First row and row after the last of each stretch of true rows.
+    """Return first row and row after the last of each stretch of true rows.
 
     >>> runs(np.array([True, False, True, True]))
     [(0, 1), (2, 4)]
@@ -219,7 +210,7 @@ def rests(
     resolution: Float[np.ndarray, " joints"],
     slowest: Float[np.ndarray, " joints"],
 ) -> Bool[np.ndarray, "intervals joints"]:
-    """Where joints are at rest: readings stay the same for long, and smoothed speed is small.
+    """Tell where joints are at rest: readings stay the same for long, and speed is small.
 
     **Arguments**
 

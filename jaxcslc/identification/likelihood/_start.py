@@ -1,4 +1,8 @@
+"""The problem of recordings, and where its search starts: regression on smoothed motion."""
+
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,13 +14,13 @@ from ..friction import checked_lengths
 from ..prior import Prior
 from ..several import fit_recordings
 from ..solver import Identification, regressor_of, torque_of
-from ._objective import Point
-from ._problem import Problem
+from ._point import Point
+from ._problem import Problem, SearchStart
 from ._readings import Readings
 from ._signs import rests
-from .equations import Stretches
+from .equations import MotionEquations, PreSlidingEquations
 from .knowledge._prior_values import prior_values
-from .torque import TorqueCalibration, TorqueSampling, TorqueUnknown
+from .torque import TorqueSampling
 
 
 _FEWEST_SAMPLES = 10
@@ -45,18 +49,17 @@ def starting_point(
     torque_sampling: TorqueSampling,
     resolution: Joints | None,
     start: Identification | None,
-    unknowns: tuple[TorqueUnknown, ...] = (),
     prior: Prior | None = None,
     every: int = 1,
     lengths: tuple[float, ...] = (),
-) -> tuple[Problem, Point, Recordings, Recordings]:
-    """The problem of recordings, and where its search starts: regression on smoothed motion.
+) -> tuple[Problem, SearchStart]:
+    """Return the problem of recordings, and where its search starts: regression on smoothed motion.
 
     **Arguments** as attributes of `MaximumLikelihood`, and
 
     - `prior`: values of coefficients that are known beforehand.
 
-    **Returns** the problem, the point, and the noise of torque and of positions.
+    **Returns** the problem, and where its search starts.
 
     **Raises** as `MaximumLikelihood.fit`.
     """
@@ -77,17 +80,8 @@ def starting_point(
     fastest = np.maximum(speed.max(axis=0), 1e-6)
 
     readings = Readings.of(recordings, torque_sampling, every)
-    samplings = [Sampling.of(recording) for recording in recordings]
-    noise = np.array([sampling.noise for sampling in samplings])
-    if resolution is None:
-        steps = np.array([sampling.resolution for sampling in samplings])
-        steps = np.where(steps > _LEAST_STEP * noise, steps, 0.0)
-    else:
-        steps = np.tile(resolution, (len(recordings), 1))
-    encoder = steps > 0.0
-    least = _LEAST_NOISE * np.maximum(np.ptp(readings.position, axis=0), 1e-3)
-    noise = np.maximum(noise, least)
-    position_noise = np.where(encoder, steps / np.sqrt(12.0), noise)
+    encoders = _Encoders.of(recordings, readings, resolution)
+    position_noise = encoders.noise
 
     k = np.zeros(p)
     index = {name: number for number, name in enumerate(network.names)}
@@ -97,64 +91,45 @@ def starting_point(
     slopes = np.log(1.0 / (_DECAY * fastest))
     if start is None:
         k[static.indices] = _STATIC_SHARE * static.dry(k)[static.joints]
-    calibration = TorqueCalibration(readings.torque, unknowns)
     values, precision, fixed = prior_values(prior, network)
     k[fixed] = values[fixed]
-
-    def known(point: Point, of_dry: Point) -> tuple[np.ndarray, np.ndarray]:
-        # Encoders are within half a step, and friction at rest rarely is above twice the dry one:
-        # without the latter, static friction that the motion does not show grows without bounds,
-        # with a slope that hides it. Nor is it below the dry one: a search whose motion crosses
-        # zero too quickly to show it may end at friction that would drive a joint at rest.
-        spread = static.dry(of_dry.k)[static.joints]
-        spread = np.where(point.k[static.indices] < 0.0, _BELOW_DRY * spread, spread)
-        of_k = np.zeros(p)
-        of_k[static.indices] = np.where(static.with_dry, np.maximum(spread, 1e-9) ** -2.0, 0.0)
-        of_slopes = np.zeros(n)
-        of_slopes[static.joints] = _SLOPE_DEVIATION**-2
-        expected = precision * values / np.maximum(of_k + precision, 1e-300)
-        free = np.zeros(len(point.calibration))
-        return (
-            np.concatenate([expected, slopes, free, np.zeros(position_noise.size)]),
-            np.concatenate([of_k + precision, of_slopes, free, position_noise.ravel() ** -2.0]),
-        )
-
-    def breakaway(point: Point) -> Joints:
-        dry, at_rest = static.dry(point.k), np.zeros(n)
-        at_rest[static.joints] = np.abs(point.k[static.indices])
-        beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
-        return (dry + beyond + 1e-9) / calibration.gain(point.calibration)
 
     moves = np.zeros(n)
     moves[static.joints] = 0.5
     residual = [_residual(static.without, values, regression) for values in patterns.values()]
     torque_noise = np.sqrt(np.mean(np.square(residual), axis=0))
     scale = np.where(fixed, 0.0, _scale(network, patterns.values(), torque_noise))
+    equations = MotionEquations(network, np.diff(readings.time))
+    if any(lengths):
+        checked = checked_lengths(network, lengths)
+        equations = PreSlidingEquations.of(equations, checked, q, readings.time, readings.part)
+    offset = np.zeros(position_noise.shape)
+    point = Point.of({"k": k, "slopes": slopes, "offset": offset}, q, np.zeros(0))
     problem = Problem(
-        equations=Stretches(network, np.diff(readings.time)),
+        equations=equations,
+        layout=point.layout,
         readings=readings,
-        calibration=calibration,
-        stuck=_rests(readings, speed, np.where(encoder, steps, 2 * least), _SLOW * fastest),
-        scale=np.concatenate([scale, moves, calibration.scale, position_noise.ravel()]),
-        known=known,
-        slope_bounds=(
-            np.log(1.0 / (_LEAST_DECAY * fastest)),
-            np.log(1.0 / (_MOST_DECAY * fastest)),
-        ),
-        breakaway=breakaway,
-        encoder_step=steps,
-        least_position_noise=np.where(encoder, steps / np.sqrt(12.0), least),
-        scatter=np.where(encoder, 0.0, noise),
-        lengths=checked_lengths(network, lengths or np.zeros(n)),
+        stuck=_rests(readings, speed, encoders.same, _SLOW * fastest),
+        scale=np.concatenate([scale, moves, position_noise.ravel()]),
+        known=_Known(static, values, precision, slopes, position_noise),
+        bounds={
+            "slopes": (
+                np.log(1.0 / (_LEAST_DECAY * fastest)),
+                np.log(1.0 / (_MOST_DECAY * fastest)),
+            )
+        },
+        breakaway=static.breakaway,
+        encoder_step=encoders.steps,
+        least_position_noise=encoders.least_noise,
+        scatter=encoders.scatter,
     )
-    point = Point(k, slopes, calibration.start, np.zeros(position_noise.shape), q, np.zeros(0))
-    return problem, point, np.array(residual), position_noise
+    return problem, SearchStart(point, np.array(residual), position_noise)
 
 
 def _regression(
     network: CSLC, patterns: Mapping[str, Patterns], settings: Settings
 ) -> Identification:
-    """Of all recordings together."""
+    """Fit all recordings together."""
     if len(patterns) > 1:
         return fit_recordings(network, patterns, settings.solver).fit
     (only,) = patterns.values()
@@ -162,7 +137,7 @@ def _regression(
 
 
 def _residual(network: CSLC, patterns: Patterns, fit: Identification) -> Joints:
-    """(n,) RMS residual of a recording."""
+    """Return (n,) RMS residual of a recording."""
     error = np.asarray(patterns.torque) - torque_of(network, patterns, fit.k)
     mask = np.asarray(patterns.mask)
     squares = np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
@@ -175,7 +150,7 @@ def _rests(
     resolution: Recordings,
     slowest: Joints,
 ) -> Bool[np.ndarray, "intervals joints"]:
-    """Where joints are at rest, never between two recordings."""
+    """Tell where joints are at rest, never between two recordings."""
     stuck = np.zeros((len(speed) - 1, speed.shape[1]), bool)
     for number in range(readings.recordings):
         rows = np.flatnonzero(readings.part == number)
@@ -199,16 +174,108 @@ class _Static:
         self._joint_count = network.joint_count
 
     def dry(self, k: Float[np.ndarray, " coefficients"]) -> Joints:
-        """(n,) absolute coefficients of dry friction, 0 for joints without."""
+        """Return (n,) absolute coefficients of dry friction, 0 for joints without."""
         result = np.zeros(self._joint_count)
         result[self._dry_joints] = np.abs(k[self._dry])
         return result
+
+    def breakaway(self, point: Point) -> Joints:
+        """Return (n,) the greatest friction at standstill [N m or N]."""
+        dry, at_rest = self.dry(point.k), np.zeros(self._joint_count)
+        at_rest[self.joints] = np.abs(point.k[self.indices])
+        beyond = np.where(dry > 0.0, np.minimum(at_rest, dry), at_rest)
+        return dry + beyond + 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class _Known:
+    """What is known of the border beforehand, as `Problem.known`.
+
+    Encoders are within half a step, and friction at rest rarely is above twice the dry one: without
+    the latter, static friction that the motion does not show grows without bounds, with a slope
+    that hides it. Nor is it below the dry one: a search whose motion crosses zero too quickly to
+    show it may end at friction that would drive a joint at rest.
+
+    - `values`, `precision`: (p,) of coefficients, from a prior.
+    - `slopes`: (n,) expected logarithms; `position_noise`: (recordings, n) of encoders.
+    """
+
+    static: _Static
+    values: Float[np.ndarray, " coefficients"]
+    precision: Float[np.ndarray, " coefficients"]
+    slopes: Joints
+    position_noise: Recordings
+
+    def __call__(self, point: Point, of_dry: Point) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and inverse variance, (border,) each."""
+        static = self.static
+        spread = static.dry(of_dry.k)[static.joints]
+        spread = np.where(point.k[static.indices] < 0.0, _BELOW_DRY * spread, spread)
+        of_k = np.zeros(len(self.values))
+        of_k[static.indices] = np.where(static.with_dry, np.maximum(spread, 1e-9) ** -2.0, 0.0)
+        of_slopes = np.zeros(len(self.slopes))
+        of_slopes[static.joints] = _SLOPE_DEVIATION**-2
+        precision = of_k + self.precision
+        expected = self.precision * self.values / np.maximum(precision, 1e-300)
+        offsets = self.position_noise.ravel()
+        return (
+            np.concatenate([expected, self.slopes, np.zeros(len(offsets))]),
+            np.concatenate([precision, of_slopes, offsets**-2.0]),
+        )
+
+
+class _Encoders(NamedTuple):
+    """What readings are, by recording and joint.
+
+    - `steps`: of encoders [rad or m], 0 where readings are no counts.
+    - `readings_noise`: what readings scatter by; `least`: (n,) of any reading.
+    """
+
+    steps: Recordings
+    readings_noise: Recordings
+    least: Joints
+
+    @classmethod
+    def of(
+        cls, recordings: Sequence[Recording], readings: Readings, resolution: Joints | None
+    ) -> "_Encoders":
+        """Read them off recordings; `resolution`: (n,) of the encoders, if it is known."""
+        samplings = [Sampling.of(recording) for recording in recordings]
+        noise = np.array([sampling.noise for sampling in samplings])
+        if resolution is None:
+            steps = np.array([sampling.resolution for sampling in samplings])
+            steps = np.where(steps > _LEAST_STEP * noise, steps, 0.0)
+        else:
+            steps = np.tile(resolution, (len(recordings), 1))
+        least = _LEAST_NOISE * np.maximum(np.ptp(readings.position, axis=0), 1e-3)
+        return cls(steps, np.maximum(noise, least), least)
+
+    @property
+    def noise(self) -> Recordings:
+        """Of positions; of counts, that of their steps."""
+        return np.where(self.steps > 0.0, self.steps / np.sqrt(12.0), self.readings_noise)
+
+    @property
+    def least_noise(self) -> Recordings:
+        """Of positions, at least."""
+        return np.where(self.steps > 0.0, self.steps / np.sqrt(12.0), self.least)
+
+    @property
+    def scatter(self) -> Recordings:
+        """Of readings about smooth motion; 0 of counts."""
+        return np.where(self.steps > 0.0, 0.0, self.readings_noise)
+
+    @property
+    def same(self) -> Recordings:
+        """Readings that differ by less than half of it are the same."""
+        return np.where(self.steps > 0.0, self.steps, 2 * self.least)
 
 
 def _scale(
     network: CSLC, patterns: Iterable[Patterns], torque_error: Joints
 ) -> Float[np.ndarray, " coefficients"]:
-    """One over the length of each column of the regressor, joints weighted by their residual."""
+    """Return one over the length of each column of the regressor, joints weighted by their
+    residual."""
     weights = 1.0 / np.maximum(torque_error, 1e-6 * max(float(torque_error.max()), 1e-12))
     square = np.zeros(network.size)
     for values in patterns:

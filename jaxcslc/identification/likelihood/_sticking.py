@@ -1,3 +1,5 @@
+"""Torque that friction bears at rest, as a censored observation of break-away."""
+
 import dataclasses
 
 import numpy as np
@@ -42,7 +44,8 @@ class Sticking:
         residual: Float[np.ndarray, "equations joints"],
         weight: Float[np.ndarray, "equations joints"],
     ) -> WorkingReadings:
-        """Values and derivatives at residuals [N m or N]; `weight` of all other equations."""
+        """Return values and derivatives at residuals [N m or N]; `weight` of all other
+        equations."""
         value, result, working = weight * residual**2, weight.copy(), residual.copy()
         rows, noise = self.mask, self.noise[self.mask]
         of_bound = bound(self.direction[rows] * residual[rows] / noise)
@@ -53,7 +56,7 @@ class Sticking:
 
 
 def bound(excess: Float[np.ndarray, " rows"]) -> WorkingReadings:
-    """Of quantities that are at most zero, by how much they exceed it in standard deviations.
+    """Return the law of quantities that are at most zero, in standard deviations.
 
     >>> import numpy as np
     >>> bound(np.array([-5.0, 0.0, 5.0])).value.round(2).tolist()
@@ -76,7 +79,7 @@ def sticking_equations(
     friction: Float[np.ndarray, "equations joints"],
     breakaway: Float[np.ndarray, " joints"],
 ) -> Bool[np.ndarray, "equations joints"]:
-    """Those that break-away bounds: amid a rest that nothing but friction holds.
+    """Return those that break-away bounds: amid a rest that nothing but friction holds.
 
     **Arguments**
 

@@ -73,7 +73,7 @@ def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     yield _row("regression with states", fit, True, identified, true, started, length, seed)
     for name, lengths in fits.items():
         started = time.process_time()
-        options = jc.MaximumLikelihood(lengths=lengths, every=1, noise_order=0)
+        options = jc.MaximumLikelihood(lengths=lengths, every=1)
         result = options.fit(network, recorded)
         yield _row(name, result.fit, result.converged, lengths, true, started, length, seed)
 

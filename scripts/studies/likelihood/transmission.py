@@ -7,8 +7,7 @@ moves.
 
 - **regression**: settings chosen within the training recording, as `jaxcslc identify` does.
 - **maximum likelihood**: with static friction in the model, `jaxcslc.MaximumLikelihood`, equations
-  of motion over so many samples (`every`) with torque noise of so high an order; or both as it
-  selects them (`--selected`).
+  of motion over so many samples (`every`); or as many as it selects (`--selected`).
 - **all terms**, of both: complete tensors of inertia, for axes that are tilted, and friction that
   differs between directions: viscous friction of each direction, and an offset. Offsets are
   known beforehand to be no larger than a tenth of the regression's dry friction (a standard
@@ -53,11 +52,11 @@ from scripts.studies.truth import true_coefficients
 
 jc.enable_x64()
 
-# Samples that equations are over, and the order of torque noise.
-_EVERY, _ORDER = 3, 1
+# Samples that equations are over.
+_EVERY = 3
 # Standard deviation of an offset beforehand, as a part of the joint's dry friction.
 _OFFSET = 0.1
-LAST = f"likelihood, every {_EVERY}, order {_ORDER}, all terms"
+LAST = f"likelihood, every {_EVERY}, all terms"
 
 
 def rows_of(
@@ -106,13 +105,9 @@ def rows_of(
     fit = settings.fit(plain, settings.patterns(trained))
     interval = uncertainty_interval(fit, systematic_error(plain, trained, settings, fit))
     yield row("regression", plain, fit.k, interval, started)
-    estimators = {
-        f"likelihood, every {_EVERY}, order {_ORDER}": jc.MaximumLikelihood(
-            every=_EVERY, noise_order=_ORDER
-        )
-    }
+    estimators = {f"likelihood, every {_EVERY}": jc.MaximumLikelihood(every=_EVERY)}
     if selected:
-        estimators["likelihood, every and order selected"] = jc.MaximumLikelihood()
+        estimators["likelihood, every selected"] = jc.MaximumLikelihood()
     for name, estimator in estimators.items():
         started = time.perf_counter()
         result = estimator.fit(network, trained)
@@ -136,9 +131,7 @@ def rows_of(
     name = "regression, all terms"
     yield row(name, report.network, report.k, low_high, started, expected=expected)
     started = time.perf_counter()
-    result = jc.MaximumLikelihood(every=_EVERY, noise_order=_ORDER, prior=prior).fit(
-        complete, trained
-    )
+    result = jc.MaximumLikelihood(every=_EVERY, prior=prior).fit(complete, trained)
     low_high = means_of_directions(reference, result.fit, result.systematic)
     yield row(LAST, result.network, result.k, low_high, started, result.converged, expected)
 
@@ -157,7 +150,7 @@ def _friction_selected(
     low_high = means_of_directions(plain, report.fit, report.systematic)
     converged = report.estimators.likelihood.converged
     selected = row(
-        "likelihood, friction, every and order selected",
+        "likelihood, friction and every selected",
         report.network,
         report.k,
         low_high,
@@ -261,7 +254,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--selected",
         action="store_true",
-        help="also spacing, order and friction that are selected: three times as long",
+        help="also spacing and friction that are selected: three times as long",
     )
     options = command.parse(parser, argv, seeds=1, samples=1000)
     command.require_least(parser, options, seeds=1, first=0, samples=600)

@@ -2,16 +2,13 @@
 
 - **Two masses**: one joint with gears of 8 Hz (the link while the rotor stands still), 4 mrad of
   play and none, integrated step by step; encoder counts of 5e-5 rad, torque noise of 0.05 N m.
-- **Friction of links** (`--link-share 0.3`): the same with dry friction of 1 N m, and so much of
-  all friction on the link.
 - **Soft PUMA**: a PUMA 560 whose first three joints have gears eight times as soft as those of the
   simulator's compliance, which makes 5 to 9 Hz, with 2 mrad of play; counts of its encoders, torque
-  noise of 0.1 N m. Friction acts on rotors, or 30 % of it on links.
+  noise of 0.1 N m.
 
-Each is fitted by maximum likelihood with rotors and links apart where the likelihood supports it,
-and with rigid gears: positions at every sample, and torque noise with a spectrum of its own over
-three samples (`every=3`, `noise_order=1`). Torque errors are those of rigid bodies, between fitted
-and true coefficients, on motion drawn at random, at the worst joint.
+Each is fitted by maximum likelihood with rotors and links apart, and with rigid gears: positions at
+every sample, and at every third. Torque errors are those of rigid bodies, between fitted and true
+coefficients, on motion drawn at random, at the worst joint.
 
 Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
 """
@@ -38,10 +35,10 @@ from scripts.studies.rows import Rows, made_of
 jc.enable_x64()
 
 TOYS: Mapping[str, float] = {"two masses, play 4 mrad": 4e-3, "two masses, no play": 0.0}
-ARMS: Mapping[str, float] = {"soft PUMA": 0.0, "soft PUMA, friction of links": 0.3}
-_COUNT, _TOY_NOISE, _NOISE, _DRY = 5e-5, 0.05, 0.1, 1.0
+ARM = "soft PUMA"
+_COUNT, _TOY_NOISE, _NOISE = 5e-5, 0.05, 0.1
 _SOFT, _PLAY, _JOINTS = 8.0, 2e-3, (1, 2, 3)
-_RIGID = {"rigid": {"every": 1, "noise_order": 0}, "rigid, every 3": {"every": 3, "noise_order": 1}}
+_RIGID = {"rigid": {"every": 1}, "rigid, every 3": {"every": 3}}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,21 +51,18 @@ class Truth:
     play: Float[np.ndarray, " links"]
     rotor_inertia: Float[np.ndarray, " links"]
     lag: Float[np.ndarray, " links"]
-    share: Float[np.ndarray, " links"]
 
 
-def toy(play: float, seed: int, samples: int, share: float) -> tuple[jc.Recording, Truth]:
-    """Two masses; with dry friction if a `share` of it acts on the link."""
-    dry = _DRY if share else 0.0
-    true = two_masses(play, samples, seed=seed, dry=dry, link_share=share)
+def toy(play: float, seed: int, samples: int) -> tuple[jc.Recording, Truth]:
+    """Two masses."""
+    true = two_masses(play, samples, seed=seed)
     recording = true.recording(_COUNT, _TOY_NOISE, np.random.default_rng(seed))
-    gears = (1.0 / true.stiffness, play, true.rotor_inertia, true.damping / true.stiffness, share)
-    network = network_of_two_masses(dry=share > 0.0)
-    return recording, Truth(network, true.k, *(np.array([x]) for x in gears))
+    gears = (1.0 / true.stiffness, play, true.rotor_inertia, true.damping / true.stiffness)
+    return recording, Truth(network_of_two_masses(), true.k, *(np.array([x]) for x in gears))
 
 
-def soft_puma(share: float, seed: int, samples: int) -> tuple[jc.Recording, Truth]:
-    """A PUMA 560 with soft gears; `share` of its friction acts on links."""
+def soft_puma(seed: int, samples: int) -> tuple[jc.Recording, Truth]:
+    """A PUMA 560 with soft gears."""
     base, compliance = sim.puma560(), sim.DISTURBANCES["compliance"]
     soft, rigid = len(_JOINTS), 6 - len(_JOINTS)
     stiffness = np.array(compliance["stiffness"][:soft]) / _SOFT
@@ -79,7 +73,6 @@ def soft_puma(share: float, seed: int, samples: int) -> tuple[jc.Recording, Trut
         stiffness=(*stiffness.tolist(), *(math.inf,) * rigid),
         transmission_damping=(*damping.tolist(), *(0.0,) * rigid),
         backlash=(*(_PLAY,) * soft, *(0.0,) * rigid),
-        link_share=(share,) * 6,
         time_step=2e-4,
     )
     recording, _ = sim.simulate(
@@ -91,7 +84,7 @@ def soft_puma(share: float, seed: int, samples: int) -> tuple[jc.Recording, Trut
     inertia = np.array([float(link.motor_inertia) for link in machine.links[:soft]])
     noisy = dataclasses.replace(recording, torque=np.asarray(recording.torque) + noise)
     gears = (1.0 / stiffness, np.full(soft, _PLAY), inertia, damping / stiffness)
-    return noisy, Truth(network, np.asarray(k), *gears, np.full(soft, share))
+    return noisy, Truth(network, np.asarray(k), *gears)
 
 
 def rows_of(
@@ -100,7 +93,7 @@ def rows_of(
     """One row an estimator."""
     joints = tuple(range(1, len(truth.compliance) + 1))
     options: dict[str, dict[str, Any]] = {
-        "apart": {"unknowns": ("transmission",), "transmission": joints},
+        "apart": {"transmission": joints},
         **_RIGID,
     }
     for estimator, values in options.items():
@@ -117,7 +110,6 @@ def rows_of(
         }
         if gears := fit.transmission:
             row |= {
-                "share": float(truth.share[0]),
                 "joints": list(gears.joints),
                 "stiffness": (gears.stiffness * truth.compliance).tolist(),
                 "play": gears.play.tolist(),
@@ -131,17 +123,6 @@ def rows_of(
                     np.mean(np.abs(gears.play - truth.play) < 2 * gears.play_error)
                 ),
                 "lag_inside": float(np.mean(np.abs(gears.lag - truth.lag) < 2 * gears.lag_error)),
-                "viscous_share": gears.viscous_share.tolist(),
-                "dry_share": gears.dry_share.tolist(),
-                "shares_inside": float(
-                    np.mean(
-                        [
-                            np.abs(gears.viscous_share - truth.share)
-                            < 2 * gears.viscous_share_error,
-                            np.abs(gears.dry_share - truth.share) < 2 * gears.dry_share_error,
-                        ]
-                    )
-                ),
             }
         yield row
 
@@ -169,18 +150,15 @@ def table(rows: Sequence[dict[str, Any]], name: str) -> str:
         error = [row["error"] for row in part]
         apart = [row for row in part if "stiffness" in row]
         stiffness = [abs(value - 1.0) for row in apart for value in row["stiffness"]]
-        shares = [abs(value - row["share"]) for row in apart for value in row["dry_share"]]
-        gears = [""] * 7
+        gears = [""] * 4
         if apart:
             gears = [
-                f"{len(apart)} of {len(part)}",
                 f"{100 * np.median(stiffness):.2g} %, {100 * np.max(stiffness):.2g} %",
                 f"{100 * np.mean([row['stiffness_inside'] for row in apart]):.0f} %",
                 *(
                     f"{100 * np.mean([row[name] for row in apart]):.0f} %"
-                    for name in ("play_inside", "lag_inside", "shares_inside")
+                    for name in ("play_inside", "lag_inside")
                 ),
-                f"{np.max(shares):.2g}",
             ]
         lines.append(
             [
@@ -197,13 +175,10 @@ def table(rows: Sequence[dict[str, Any]], name: str) -> str:
         "torque error [N m], median",
         "greatest",
         "intervals with truth",
-        "apart",
         "stiffness off by, median, greatest",
         "intervals with truth",
         "of play",
         "of damping over stiffness",
-        "of shares",
-        "dry share off by, greatest",
         "converged",
         "s",
     ]
@@ -212,23 +187,21 @@ def table(rows: Sequence[dict[str, Any]], name: str) -> str:
 
 def study(options: argparse.Namespace) -> int:
     """Makes what is missing, prints the tables and writes the rows."""
-    digest = made_of(
-        {"samples": options.samples, "link_share": options.link_share}, [Path(__file__)]
-    )
+    digest = made_of({"samples": options.samples}, [Path(__file__)])
     finished = Rows(options.output / "rows.jsonl", ("case", "seed", "estimator"), digest)
     cases = [
         (name, seed)
         for seed in range(options.first, options.first + options.seeds)
-        for name in (*TOYS, *ARMS)
+        for name in (*TOYS, ARM)
         if name in TOYS or seed < options.first + options.arms
     ]
     for name, seed in command.progress(cases, desc="cases", unit="case"):
         if (name, seed, list(_RIGID)[-1]) in finished:
             continue
         if name in TOYS:
-            recording, truth = toy(TOYS[name], seed, options.samples // 2, options.link_share)
+            recording, truth = toy(TOYS[name], seed, options.samples // 2)
         else:
-            recording, truth = soft_puma(ARMS[name], seed, options.samples)
+            recording, truth = soft_puma(seed, options.samples)
         for row in rows_of(name, recording, truth, seed):
             finished.add(row)
     rows = [row for row in finished.all() if (row["case"], row["seed"]) in cases]
@@ -244,9 +217,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=10, help="how many, of two masses")
     parser.add_argument("--arms", type=int, default=3, help="how many of them, of arms too")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument(
-        "--link-share", type=float, default=0.0, help="of two masses' friction, on the link"
-    )
     parser.add_argument("--samples", type=int, default=3300, help="of arms, 2 ms apart")
     options = command.parse(parser, argv, seeds=1, arms=0, samples=1600)
     command.require_least(parser, options, seeds=1, arms=0, first=0, samples=600)

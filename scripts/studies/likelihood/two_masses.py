@@ -22,7 +22,6 @@ class TwoMasses:
     play: float
     gravity: float
     viscous: float
-    dry: float
     time: Float[np.ndarray, " samples"]
     rotor: Float[np.ndarray, "samples 1"]
     link: Float[np.ndarray, "samples 1"]
@@ -32,8 +31,7 @@ class TwoMasses:
     def k(self) -> Float[np.ndarray, " coefficients"]:
         """Coefficients of `network_of_two_masses`: inertia, centre of gravity, friction."""
         inertia = self.rotor_inertia + self.link_inertia
-        friction = [self.viscous, self.dry] if self.dry else [self.viscous]
-        return np.array([inertia, 0.0, -self.gravity / 9.81, *friction])
+        return np.array([inertia, 0.0, -self.gravity / 9.81, self.viscous])
 
     def recording(
         self, step: float, noise: float, rng: np.random.Generator, samples: int | None = None
@@ -49,18 +47,11 @@ def two_masses(
     samples: int = 1500,
     interval: float = 2e-3,
     seed: int = 5,
-    *,
-    dry: float = 0.0,
-    link_share: float = 0.0,
 ) -> TwoMasses:
     """Under feedback control, on a sum of sines, integrated by the midpoint rule.
 
-    After each step dry friction takes off what it can of both speeds, and no more: a body that it
-    stops sticks.
-
     - `play`: [rad].
     - `seed`: of the sines' frequencies and phases.
-    - `dry`: friction [N m]; `link_share`: of all friction, that acts on the link.
     """
     rotor_inertia, link_inertia, stiffness, damping, gravity, viscous = (
         0.5,
@@ -77,7 +68,7 @@ def two_masses(
     reference = np.sum(0.3 * np.sin(angle) / np.sqrt(frequency), axis=1)
     reference -= reference[0]
     rate = np.gradient(reference, interval)
-    h, half, on_rotor = interval / substeps, 0.5 * play, 1.0 - link_share
+    h, half = interval / substeps, 0.5 * play
     x, y, v, w = 0.0, 0.0, 0.0, 0.0
     rows = np.zeros((samples, 3))
 
@@ -85,11 +76,8 @@ def two_masses(
         apart = x - y
         beyond = apart - half if apart > half else apart + half if apart < -half else 0.0
         gears = stiffness * beyond + damping * (v - w)
-        rotor = (torque - on_rotor * viscous * v - gears) / rotor_inertia
-        return rotor, (gears - gravity * np.sin(y) - link_share * viscous * w) / link_inertia
-
-    def slowed(speed: float, impulse: float) -> float:
-        return float(np.sign(speed)) * max(abs(speed) - impulse, 0.0)
+        rotor = (torque - viscous * v - gears) / rotor_inertia
+        return rotor, (gears - gravity * np.sin(y)) / link_inertia
 
     for number in range(samples):
         torque = 60.0 * (reference[number] - x) + 8.0 * (rate[number] - v) + gravity * np.sin(x)
@@ -98,13 +86,7 @@ def two_masses(
             a, b = accelerations(x, y, v, w, torque)
             middle = (x + 0.5 * h * v, y + 0.5 * h * w, v + 0.5 * h * a, w + 0.5 * h * b)
             c, d = accelerations(*middle, torque)
-            ends = (
-                slowed(v + h * c, h * on_rotor * dry / rotor_inertia),
-                slowed(w + h * d, h * link_share * dry / link_inertia),
-            )
-            if dry:
-                middle = (0.0, 0.0, 0.5 * (v + ends[0]), 0.5 * (w + ends[1]))
-            x, y, v, w = x + h * middle[2], y + h * middle[3], *ends
+            x, y, v, w = x + h * middle[2], y + h * middle[3], v + h * c, w + h * d
     rotor, link, torque = np.split(rows, 3, axis=1)
     return TwoMasses(
         rotor_inertia,
@@ -114,7 +96,6 @@ def two_masses(
         play,
         gravity,
         viscous,
-        dry,
         time,
         rotor,
         link,
@@ -122,8 +103,7 @@ def two_masses(
     )
 
 
-def network_of_two_masses(*, dry: bool = False) -> jc.CSLC:
+def network_of_two_masses() -> jc.CSLC:
     """Of the joint with rigid gears."""
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    kinds = ("viscous", "dry") if dry else ("viscous",)
-    return jc.derive(robot.with_friction(*kinds), lengths="numeric")
+    return jc.derive(robot.with_friction("viscous"), lengths="numeric")

@@ -22,7 +22,7 @@ from jaxcslc.identification.friction import state_at
 
 
 LENGTH, DRY = 0.04, 0.4
-OPTIONS = jc.MaximumLikelihood(every=1, noise_order=0)
+OPTIONS = jc.MaximumLikelihood(every=1)
 # Sums of a few hundred products in another order, and searches from other starts.
 _ROUNDING, _SEARCH = 1e-12, 0.02
 

@@ -11,14 +11,14 @@ import jaxcslc as jc
 from jaxcslc.identification.likelihood._levenberg import PROMISE
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._linear_minimum import LinearMinimum
-from jaxcslc.identification.likelihood._objective import Point
+from jaxcslc.identification.likelihood._point import Point
 from jaxcslc.identification.likelihood._problem import Problem
 from jaxcslc.identification.likelihood._start import starting_point
 from jaxcslc.identification.likelihood.knowledge._profile import Profile
 from jaxcslc.identification.likelihood.search import Minimum, State, search, search_on
 from jaxcslc.identification.likelihood.search._common_shafts import with_common_shafts
 from jaxcslc.identification.likelihood.search._noise import with_intervals
-from jaxcslc.identification.likelihood.search._state import SIGN_STEPS, with_signs
+from jaxcslc.identification.likelihood.search._state import SIGN_STEPS, Stage, with_signs
 from jaxcslc.identification.likelihood.search._weighting import objective_of
 
 
@@ -50,11 +50,11 @@ def swing(seed: int, samples: int, noise: float) -> jc.Recording:
 
 
 def start(network: jc.CSLC, recording: jc.Recording) -> tuple[Problem, Point, State]:
-    problem, point, torque_noise, position_noise = starting_point(
+    problem, (point, torque_noise, position_noise) = starting_point(
         network, [recording], jc.Settings(), "sampled", None, None
     )
     state = State.start(
-        problem, point, torque_noise, position_noise, None, fixed=True, edge=None, moments=None
+        problem, point, torque_noise, position_noise, fixed=True, edge=None, moments=None
     )
     return problem, point, state
 
@@ -63,8 +63,7 @@ def start(network: jc.CSLC, recording: jc.Recording) -> tuple[Problem, Point, St
 def viscous() -> tuple[Problem, Minimum]:
     """A search with coefficients fixed."""
     problem, point, state = start(pendulum("viscous", "dry"), swing(0, 400, 0.1))
-    coefficients = np.arange(len(problem.scale)) < len(point.k)
-    fixed = dataclasses.replace(problem, scale=np.where(coefficients, 0.0, problem.scale))
+    fixed = problem.fixing("k")
     return fixed, search(
         fixed,
         point,
@@ -77,7 +76,7 @@ def viscous() -> tuple[Problem, Minimum]:
 
 def test_friction_that_grows_little_by_little() -> None:
     # Steps of linear equations go twice as far as they should: it took 44.
-    estimator = jc.MaximumLikelihood(torque_sampling="sampled", every=1, noise_order=0)
+    estimator = jc.MaximumLikelihood(torque_sampling="sampled", every=1)
     result = estimator.fit(pendulum("viscous", "dry", "static"), swing(5, 800, 0.1))
     assert result.converged
     assert result.steps <= 25
@@ -88,12 +87,12 @@ def test_damping_does_not_make_positions_known(damping: float) -> None:
     # Single counts say more of positions than equations do: none is an interval.
     problem, _, state = start(pendulum("viscous", "dry"), swing(0, 400, 0.5))
     state, _ = with_signs(problem, state, 3)
-    objective, _ = objective_of(problem, state)
+    objective, _ = objective_of(problem, state, 0)
     linear = Linear.of(objective, state.point)
     minimum = LinearMinimum.of(linear, damping, PROMISE)
     after = with_intervals(problem, state, minimum)
     assert after.intervals is None
-    assert after.final
+    assert after.stage is Stage.FINAL
 
 
 def test_equations_in_which_a_common_shaft_turns_do_not_count() -> None:
@@ -118,7 +117,7 @@ def test_equations_in_which_a_common_shaft_turns_do_not_count() -> None:
     assert_array_equal(last.undecided[:, 0], last.undecided[:, 1])
     assert first.undecided.sum() > 3 * last.undecided.sum() > 0
     last, _ = with_signs(problem, last, SIGN_STEPS)
-    _, counted = objective_of(problem, last)
+    _, counted = objective_of(problem, last, 0)
     assert not counted[turns].any()
     # Later, none comes back.
     elsewhere = dataclasses.replace(last, point=dataclasses.replace(point, q=point.q[::-1]))

@@ -9,13 +9,20 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.identification.likelihood._blocks import (
+    MotionBlock,
+    PriorBlock,
+    ReadingBlock,
+    RestBlock,
+    ReversalBlock,
+)
 from jaxcslc.identification.likelihood._linear import Linear
-from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals
+from jaxcslc.identification.likelihood._objective import Objective
+from jaxcslc.identification.likelihood._point import Point, Step
 from jaxcslc.identification.likelihood._signs import LATEST_TURN, Signs
-from jaxcslc.identification.likelihood.band import JointColumns
-from jaxcslc.identification.likelihood.equations import MotionEquations, Stretches
+from jaxcslc.identification.likelihood.equations import MotionEquations, TracedEquations
 from jaxcslc.identification.likelihood.errors import RowSums, _rows, eliminated_rows
-from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
+from jaxcslc.identification.likelihood.torque import TorqueRecord
 
 
 SAMPLES = 12
@@ -36,39 +43,38 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     signs = Signs.of(q, time, np.zeros((SAMPLES - 1, 2), bool), margin=1, modelled=True)
     assert len(signs.samples) == 1
     k = rng.uniform(0.2, 1.0, arm.size)
-    border = arm.size + 9
-    weights = Residuals(
-        torque=rng.uniform(1.0, 2.0, (SAMPLES - 2, 2)),
-        position=rng.uniform(1e4, 2e4, (SAMPLES, 2)),
-        standstill=np.where(rng.uniform(size=(SAMPLES - 1, 2)) < 0.2, 1e4, 0.0),
-        turn=np.full(1, 4.0),
-        border=rng.uniform(0.1, 1.0, border),
-    )
-    equations = Stretches(arm, np.diff(time))
+    border = arm.size + 6
+    equations = MotionEquations(arm, np.diff(time))
     record = TorqueRecord((time,), (rng.normal(size=(SAMPLES, 2)),), "held")
-    result = Objective(
-        equations,
-        q + 1e-3,
-        TorqueCalibration(record, ("torque_lag", "torque_gains")),
-        np.repeat([0, 1], [5, SAMPLES - 5]),  # encoder offsets of two recordings
-        signs,
-        weights,
-        np.zeros(border),
-        rng.uniform(0.5, 2, border),
-        Whitening(np.array([[-0.9, 0.3], [0.2, -0.4]])),
-    )
-    calibration = np.array([3e-3, 1.1, 0.8])
-    return result, Point(k, np.log([2.0, 3.0]), calibration, np.zeros((2, 2)), q, signs.turn)
+    resting = rng.uniform(size=(SAMPLES - 1, 2)) < 0.2
+    part = np.repeat([0, 1], [5, SAMPLES - 5])  # encoder offsets of two recordings
+    blocks = {
+        "torque": MotionBlock(equations, record, signs, rng.uniform(1.0, 2.0, (SAMPLES - 2, 2))),
+        "position": ReadingBlock(q + 1e-3, part, rng.uniform(1e4, 2e4, (SAMPLES, 2))),
+        "standstill": RestBlock(np.where(resting, 1e4, 0.0)),
+        "turn": ReversalBlock(signs.turn, np.full(1, 4.0)),
+        "border": PriorBlock(np.zeros(border), rng.uniform(0.1, 1.0, border)),
+    }
+    result = Objective(blocks, rng.uniform(0.5, 2, border))
+    values = {"k": k, "slopes": np.log([2.0, 3.0]), "offset": np.zeros((2, 2))}
+    return result, Point.of(values, q, signs.turn)
 
 
-def test_derivatives(objective: tuple[Objective, Point]) -> None:
+@pytest.mark.parametrize("compiled", [True, False])
+def test_derivatives(objective: tuple[Objective, Point], compiled: bool) -> None:
+    """Of C code, and where there is no compiler."""
     problem, point = objective
-    turns, direction = problem.signs.turns(point.turn), problem.signs.direction
-    linear = problem.equations.linearised(point.k, point.slopes, point.q, turns, direction)
-    equations = MotionEquations(problem.equations.network, jnp.asarray(problem.equations.intervals))
+    motion = problem.motion
+    turns, direction = motion.signs.turns(point.turn), motion.signs.direction
+    network, intervals = motion.equations.network, motion.equations.intervals
+    traced = TracedEquations(network)
+    values = point.k, point.slopes, point.q, turns, direction
+    linear = (
+        motion.equations.linearised(*values) if compiled else traced.linearised(intervals, *values)
+    )
 
     def torque(k: jax.Array, slopes: jax.Array, q: jax.Array, turns: jax.Array) -> jax.Array:
-        return jnp.asarray(equations.torque(k, slopes, q, turns, direction))
+        return traced._torque(intervals, k, slopes, q, turns, direction)
 
     by_k, by_slopes, by_q, by_turns = jax.jacfwd(torque, (0, 1, 2, 3))(
         jnp.asarray(point.k), jnp.asarray(point.slopes), jnp.asarray(point.q), jnp.asarray(turns)
@@ -91,16 +97,16 @@ def test_a_step_is_that_of_dense_equations(objective: tuple[Objective, Point]) -
     step = linear.step(linear.factored(0.0), linear.residuals)
 
     # A dense regression of all residuals on all unknowns, columns from unit steps.
-    zero = Residuals(**{name: 0 * x for name, x in vars(linear.residuals).items()})
+    zero = linear.zeros()
     unknowns = [np.size(x) for x in (step.border, step.position, step.turn)]
     columns = []
     for index in range(sum(unknowns)):
         unit = np.split(np.eye(sum(unknowns))[index], np.cumsum(unknowns)[:-1])
-        change = type(step)(unit[0], unit[1].reshape(SAMPLES, 2), unit[2])
+        change = Step(unit[0], unit[1].reshape(SAMPLES, 2), unit[2])
         after = linear.after(change, zero)
-        columns.append(np.concatenate([-np.ravel(x) for x in vars(after).values()]))
-    root = np.concatenate([np.sqrt(np.ravel(x)) for x in vars(problem.weights).values()])
-    target = np.concatenate([np.ravel(x) for x in vars(linear.residuals).values()])
+        columns.append(np.concatenate([-np.ravel(x) for x in after.values()]))
+    root = np.concatenate([np.sqrt(np.ravel(x)) for x in problem.weights.values()])
+    target = np.concatenate([np.ravel(x) for x in linear.residuals.values()])
     dense = np.linalg.lstsq(np.stack(columns, axis=1) * root[:, None], target * root)[0]
     obtained = np.concatenate([np.ravel(x) for x in (step.border, step.position, step.turn)])
     # Normal equations of second differences lose half of the digits.
@@ -111,14 +117,12 @@ def test_rows_without_positions_make_up_the_information(
     objective: tuple[Objective, Point], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem, point = objective
-    weights = problem.weights
-    data_alone = dataclasses.replace(
-        weights,
-        standstill=np.zeros_like(weights.standstill),
-        turn=np.zeros_like(weights.turn),
-        border=np.zeros_like(weights.border),
-    )
-    linear = Linear.of(dataclasses.replace(problem, weights=data_alone), point)
+    others = {
+        name: dataclasses.replace(block, weight=np.zeros_like(block.weight))  # type: ignore[type-var]
+        for name, block in problem.blocks.items()
+        if name not in ("torque", "position")
+    }
+    linear = Linear.of(problem.with_blocks(**others), point)
     factored = linear.factored(0.0)
     rows, scores = eliminated_rows(linear, factored, slice(0, SAMPLES))
     information = np.einsum("srb,src->bc", rows, rows)
@@ -142,15 +146,15 @@ def test_linear_residuals_are_those_of_a_small_step(objective: tuple[Objective, 
     linear = Linear.of(problem, point)
     rng = np.random.default_rng(1)
     size = 1e-6
-    step = type(linear.step(linear.factored(0.0), linear.residuals))(
+    step = Step(
         size * rng.normal(size=len(problem.scale)),
         1e-3 * size * rng.normal(size=point.q.shape),
         size * rng.normal(size=1),
     )
     predicted = linear.after(step, linear.residuals)
     actual = problem.residuals(problem.moved(point, step))
-    for name, values in vars(actual).items():
-        assert_allclose(getattr(predicted, name), values, atol=1e-9)
+    for name, values in actual.items():
+        assert_allclose(predicted[name], values, atol=1e-9)
 
 
 def test_fixed_unknowns_of_the_border_stay(objective: tuple[Objective, Point]) -> None:
@@ -184,29 +188,10 @@ def test_moments_of_reversals_stay_within_bounds(
     at_bound = dataclasses.replace(point, turn=np.array([bound]))
     for outwards in (True, False):
         expected = bound + (1e6 if outwards else -1e6) * np.sign(bound)
-        signs = dataclasses.replace(problem.signs, turn=np.array([expected]))
-        linear = Linear.of(dataclasses.replace(problem, signs=signs), at_bound)
+        drawn = ReversalBlock(np.array([expected]), problem.weights["turn"])
+        linear = Linear.of(problem.with_blocks(turn=drawn), at_bound)
         step = linear.step(linear.factored(0.0), linear.residuals)
         if outwards:
             assert_allclose(step.turn, 0.0, atol=1e-12)
         else:
             assert np.sign(step.turn[0]) == -np.sign(bound)
-
-
-def test_stretches_are_the_motion(arm: jc.CSLC, monkeypatch: pytest.MonkeyPatch) -> None:
-    # As where there is no compiler.
-    monkeypatch.setattr(Stretches, "_code", None)
-    rng = np.random.default_rng(3)
-    samples = 1100  # three stretches
-    q = np.cumsum(rng.normal(size=(samples, 2)), axis=0)
-    intervals = rng.uniform(0.009, 0.011, samples - 1)
-    turn = np.where(rng.uniform(size=(samples - 2, 2)) < 0.1, 0.3, -1.0)
-    direction = rng.choice([-1.0, 1.0], (samples - 2, 2))
-    arguments = rng.normal(size=arm.size), np.log([2.0, 3.0]), q, turn, direction
-    whole, parts = MotionEquations(arm, jnp.asarray(intervals)), Stretches(arm, intervals)
-    assert_allclose(parts.torque(*arguments), whole.torque(*arguments), rtol=1e-9)
-    expected, obtained = whole.linearised(*arguments), parts.linearised(*arguments)
-    for part, wanted in zip(obtained, expected, strict=True):
-        values = part.dense if isinstance(part, JointColumns) else part
-        assert values.shape == wanted.shape
-        assert_allclose(values, wanted, rtol=1e-9, atol=1e-6)

@@ -8,14 +8,21 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.identification.likelihood._blocks import (
+    MotionBlock,
+    PriorBlock,
+    ReadingBlock,
+    ReversalBlock,
+)
 from jaxcslc.identification.likelihood._linear import Linear
 from jaxcslc.identification.likelihood._linear_minimum import LinearMinimum
-from jaxcslc.identification.likelihood._objective import Objective, Point, Residuals, Step
+from jaxcslc.identification.likelihood._objective import Objective, Residuals
+from jaxcslc.identification.likelihood._point import Point, Step
 from jaxcslc.identification.likelihood._readings import Intervals
 from jaxcslc.identification.likelihood._signs import Signs
 from jaxcslc.identification.likelihood._sticking import Sticking
-from jaxcslc.identification.likelihood.equations import Stretches
-from jaxcslc.identification.likelihood.torque import TorqueCalibration, TorqueRecord, Whitening
+from jaxcslc.identification.likelihood.equations import MotionEquations
+from jaxcslc.identification.likelihood.torque import TorqueRecord
 
 
 SAMPLES = 60
@@ -33,31 +40,32 @@ def linear() -> Linear:
     q = np.sin(3 * time + 0.2)[:, None]
     signs = Signs.of(q, time, np.zeros((SAMPLES - 1, 1), bool), margin=1, modelled=True)
     border = network.size + 1 + 1  # a slope that nothing has, and an offset
-    weights = Residuals(
-        torque=np.full((SAMPLES - 2, 1), NOISE**-2),
-        position=np.full((SAMPLES, 1), 12.0 / STEP**2),
-        standstill=np.zeros((SAMPLES - 1, 1)),
-        turn=np.full(len(signs.samples), 4.0),
-        border=np.ones(border),
-    )
     mask = np.zeros((SAMPLES - 2, 1), bool)
     mask[5:9] = True
     shape = (SAMPLES, 1)
-    objective = Objective(
-        Stretches(network, np.diff(time)),
-        STEP * np.round(q / STEP),
-        TorqueCalibration(TorqueRecord((time,), (rng.normal(size=shape),), "held"), ()),
-        np.zeros(SAMPLES, int),
-        signs,
-        weights,
-        np.zeros(border),
-        np.ones(border),
-        Whitening(np.zeros((0, 1))),
-        Intervals(np.ones(shape), np.full(shape, STEP), np.full(shape, 0.02)),
-        Sticking(mask, np.ones(mask.shape), np.full(mask.shape, NOISE)),
-    )
-    k = rng.uniform(0.2, 1.0, network.size)
-    return Linear.of(objective, Point(k, np.zeros(1), np.zeros(0), np.zeros((1, 1)), q, signs.turn))
+    blocks = {
+        "torque": MotionBlock(
+            MotionEquations(network, np.diff(time)),
+            TorqueRecord((time,), (rng.normal(size=shape),), "held"),
+            signs,
+            np.full((SAMPLES - 2, 1), NOISE**-2),
+            Sticking(mask, np.ones(mask.shape), np.full(mask.shape, NOISE)),
+        ),
+        "position": ReadingBlock(
+            STEP * np.round(q / STEP),
+            np.zeros(SAMPLES, int),
+            np.full(shape, 12.0 / STEP**2),
+            Intervals(np.ones(shape), np.full(shape, STEP), np.full(shape, 0.02)),
+        ),
+        "turn": ReversalBlock(signs.turn, np.full(len(signs.samples), 4.0)),
+        "border": PriorBlock(np.zeros(border), np.ones(border)),
+    }
+    values = {
+        "k": rng.uniform(0.2, 1.0, network.size),
+        "slopes": np.zeros(1),
+        "offset": np.zeros(1),
+    }
+    return Linear.of(Objective(blocks, np.ones(border)), Point.of(values, q, signs.turn))
 
 
 def derivative(linear: Linear, at: Residuals, along: Step, damping: float, step: Step) -> float:
@@ -65,25 +73,26 @@ def derivative(linear: Linear, at: Residuals, along: Step, damping: float, step:
     size = 1e-6
     ends = (linear.after(along.scaled(sign * size), at) for sign in (1.0, -1.0))
     high, low = (linear.objective.value(end) for end in ends)
-    weight = damping * linear.objective.weights.position
+    weight = damping * linear.objective.weights["position"]
     return (high - low) / (2 * size) + 2.0 * float(np.sum(weight * step.position * along.position))
 
 
 def test_parabolas_touch_the_laws(linear: Linear) -> None:
     rng = np.random.default_rng(1)
-    there = dataclasses.replace(
-        linear.present,
-        position=rng.uniform(-0.6, 0.6, (SAMPLES, 1)) * STEP,
-        torque=rng.normal(size=(SAMPLES - 2, 1)) * NOISE,
-    )
+    there = {
+        **linear.present,
+        "position": rng.uniform(-0.6, 0.6, (SAMPLES, 1)) * STEP,
+        "torque": rng.normal(size=(SAMPLES - 2, 1)) * NOISE,
+    }
     bent = linear.about(there)
-    change = {name: getattr(there, name) - getattr(linear.present, name) for name in linear.levels}
-    objective = linear.objective
-    for name, law in (("position", objective.readings), ("torque", objective.torques)):
-        weight, residual = getattr(bent.weights, name), getattr(bent.residuals, name)
-        changed = weight != getattr(linear.weights, name)
+    change = {name: there[name] - linear.present[name] for name in linear.levels}
+    assert set(change) == {"position", "torque"}
+    for name in change:
+        law = linear.objective.blocks[name].law
+        weight, residual = bent.weights[name], bent.residuals[name]
+        changed = weight != linear.weights[name]
         assert changed.any() and not changed.all()
-        end, present = law(there), law(linear.present)
+        end, present = law(there[name]), law(linear.present[name])
         of_end = bent.levels[name] + weight * (residual + change[name]) ** 2
         slope = weight * (residual + change[name])
         assert_allclose(of_end[changed], end.value[changed], rtol=1e-9)
@@ -134,10 +143,8 @@ def test_where_solutions_go_up_a_part_of_the_first_step_goes_down(
     # Laws that are steep although they should not be: parabolas a hundred times as steep, which
     # point the other way.
     def steep(linear: Linear, residuals: Residuals) -> Linear:
-        position = -100.0 * linear.residuals.position
-        return dataclasses.replace(
-            linear, residuals=dataclasses.replace(linear.residuals, position=position)
-        )
+        position = -100.0 * linear.residuals["position"]
+        return dataclasses.replace(linear, residuals={**linear.residuals, "position": position})
 
     monkeypatch.setattr(Linear, "about", steep)
     minimum = LinearMinimum.of(linear, 1e-3, 0.0)

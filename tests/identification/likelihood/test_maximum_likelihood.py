@@ -201,9 +201,7 @@ def test_errors_allow_for_noise_that_is_not_white() -> None:
             slow[row] = 0.95 * slow[row - 1] + 0.1 * rng.normal()
         noisy = jc.Recording(time, position + 1e-5 * rng.normal(size=position.shape), torque + slow)
         for errors, squares in spread.items():
-            result = jc.MaximumLikelihood(resolution=(0.0,), errors=errors, noise_order=0).fit(
-                network, noisy
-            )
+            result = jc.MaximumLikelihood(resolution=(0.0,), errors=errors).fit(network, noisy)
             if errors == "correlated":
                 # The sandwich, with as many degrees of freedom as it has components.
                 assert result.fit.degrees_of_freedom <= 32

@@ -48,9 +48,9 @@ def test_a_single_sine_needs_positions_further_apart(pendulum: jc.CSLC) -> None:
     assert np.all(np.abs(np.asarray(result.k) - K) < 4 * error)
     assert np.all((error / exact > 0.5) & (error / exact < 2.0))
     assert result.noise_excitation is not None and not result.noise_excitation.excessive
-    assert result.selection is not None
-    (first, *_), document = result.selection.noisy, result.selection.document()
-    assert first.excessive and first.every == 1 and first.line in result.selection.lines
+    assert result.spacing is not None
+    (first, *_), document = result.spacing.noisy, result.spacing.document()
+    assert first.excessive and first.every == 1 and first.line in result.spacing.lines
     assert document["excited_by_noise"][0] == first.document()
 
     plain = jc.MaximumLikelihood(torque_sampling="sampled", errors="independent", every=1)

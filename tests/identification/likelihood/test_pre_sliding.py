@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.identification import fit_pre_sliding
-from jaxcslc.identification.likelihood.equations import Stretches, YieldingEquations
-from jaxcslc.identification.likelihood.equations._yielding_equations import mean_states
+from jaxcslc.identification.likelihood.equations import MotionEquations, PreSlidingEquations
+from jaxcslc.identification.likelihood.equations._pre_sliding_equations import mean_states
 
 
 INTERVAL, SAMPLES, COUNT, NOISE = 0.005, 1600, 1e-4, 0.02
@@ -92,9 +92,9 @@ class TestStates:
         network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
         time = 0.01 * np.arange(40)
         q = np.stack([0.2 * np.sin(5.0 * time), 0.3 * np.sin(3.0 * time)], axis=1)
-        base, lengths = Stretches(network, np.diff(time)), np.array([0.05, 0.0])
+        base, lengths = MotionEquations(network, np.diff(time)), np.array([0.05, 0.0])
         part = np.zeros(40, int)
-        equations = YieldingEquations.about(base, lengths, q, time, part)
+        equations = PreSlidingEquations.of(base, lengths, q, time, part)
         k = np.arange(1.0, network.size + 1.0)
         signs = np.sign(np.diff(q, axis=0)[1:])
         motion = np.zeros(2), q, -np.ones(signs.shape), signs
@@ -115,8 +115,8 @@ class TestStates:
         time = 0.01 * np.arange(60)
         q = 0.2 * np.sin(5.0 * time)[:, None]
         twice = np.concatenate([time, 1.0 + time])
-        base, part = Stretches(network, np.diff(twice)), np.repeat([0, 1], 60)
-        equations = YieldingEquations.about(
+        base, part = MotionEquations(network, np.diff(twice)), np.repeat([0, 1], 60)
+        equations = PreSlidingEquations.of(
             base, np.array([0.05]), np.concatenate([q, q]), twice, part
         )
         assert_allclose(equations.state[:58], equations.state[60:], atol=1e-15)
@@ -133,7 +133,7 @@ class TestFits:
         settings = jc.Settings(jc.Preparation(jc.Butterworth(20.0), threshold_fraction=0.0))
         regression = fit_pre_sliding(network, settings.patterns(motion))
         fits = [
-            jc.MaximumLikelihood(lengths=lengths, every=1, noise_order=0).fit(network, motion)
+            jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
             for lengths in ((length,), tuple(regression.lengths.tolist()), ())
         ]
         assert all(fit.converged for fit in fits)
@@ -154,7 +154,7 @@ class TestFits:
         """Nothing changes where no joint has one."""
         network, motion = pendulum("viscous", "dry"), swing(0.002, 6)
         fits = [
-            jc.MaximumLikelihood(lengths=lengths, every=1, noise_order=0).fit(network, motion)
+            jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
             for lengths in ((), (0.0,))
         ]
         assert np.array_equal(np.asarray(fits[0].k), np.asarray(fits[1].k))

@@ -55,7 +55,7 @@ def test_a_search_from_a_minimum_ends_there() -> None:
     torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.4]), q, qd, qdd))
     noise = 1e-3 * np.random.default_rng(0).normal(size=torque.shape)
     recording = jc.Recording(time[:, 0], 1e-5 * np.round(q / 1e-5), torque + noise)
-    estimator = jc.MaximumLikelihood(torque_sampling="sampled", every=1, noise_order=0)
+    estimator = jc.MaximumLikelihood(torque_sampling="sampled", every=1)
     first = estimator.fit(network, recording)
     again = estimator.fit(network, recording, start=first)
     assert again.reversals == first.reversals == np.isfinite(first.reversal_moments).sum()

@@ -1,4 +1,4 @@
-"""The spacing of positions that maximum likelihood selects for an arm that vibrates."""
+"""The spacing of positions of an arm that vibrates."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ import jaxcslc as jc
 
 
 STEP, SAMPLES, COUNT = 2e-3, 1200, 2e-5
-INERTIA, VISCOUS, FREQUENCY, DAMPING = 0.2, 0.3, 40.0, 0.03  # of rotor and of link; Hz
+INERTIA, VISCOUS, DAMPING = 0.2, 0.3, 0.03  # of rotor and of link
 
 
-def compliant_joint(seed: int) -> jc.Recording:
+def compliant_joint(seed: int, frequency: float) -> jc.Recording:
     """A rotor and a link with a spring between them, in closed form; counts of the rotor."""
     rng = np.random.default_rng(seed)
-    stiffness = (2 * np.pi * FREQUENCY) ** 2 * INERTIA / 2
+    stiffness = (2 * np.pi * frequency) ** 2 * INERTIA / 2
     damping = 2 * DAMPING * np.sqrt(stiffness * INERTIA / 2)
     matrix = np.zeros((5, 5))
     matrix[:2, 2:4] = np.eye(2)
@@ -42,18 +42,25 @@ def disc() -> jc.CSLC:
 
 
 def test_vibration_needs_positions_further_apart(disc: jc.CSLC) -> None:
-    recording = compliant_joint(10)
-    result = jc.MaximumLikelihood().fit(disc, recording)
-    assert result.every > 1
-    assert_allclose(result.k, [2 * INERTIA, VISCOUS], rtol=2e-3)
-    # At every sample, vibration passes for torque noise, and rotor and link for something lighter.
+    """At every sample, vibration of 60 Hz passes for torque noise, and rotor and link for something
+    lighter."""
+    recording = compliant_joint(10, 60.0)
+    right = jc.MaximumLikelihood(every=3).fit(disc, recording)
+    assert_allclose(right.k, [2 * INERTIA, VISCOUS], rtol=2e-3)
     plain = jc.MaximumLikelihood(every=1).fit(disc, recording)
-    assert float(plain.k[0]) < INERTIA
-    selection = result.selection
-    assert selection is not None and selection.every == result.every
-    assert [trial.every for trial in selection.trials] == [2, 3, 6]
-    assert sum(", used" in line for line in selection.lines if line.startswith("every")) == 1
-    assert selection.document()["every"] == result.every
+    assert float(plain.k[0]) < 1.3 * INERTIA
+
+
+def test_noise_of_positions_beyond_that_of_readings_widens_the_spacing(disc: jc.CSLC) -> None:
+    recording = compliant_joint(10, 80.0)
+    result = jc.MaximumLikelihood().fit(disc, recording)
+    assert result.every == 3
+    assert_allclose(result.k, [2 * INERTIA, VISCOUS], rtol=2e-3)
+    spacing = result.spacing
+    assert spacing is not None and spacing.every == result.every
+    assert spacing.excess[0] > 1.3 and not spacing.noisy
+    assert spacing.lines[-1] == f"every {result.every}, used: vibration averages out"
+    assert spacing.document()["every"] == result.every
     near = jc.MaximumLikelihood().fit(disc, recording, start=result)
-    assert near.every == result.every and near.selection is selection
+    assert near.every == result.every and near.spacing is spacing
     assert near.steps < 5

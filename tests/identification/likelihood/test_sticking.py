@@ -1,7 +1,5 @@
 """Joints that stick: a bound of friction at break-away, as a censored observation."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import scipy
@@ -80,12 +78,12 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
     network = jc.derive(robot.with_friction("dry", "static"), lengths="numeric")
     time = 0.01 * np.arange(200)
     recording = jc.Recording(time, np.sin(2 * time)[:, None], np.cos(2 * time)[:, None])
-    problem, point, *_ = starting_point(network, [recording], jc.Settings(), "held", None, None)
+    problem, (point, *_) = starting_point(network, [recording], jc.Settings(), "held", None, None)
     static = network.layout.indices("static")[0]
     deviation = []
     for value in (0.5, -0.5):
         k = np.array([1.0, 2.0, value])
-        there = dataclasses.replace(point, k=k)
+        there = point.with_values(k=k)
         mean, precision = problem.known(there, there)
         assert mean[static] == 0.0
         deviation.append(precision[static] ** -0.5)
@@ -96,13 +94,11 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
 def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
     network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
-    problem, point, torque_noise, position_noise = starting_point(
+    problem, (point, torque_noise, position_noise) = starting_point(
         network, [ramp(0.75)], jc.Settings(), "held", None, None
     )
-    of_coefficients = np.arange(len(problem.scale)) < network.size
-    scale = np.where(of_coefficients & fixed, 0.0, problem.scale)
     minimum = search(
-        dataclasses.replace(problem, scale=scale),
+        problem.fixing("k") if fixed else problem,
         point,
         torque_noise,
         position_noise,
@@ -110,4 +106,4 @@ def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
         fixed_levels=True,
         most_steps=5,
     )
-    assert (minimum.objective.sticking is None) == fixed
+    assert (minimum.objective.motion.sticking is None) == fixed

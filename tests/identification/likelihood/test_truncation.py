@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.likelihood.equations import Stretches, truncation
+from jaxcslc.identification.likelihood.equations import MotionEquations
 from jaxcslc.identification.likelihood.torque import triangle_mean
 
 
@@ -30,11 +30,11 @@ def test_equations_are_means_of_torque(pendulum: jc.CSLC, uneven: float) -> None
     intervals = 0.01 * (1.0 + uneven * rng.uniform(-1.0, 1.0, 199))
     time = np.concatenate([[0.0], np.cumsum(intervals)])
     q = motion(time)[0]
-    equations = Stretches(pendulum, intervals)
+    equations = MotionEquations(pendulum, intervals)
     one_way, slopes = np.ones((198, 1)), np.zeros(1)
     predicted = equations.torque(K, slopes, q, -one_way, one_way)
     part = np.zeros(200, int)
-    missing = truncation(equations, K, slopes, q, time, part, -one_way, one_way)
+    missing = equations.truncation(K, slopes, q, time, part, -one_way, one_way)
     recorded = triangle_mean(time, np.asarray(pendulum.torque(K, *motion(time))))
     # The same mean by Gauss's quadrature over both sides of each triangle.
     nodes, weights = np.polynomial.legendre.leggauss(5)
@@ -62,18 +62,11 @@ def test_two_recordings(pendulum: jc.CSLC) -> None:
     part = np.repeat([0, 1], 60)
     ahead, slopes = np.ones((118, 1)), np.zeros(1)
     direction = np.where(np.arange(118)[:, None] < 59, 1.0, -1.0)
-    both = truncation(
-        Stretches(pendulum, np.full(119, 0.01)), K, slopes, q, time, part, -ahead, direction
+    both = MotionEquations(pendulum, np.full(119, 0.01)).truncation(
+        K, slopes, q, time, part, -ahead, direction
     )
-    alone = truncation(
-        Stretches(pendulum, np.full(59, 0.01)),
-        K,
-        slopes,
-        q[60:],
-        time[60:],
-        part[:60],
-        -ahead[60:],
-        direction[60:],
+    alone = MotionEquations(pendulum, np.full(59, 0.01)).truncation(
+        K, slopes, q[60:], time[60:], part[:60], -ahead[60:], direction[60:]
     )
     assert_allclose(both[60:], alone, atol=1e-12)
     assert_allclose(both[58:60], 0.0, atol=1e-12)

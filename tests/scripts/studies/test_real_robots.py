@@ -16,6 +16,7 @@ from scripts.studies.real_robots import (
     pre_sliding,
     rests,
     simulation_fit,
+    spacings,
     study,
 )
 from scripts.studies.real_robots.methods import Model
@@ -98,6 +99,12 @@ def test_friction_of_a_joint_that_stands_still() -> None:
     assert 20.0 < rows["at rest [%]"] < 30.0
     others = {*rows} - {"at rest [%]", "mean of before and after"}
     assert rows["mean of before and after"] < min(rows[name] for name in others)
+
+
+def test_spacings_of_exact_motion_leave_nothing() -> None:
+    rows = spacings.rows_of("pendulum", pendulum(Path()))
+    assert [row[2] for row in rows][1:] == [*(f"every {n}" for n in (1, 2, 3, 6)), "every auto (1)"]
+    assert all(float(row[3]) == float(row[-1]) < 1.0 for row in rows)
 
 
 def test_the_usual_pipeline_is_judged_as_it_is_best() -> None:

@@ -1,3 +1,5 @@
+"""Linear algebra of unknowns that are banded in time and bordered."""
+
 from ._assembly import add_equations as add_equations
 from ._columns import JointColumns as JointColumns
 from ._normal_equations import (

@@ -33,7 +33,6 @@ def add_equations(
     weight: Float[np.ndarray, "equations joints"],
     by_position: Float[np.ndarray, "equations joints positions"],
     by_border: JointColumns,
-    order: int,
 ) -> None:
     """Adds the squares of equations of motion to normal equations, but for the border's own.
 
@@ -43,17 +42,16 @@ def add_equations(
       these unknowns and the border.
     - `position`: of each sample's positions among the unknowns, one after the other.
     - `weight`: of equations.
-    - `by_position`: derivatives by the positions at so many samples, the first of them `order`
-      before an equation's three; `by_border`: by the border.
+    - `by_position`: derivatives by the positions at three samples; `by_border`: by the border.
     """
     if not _ADD.is_available:
-        _add_in_blocks(band, mixed, position, weight, by_position, by_border.dense, order)
+        _add_in_blocks(band, mixed, position, weight, by_position, by_border.dense)
         return
     count, n, stencil = by_position.shape
     columns = mixed.shape[1]
     of_border = by_border.values, by_border.joints, by_border.columns
     bound = _ADD.bound(position[:, 0], weight, by_position, *of_border, band, mixed)
-    sizes = (n, stencil // n, order, band.shape[1], columns, len(by_border.joints))
+    sizes = (n, stencil // n, 0, band.shape[1], columns, len(by_border.joints))
 
     def add(first: int, last: int) -> None:
         memory = np.zeros((stencil + columns + 8) * n)
@@ -74,7 +72,6 @@ def _add_in_blocks(
     weight: Float[np.ndarray, "equations joints"],
     by_position: Float[np.ndarray, "equations joints positions"],
     by_border: Float[np.ndarray, "equations joints border"],
-    order: int,
 ) -> None:
     """The same by NumPy: products of all equations would be several times what is kept."""
     n = weight.shape[1]
@@ -84,16 +81,13 @@ def _add_in_blocks(
         transposed = np.swapaxes(weight[rows, :, None] * by_position[rows], 1, 2)
         products, of_border = transposed @ by_position[rows], transposed @ by_border[rows]
         for slot in range(slots):
-            skip = max(order - start - slot, 0)  # no sample is before the first
-            samples = np.arange(start + skip, start + len(products)) - order + slot
+            samples = np.arange(start, start + len(products))
             blocks = slice(slot * n, (slot + 1) * n)
-            mixed[position[samples]] += of_border[skip:, blocks]
+            mixed[position[samples + slot]] += of_border[:, blocks]
             for earlier in range(slot + 1):
-                skip = max(order - start - earlier, 0)
-                samples = np.arange(start + skip, start + len(products)) - order
                 row, column = np.broadcast_arrays(
                     position[samples + slot][:, :, None], position[samples + earlier][:, None, :]
                 )
                 below = row >= column
-                values = products[skip:, blocks, earlier * n : (earlier + 1) * n]
+                values = products[:, blocks, earlier * n : (earlier + 1) * n]
                 band[column[below], (row - column)[below]] += values[below]

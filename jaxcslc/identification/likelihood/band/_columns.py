@@ -1,3 +1,5 @@
+"""Derivatives by the border without their zeros."""
+
 import dataclasses
 import itertools
 from functools import cached_property
@@ -42,24 +44,15 @@ class JointColumns:
 
     @classmethod
     def of(cls, dense: Float[np.ndarray, "equations joints columns"]) -> "JointColumns":
-        """Those that are not zero in all equations."""
+        """Keep those that are not zero in all equations."""
         count, n, width = dense.shape
         joints, columns = np.nonzero(dense.any(axis=0))
         values = np.take(dense.reshape(count, -1), joints * width + columns, axis=1)
         return cls(values, joints, columns, (n, width))
 
     def widened(self, size: int) -> "JointColumns":
-        """With further columns of zeros: so many in all."""
+        """Add columns of zeros: so many in all."""
         return dataclasses.replace(self, shape=(self.shape[0], size))
-
-    def beside(self, other: "JointColumns") -> "JointColumns":
-        """With another's columns after these."""
-        joints = np.concatenate([self.joints, other.joints])
-        columns = np.concatenate([self.columns, other.columns + self.shape[1]])
-        order = np.argsort(joints, kind="stable")
-        values = np.concatenate([self.values, other.values], axis=1)[:, order]
-        shape = self.shape[0], self.shape[1] + other.shape[1]
-        return JointColumns(values, joints[order], columns[order], shape)
 
     @property
     def patterns(self) -> Int[np.ndarray, " columns"]:
@@ -76,11 +69,11 @@ class JointColumns:
         return result
 
     def between(self, equations: slice) -> "JointColumns":
-        """Those of some equations."""
+        """Return those of some equations."""
         return dataclasses.replace(self, values=self.values[equations])
 
     def times(self, vector: Float[np.ndarray, " columns"]) -> Float[np.ndarray, "equations joints"]:
-        """Products of rows and a vector."""
+        """Return products of rows and a vector."""
         result = np.empty((len(self.values), self.shape[0]))
         for joint, entries in enumerate(self._entries):
             result[:, joint] = self.values[:, entries] @ vector[self.columns[entries]]
@@ -89,7 +82,7 @@ class JointColumns:
     def summed(
         self, factors: Float[np.ndarray, "equations joints"]
     ) -> Float[np.ndarray, " columns"]:
-        """The sum of rows times factors."""
+        """Return the sum of rows times factors."""
         result = np.zeros(self.shape[1])
         for joint, entries in enumerate(self._entries):
             result[self.columns[entries]] += factors[:, joint] @ self.values[:, entries]
@@ -98,7 +91,8 @@ class JointColumns:
     def square(
         self, weight: Float[np.ndarray, "equations joints"]
     ) -> Float[np.ndarray, "columns columns"]:
-        """The weighted sum of rows' squares; some equations at a time, for no copy of all."""
+        """Return the weighted sum of rows' squares; some equations at a time, for no copy of
+        all."""
         result, root = np.zeros((self.shape[1],) * 2), np.sqrt(weight)
         for joint, entries in enumerate(self._entries):
             columns = self.columns[entries]
@@ -110,7 +104,7 @@ class JointColumns:
         return result
 
     def among(self, columns: Int[np.ndarray, " columns"]) -> "JointColumns":
-        """Some columns alone, in another order."""
+        """Return some columns alone, in another order."""
         index = np.full(self.shape[1], -1)
         index[columns] = np.arange(len(columns))
         of_entry = index[self.columns]
@@ -118,9 +112,9 @@ class JointColumns:
         values = self.values if kept.all() else self.values[:, kept]
         return JointColumns(values, self.joints[kept], of_entry[kept], shape)
 
-    def scaled(self, factors: Float[np.ndarray, "joints columns"]) -> "JointColumns":
-        """With each joint's columns times factors."""
-        of_entry = factors[self.joints, self.columns]
+    def scaled(self, factors: Float[np.ndarray, " columns"]) -> "JointColumns":
+        """Multiply columns by factors."""
+        of_entry = factors[self.columns]
         values = np.empty(self.values.shape)
 
         def multiply(first: int, last: int) -> None:
@@ -132,7 +126,7 @@ class JointColumns:
     def rows(
         self, equations: Int[np.ndarray, " rows"], joints: Int[np.ndarray, " rows"]
     ) -> Float[np.ndarray, "rows columns"]:
-        """Some rows with zeros."""
+        """Return some rows with zeros."""
         result = np.zeros((len(equations), self.shape[1]))
         for joint, entries in enumerate(self._entries):
             of_joint = np.flatnonzero(joints == joint)

@@ -1,3 +1,5 @@
+"""Banded normal equations with a border, and their factorisation."""
+
 import dataclasses
 from functools import cached_property
 
@@ -42,7 +44,7 @@ class Order:
 
 
 def gram(rows: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "columns columns"]:
-    """The transpose times the matrix, symmetric: half of the multiplications.
+    """Multiply the transpose by the matrix: half of the multiplications, for it is symmetric.
 
     >>> import numpy as np
     >>> gram(np.array([[1.0, 2.0], [3.0, 4.0]])).tolist()
@@ -76,7 +78,7 @@ class BandedEquations:
         index: Int[np.ndarray, "blocks unknowns"],
         matrix: Float[np.ndarray, "blocks unknowns unknowns"],
     ) -> None:
-        """Adds symmetric blocks, each of some unknowns that are near in time."""
+        """Add symmetric blocks, each of some unknowns that are near in time."""
         row, column = np.tril_indices(index.shape[1])
         first, second = index[:, row], index[:, column]
         columns = np.minimum(first, second)
@@ -86,7 +88,7 @@ class BandedEquations:
     def factored(
         self, damping: Float[np.ndarray, " inner"], free: Int[np.ndarray, " free"], size: int
     ) -> "Factored":
-        """The factorisation, with damping added to the diagonal of the banded part.
+        """Return the factorisation, with damping added to the diagonal of the banded part.
 
         **Arguments**
 
@@ -169,11 +171,6 @@ class Factored:
         self._of_free = border - gram(self._half)
         self.information[np.ix_(free, free)] = self._of_free
 
-    @property
-    def log_determinant(self) -> float:
-        """Of the banded part."""
-        return 2.0 * float(np.sum(np.log(self._factor[0])))
-
     @cached_property
     def eliminated(self) -> Float[np.ndarray, "inner border"]:
         """Minus the reply of unknowns in order of time to the border."""
@@ -187,7 +184,7 @@ class Factored:
         border: Float[np.ndarray, "border sides"],
         damping: float,
     ) -> tuple[Float[np.ndarray, "inner sides"], Float[np.ndarray, "border sides"]]:
-        """The unknowns for right sides, of which long matrices are read once for all.
+        """Return the unknowns for right sides, of which long matrices are read once for all.
 
         **Arguments**
 
@@ -205,7 +202,8 @@ class Factored:
     def _border(
         self, right_side: Float[np.ndarray, "free sides"], damping: float
     ) -> Float[np.ndarray, "free sides"]:
-        """The solution for the border, of least length; its eigenvectors stay for the next one."""
+        """Return the solution for the border, of least length; its eigenvectors stay for the next
+        one."""
         if damping not in self._eigenvectors:
             floor = 1e-14 * self._diagonal
             matrix = self._of_free + np.diag(damping * np.diag(self._of_free) + floor)

@@ -47,8 +47,7 @@ def equation_changes(
 
     **Arguments**
 
-    - `by_position`: derivatives by the positions at so many samples, the last of them two after an
-      equation's first of three; `by_border`: by the border.
+    - `by_position`: derivatives by the positions at three samples; `by_border`: by the border.
     - `position`, `border`: changes of these.
 
     >>> import numpy as np
@@ -140,14 +139,11 @@ def stencil_parts(by_position: ByPosition) -> list[tuple[slice, slice, slice]]:
     """Parts of equations' stencils, from the earliest sample: columns, equations and samples.
 
     >>> import numpy as np
-    >>> stencil_parts(np.zeros((5, 1, 4)))[0]
-    (slice(0, 1, None), slice(1, 5, None), slice(0, 4, None))
+    >>> stencil_parts(np.zeros((5, 1, 3)))[1]
+    (slice(1, 2, None), slice(0, 5, None), slice(1, 6, None))
     """
     count, n, stencil = by_position.shape
-    order = stencil // n - 3
-    parts: list[tuple[slice, slice, slice]] = []
-    for i in range(stencil // n):
-        first, shift = max(order - i, 0), i - order
-        columns = slice(i * n, (i + 1) * n)
-        parts.append((columns, slice(first, count), slice(first + shift, count + shift)))
-    return parts
+    return [
+        (slice(i * n, (i + 1) * n), slice(0, count), slice(i, count + i))
+        for i in range(stencil // n)
+    ]

@@ -1,3 +1,5 @@
+"""Friction averaged over the two intervals of an equation."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +25,7 @@ def mean_inputs(
     turn: Rows,
     direction: Rows,
 ) -> tuple[Rows, ...]:
-    """A joint law's inputs, averaged as the acceleration of a second difference is.
+    """Return a joint law's inputs, averaged as the acceleration of a second difference is.
 
     The second difference of positions is the acceleration averaged with a triangle over the two
     intervals that meet at a sample. Friction in the same equation is averaged alike: without that,

@@ -1,7 +1,9 @@
+"""Torque of equations of motion, with its derivatives."""
+
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ..band import JointColumns
 
@@ -16,22 +18,13 @@ class Linearisation(NamedTuple):
 
     **Attributes**
 
-    - `torque`: (equations, n).
-    - `by_position`: (equations, n, 3 n), by the positions at three samples.
+    - `torque`: (equations, series): joints, and what else moves.
+    - `by_position`: (equations, series, 3 series), by the positions at three samples.
     - `by_coefficient`: p + n columns: by `k`, then by the logarithms of slopes.
     - `by_turn`: (equations, n), by the moment at which the joint turns.
     """
 
-    torque: Float[np.ndarray, "equations joints"]
-    by_position: Float[np.ndarray, "equations joints positions"]
+    torque: Float[np.ndarray, "equations series"]
+    by_position: Float[np.ndarray, "equations series positions"]
     by_coefficient: JointColumns
     by_turn: Float[np.ndarray, "equations joints"]
-
-
-class DenseLinearisation(NamedTuple):
-    """The same as JAX has it: `by_coefficient` is (equations, n, p + n)."""
-
-    torque: Float[Array, "equations joints"]
-    by_position: Float[Array, "equations joints positions"]
-    by_coefficient: Float[Array, "equations joints unknowns"]
-    by_turn: Float[Array, "equations joints"]

@@ -1,3 +1,5 @@
+"""Standard errors where residuals are correlated in time or across joints."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +24,7 @@ class CorrelatedErrors(NamedTuple):
     effective: Float[np.ndarray, " joints"]
 
     def at_least(self, bound: Float[np.ndarray, "border border"]) -> "CorrelatedErrors":
-        """The same with no variance below that of a bound.
+        """Return the same with no variance below that of a bound.
 
         Few readings are near the edges of their intervals. Each of them is fitted more closely than
         it would be otherwise, and the spread of scores says less than the truth.
@@ -39,7 +41,8 @@ def reported_errors(
     bound: Float[np.ndarray, "border border"],
     counted: Bool[np.ndarray, "equations joints"],
 ) -> CorrelatedErrors:
-    """Errors of a fit: the bound where residuals are white, else what correlated ones do to it.
+    """Return errors of a fit: the bound where residuals are white, else what correlated ones do to
+    it.
 
     The bound is known as well as noise levels are, the sandwich from a few components of a
     spectrum: so the sandwich is for where residuals say that it is needed (White 1982, the
@@ -53,14 +56,14 @@ def reported_errors(
       the border's scale.
     - `counted`: (equations, n) whether an equation has its full weight.
     """
-    residual = np.where(counted, linear.residuals.torque, 0.0)
+    residual = np.where(counted, linear.residuals["torque"][:, : counted.shape[1]], 0.0)
     effective = np.asarray(effective_counts(residual, counted.astype(float)))
     used = np.asarray(components_for(effective))
     components = cosine_sums(sums, used)
     sandwich = _sandwich(linear, inverse, components, used, effective)
     whiteness = Whiteness.of(components, inverse, sums.noise, int(used.sum()))
     if not whiteness.white():
-        return sandwich if linear.objective.intervals is None else sandwich.at_least(bound)
+        return sandwich if linear.objective.readings.intervals is None else sandwich.at_least(bound)
     least = np.diag(bound)
     ratio = np.diag(sandwich.covariance) / np.where(least > 0.0, least, np.inf)
     growth = np.sqrt(np.where(whiteness.exceeds(ratio), ratio, 1.0))
@@ -75,7 +78,7 @@ def _sandwich(
     used: Float[np.ndarray, " components"],
     effective: Float[np.ndarray, " joints"],
 ) -> CorrelatedErrors:
-    """What residuals as they are, correlated in time and across joints, do to a fit.
+    """Return what residuals as they are, correlated in time and across joints, do to a fit.
 
     With positions eliminated, a fit is a regression whose rows are what an equation or a reading
     says of the border beyond what it says of positions. The sum over time of these rows times
@@ -86,13 +89,13 @@ def _sandwich(
     """
     covariance = correlated_covariance(sums, inverse, used)
     objective = linear.objective
-    known = inverse * (objective.scale**2 * objective.weights.border)
+    known = inverse * (objective.scale**2 * objective.weights["border"])
     total = np.asarray(covariance) + known @ inverse
     return CorrelatedErrors(0.5 * (total + total.T), float(used.sum()), effective)
 
 
 def cosine_sums(rows: RowSums, used: Float[np.ndarray, " components"]) -> CosineSums:
-    """Components of scores, and how much of rows is in each."""
+    """Return components of scores, and how much of rows is in each."""
     samples = len(rows.scores)
     frequency = np.arange(1, len(used) + 1)[:, None]
 

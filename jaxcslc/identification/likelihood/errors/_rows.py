@@ -1,3 +1,5 @@
+"""Rows of a fit with positions eliminated, summed up."""
+
 import dataclasses
 
 import numpy as np
@@ -36,8 +38,8 @@ class RowSums:
 
     @classmethod
     def of(cls, linear: Linear, factored: Factored) -> "RowSums":
-        """Of equations at the minimum."""
-        samples, intervals = len(linear.order.position), linear.objective.intervals
+        """Sum up rows of equations at the minimum."""
+        samples, intervals = len(linear.order.position), linear.objective.readings.intervals
         ends = np.linspace(0, samples, min(_STRETCHES, samples) + 1).astype(int)
         size = len(linear.objective.scale)
         scores, grams = np.empty((samples, size)), np.empty((len(ends) - 1, size, size))
@@ -50,8 +52,7 @@ class RowSums:
                 rows, scores[stretch] = eliminated_rows(linear, factored, stretch)
                 grams[number] = gram(rows.reshape(-1, size))
                 if shares is not None:
-                    n = shares.shape[1]
-                    rows[:, n:] *= np.sqrt(shares[stretch])[:, :, None]
+                    rows[:, -shares.shape[1] :] *= np.sqrt(shares[stretch])[:, :, None]
                     noise += gram(rows.reshape(-1, size))
             return noise
 
@@ -62,7 +63,7 @@ class RowSums:
     def independent_covariance(
         self, inverse: Float[np.ndarray, "border border"]
     ) -> Float[np.ndarray, "border border"]:
-        """The Cramér-Rao bound; for counts that are intervals, what replaces it.
+        """Return the Cramér-Rao bound; for counts that are intervals, what replaces it.
 
         The bound of sharp intervals is none: errors fall with the number of readings, not with its
         root. With edges of some width, scores vary less than curvatures say (`score_share`): a
@@ -78,7 +79,7 @@ class RowSums:
 def eliminated_rows(
     linear: Linear, factored: Factored, stretch: slice
 ) -> tuple[Float[np.ndarray, "samples rows border"], Float[np.ndarray, "samples border"]]:
-    """Rows of a stretch's instants in standard deviations, and their sums times residuals.
+    """Return rows of a stretch's instants in standard deviations, and their sums times residuals.
 
     With positions eliminated, a fit is a regression whose rows are what an equation or a reading
     says of the border beyond what it says of positions: n equations, then n readings. The first
@@ -88,36 +89,40 @@ def eliminated_rows(
     weights, residuals = linear.weights, linear.residuals
     first, last = stretch.start, stretch.stop
     equations = slice(max(first - 1, 0), max(min(last - 1, len(order.position) - 2), 0))
-    count, n = last - first, order.position.shape[1]
+    count, n = last - first, linear.readings.joints
+    motion, series = linear.motion, order.position.shape[1]
     within = equations.start + 1 - first  # of the first equation among the samples
 
-    torque = linear.by_border.between(equations).dense
-    for columns, of_part, samples in stencil_parts(linear.by_position):
+    torque = motion.by_border.between(equations).dense
+    for columns, of_part, samples in stencil_parts(motion.by_position):
         some = _common(equations, of_part)
         shift = samples.start - of_part.start
         near = eliminated[order.position[some.start + shift : some.stop + shift]]
         rows = slice(some.start - equations.start, some.stop - equations.start)
-        torque[rows] -= np.matmul(linear.by_position[some, :, columns], near)
-    for reversals, equation, joint, derivative in linear.turn_parts:
+        torque[rows] -= np.matmul(motion.by_position[some, :, columns], near)
+    for reversals, equation, joint, derivative in motion.turns:
         inside = np.flatnonzero((equation >= equations.start) & (equation < equations.stop))
         turned = derivative[inside, None] * eliminated[order.turn[reversals[inside]]]
         np.subtract.at(torque, (equation[inside] - equations.start, joint[inside]), turned)
-    reading = -eliminated[order.position[stretch]]
+    reading = -eliminated[order.position[stretch, :n]]
     sample, joints = np.indices((count, n))
-    offset = linear.offset[stretch]
+    offset = linear.readings.offset[stretch]
     reading[sample, joints, offset] += objective.scale[offset]
 
-    of_torque, of_position = weights.torque[equations], weights.position[stretch]
-    result, scaled = np.zeros((count, 2 * n, len(objective.scale))), np.zeros((count, 2 * n))
+    of_torque, of_position = weights["torque"][equations], weights["position"][stretch]
+    result, scaled = (
+        np.zeros((count, series + n, len(objective.scale))),
+        np.zeros((count, series + n)),
+    )
     rows = slice(within, within + len(of_torque))
-    result[rows, :n] = torque * np.sqrt(of_torque)[:, :, None]
-    result[:, n:] = reading * np.sqrt(of_position)[:, :, None]
-    scaled[rows, :n] = residuals.torque[equations] * np.sqrt(of_torque)
-    scaled[:, n:] = residuals.position[stretch] * np.sqrt(of_position)
+    result[rows, :series] = torque * np.sqrt(of_torque)[:, :, None]
+    result[:, series:] = reading * np.sqrt(of_position)[:, :, None]
+    scaled[rows, :series] = residuals["torque"][equations] * np.sqrt(of_torque)
+    scaled[:, series:] = residuals["position"][stretch] * np.sqrt(of_position)
     return result, np.matmul(scaled[:, None], result)[:, 0]
 
 
 def _common(one: slice, other: slice) -> slice:
-    """What two slices share; empty, not reversed, where that is nothing."""
+    """Return what two slices share; empty, not reversed, where that is nothing."""
     first = max(one.start, other.start)
     return slice(first, max(min(one.stop, other.stop), first))

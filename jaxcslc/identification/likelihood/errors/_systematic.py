@@ -1,3 +1,5 @@
+"""What missing terms and a wrong time of torques may do to coefficients."""
+
 from collections.abc import Mapping
 
 import numpy as np
@@ -6,7 +8,7 @@ from jaxtyping import Bool, Float
 from ...solver import components_for
 from ...systematic import SystematicError, missing_terms
 from .._linear import Linear
-from .._objective import Point, Residuals
+from .._point import Point
 from ..band import Factored
 
 
@@ -20,16 +22,15 @@ def systematic_errors(
     counted: Bool[np.ndarray, "equations joints"],
     effective: Float[np.ndarray, " joints"],
 ) -> SystematicError:
-    """What a wrong time of torques and terms that the network lacks may do to its coefficients.
+    """Return what a wrong time of torques and missing terms may do to coefficients.
 
     As `systematic_error` of least squares, without the causes that are smoothing's: each of
     `missing_terms` is added to the equations, for all joints that lack it, and so is the derivative
-    of recorded torques by time (`"torque timing"`), unless a lag is estimated. With inputs C, what
-    is left of them beside positions and coefficients is C' (Frisch and Waugh 1933); their
-    coefficients are (C'ᵀ W C)⁻¹ Cᵀ W r for residuals r, and the fit changes by as much as it
-    explains of C. Of the square of this change its variance is taken off, from the lowest cosine
-    components of C'ᵀ W r as for the fit itself: a term that the recording does not show makes no
-    part.
+    of recorded torques by time (`"torque timing"`). With inputs C, what is left of them beside
+    positions and coefficients is C' (Frisch and Waugh 1933); their coefficients are
+    (C'ᵀ W C)⁻¹ Cᵀ W r for residuals r, and the fit changes by as much as it explains of C. Of the
+    square of this change its variance is taken off, from the lowest cosine components of C'ᵀ W r as
+    for the fit itself: a term that the recording does not show makes no part.
 
     **Arguments**
 
@@ -50,20 +51,15 @@ def systematic_errors(
 def _inputs(
     linear: Linear, point: Point, counted: Bool[np.ndarray, "equations joints"]
 ) -> Mapping[str, Inputs]:
-    """Inputs of terms by cause, as they stand in equations before these are made white."""
-    objective = linear.objective
-    equations, calibration = objective.equations, objective.torque
+    """Return inputs of terms by cause."""
+    motion = linear.objective.motion
+    record, equations = motion.record, motion.equations
     step = equations.intervals[:, None]
     velocity = np.diff(point.q, axis=0) / step
     velocity = (velocity[1:] * step[:-1] + velocity[:-1] * step[1:]) / (step[1:] + step[:-1])
-    predicted = calibration.torque(point.calibration) - objective.whitening.removed(
-        linear.present.torque
-    )
+    predicted = record.averaged - linear.present["torque"]
     n = predicted.shape[1]
-    result: dict[str, Inputs] = {}
-    if "torque_lag" not in calibration.unknowns:
-        rate = calibration.record.rate(calibration.lag(point.calibration))
-        result["torque timing"] = rate[:, :, None]
+    result: dict[str, Inputs] = {"torque timing": record.rate[:, :, None]}
     terms = missing_terms(equations.network, velocity, predicted, counted, np.zeros(n))
     for cause, columns in terms.items():
         inputs = np.zeros((len(predicted), n, sum(part.shape[1] for part in columns)))
@@ -79,32 +75,30 @@ def _inputs(
 def _change(
     linear: Linear, factored: Factored, inputs: Inputs, components: int
 ) -> Float[np.ndarray, " border"]:
-    """What further inputs change the border by, beyond the noise of this change; in its scale."""
+    """Return by how much inputs change the border, beyond noise; in its scale."""
     objective, weights = linear.objective, linear.weights
-    filtered = objective.whitening.applied(inputs)
     # Inputs of a joint that rests, or of torques that never bend, say nothing.
-    size = np.sqrt(np.sum(weights.torque[:, :, None] * filtered**2, axis=(0, 1)))
-    filtered = filtered[:, :, size > 0.0] / size[size > 0.0]
-    count = filtered.shape[2]
-    zeros = Residuals(**{name: 0.0 * values for name, values in vars(linear.residuals).items()})
+    size = np.sqrt(np.sum(weights["torque"][:, :, None] * inputs**2, axis=(0, 1)))
+    inputs = inputs[:, :, size > 0.0] / size[size > 0.0]
+    count = inputs.shape[2]
     explained = np.zeros((count, len(objective.scale)))
-    scores = np.zeros((len(weights.position), count))
+    scores = np.zeros((len(weights["position"]), count))
     gram = np.zeros((count, count))
-    of_inputs = [
-        Residuals(**{**vars(zeros), "torque": filtered[:, :, number]}) for number in range(count)
-    ]
+    of_inputs = [linear.zeros(torque=inputs[:, :, number]) for number in range(count)]
     steps = linear.steps(factored, of_inputs) if of_inputs else []
     for number, (step, of_input) in enumerate(zip(steps, of_inputs, strict=True)):
         left = linear.after(step, of_input)
         explained[number] = step.border
-        weighted = weights.torque * left.torque
-        gram[number] = np.einsum("ij,ijk->k", weighted, filtered)
-        scores[1:-1, number] += np.sum(weighted * linear.residuals.torque, axis=1)
+        weighted = weights["torque"] * left["torque"]
+        gram[number] = np.einsum("ij,ijk->k", weighted, inputs)
+        scores[1:-1, number] += np.sum(weighted * linear.residuals["torque"], axis=1)
         scores[:, number] += np.sum(
-            weights.position * left.position * linear.residuals.position, axis=1
+            weights["position"] * left["position"] * linear.residuals["position"], axis=1
         )
     inverse = np.linalg.pinv(0.5 * (gram + gram.T), rcond=1e-9, hermitian=True)
-    values = inverse @ np.einsum("ijk,ij->k", filtered, weights.torque * linear.residuals.torque)
+    values = inverse @ np.einsum(
+        "ijk,ij->k", inputs, weights["torque"] * linear.residuals["torque"]
+    )
     phase = (np.arange(len(scores)) + 0.5) / len(scores)
     cosines = np.sqrt(2.0) * np.cos(np.pi * np.arange(1, components + 1)[:, None] * phase)
     noise = cosines @ scores @ inverse @ explained

@@ -1,3 +1,5 @@
+"""Whether residuals are white, by an information matrix test."""
+
 import dataclasses
 
 import numpy as np
@@ -41,7 +43,7 @@ class Whiteness:
         gram: Float[np.ndarray, "border border"],
         components: int,
     ) -> "Whiteness":
-        """Of a fit.
+        """Test a fit.
 
         **Arguments**
 
@@ -62,14 +64,14 @@ class Whiteness:
         return cls(components, square / expected, count)
 
     def white(self) -> bool:
-        """Whether white noise explains all coefficients together."""
+        """Return whether white noise explains all coefficients together."""
         return self.ratio <= _most(self.degrees_of_freedom)
 
     def exceeds(self, ratio: Float[np.ndarray, " border"]) -> Bool[np.ndarray, " border"]:
-        """Which variances of the sandwich over the bound's are more than chance."""
+        """Return which variances of the sandwich over the bound's are more than chance."""
         return ratio > _most(float(self.components))
 
 
 def _most(count: float) -> float:
-    """The mean square of so many standard normal variables that is seldom exceeded."""
+    """Return the mean square of so many standard normal variables that is seldom exceeded."""
     return float(scipy.special.chdtri(count, _LEVEL) / count)

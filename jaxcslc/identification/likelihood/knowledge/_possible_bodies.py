@@ -1,3 +1,5 @@
+"""The most likely physically consistent bodies."""
+
 import dataclasses
 from collections.abc import Callable
 
@@ -33,7 +35,7 @@ def possible_bodies(
     errors: Errors,
     progress: Callable[[str], None],
 ) -> LikelihoodFit:
-    """The most likely possible bodies, with positions, slopes and noise that belong to them.
+    """Return the most likely possible bodies, with positions, slopes and noise that belong to them.
 
     With positions eliminated, a Gauss-Newton step makes the objective a square of coefficients:
     its minimum and its information. The possible bodies nearest to that in its metric are what
@@ -68,27 +70,17 @@ def possible_bodies(
             prior_weight=weight,
         )
 
-    coefficients = np.arange(len(problem.scale)) < network.size
-    with_fixed_coefficients = dataclasses.replace(
-        problem, scale=np.where(coefficients, 0.0, problem.scale)
-    )
-
-    words = "maximum likelihood: possible bodies"
+    of_others = problem.fixing("k")
+    step: Callable[[str], None] = lambda _: progress("maximum likelihood: possible bodies")
 
     def search_with(k: Float[np.ndarray, " coefficients"], state: State) -> Minimum:
-        return search_on(with_fixed_coefficients, state, k, lambda _: progress(words))
+        return search_on(of_others, state, k, step)
 
     bodies = bodies_nearest_to(free.fit, None)
     if levels is None:
         minimum = search_with(bodies.k, minimum.state)
     else:
-        minimum = search(
-            with_fixed_coefficients,
-            dataclasses.replace(minimum.point, k=bodies.k),
-            *levels,
-            lambda _: progress(words),
-            noise_coefficients=free.noise_coefficients,
-        )
+        minimum = search(of_others, minimum.point.with_values(k=bodies.k), *levels, step)
     steps, weight, part, rounds = free.steps + minimum.steps, bodies.prior_weight, 1.0, 1
     while True:
         profile = Profile.of(minimum, problem.scale)

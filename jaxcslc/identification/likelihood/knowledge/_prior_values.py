@@ -1,3 +1,5 @@
+"""Values of coefficients that are known beforehand."""
+
 from collections.abc import Mapping
 
 import numpy as np
@@ -7,16 +9,15 @@ from ....network import CSLC
 from ...prior import Known, Prior
 
 
-def check_prior(prior: Prior | None, *, gains: bool, possible: bool) -> None:
-    """What the search can make use of.
+def check_prior(prior: Prior | None, *, possible: bool) -> None:
+    """Check that the search can make use of a prior.
 
     **Arguments**
 
     - `prior`: of `MaximumLikelihood`.
-    - `gains`: whether torque gains are estimated; `possible`: whether bodies are to be possible.
+    - `possible`: whether bodies are to be possible.
 
-    **Raises** `ValueError` for links without possible bodies, for bounds, and for gains without a
-    value that is known.
+    **Raises** `ValueError` for links without possible bodies, and for bounds.
     """
     entries: dict[str, Known] = {} if prior is None else dict(prior.coefficients)
     if prior is not None and prior.links and not possible:
@@ -27,11 +28,6 @@ def check_prior(prior: Prior | None, *, gains: bool, possible: bool) -> None:
     for name, entry in entries.items():
         if entry.value is None or entry.low > -np.inf or entry.high < np.inf:
             raise ValueError(f"prior, {name}: maximum likelihood takes values, got bounds")
-    if gains and not entries:
-        raise ValueError(
-            "torque gains and coefficients scale together; expected a prior that knows the value of"
-            " at least one coefficient, as from a link or payload that was weighed"
-        )
 
 
 def prior_values(
@@ -41,7 +37,8 @@ def prior_values(
     Float[np.ndarray, " coefficients"],
     Bool[np.ndarray, " coefficients"],
 ]:
-    """Values, (p,) inverse variances that are 0 where nothing is known, and what is fixed."""
+    """Return values, (p,) inverse variances that are 0 where nothing is known, and what is
+    fixed."""
     known: Mapping[int, Known] = {} if prior is None else prior.coefficient_values(network)
     size = network.size
     values, precision, fixed = np.zeros(size), np.zeros(size), np.zeros(size, bool)

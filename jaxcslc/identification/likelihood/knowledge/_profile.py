@@ -1,3 +1,5 @@
+"""The sum of squares as a function of coefficients, all else at its minimum."""
+
 import dataclasses
 from collections.abc import Callable
 
@@ -41,7 +43,8 @@ class Profile:
 
     @classmethod
     def of(cls, minimum: Minimum, scale: Float[np.ndarray, " border"]) -> "Profile":
-        """About the end of a search with fixed coefficients; `scale` of the problem without."""
+        """Expand about the end of a search with fixed coefficients; `scale` of the problem
+        without."""
         objective = dataclasses.replace(minimum.objective, scale=scale)
         linear = Linear.of(objective, minimum.point)
         factored = linear.factored(0.0)
@@ -65,7 +68,8 @@ class Profile:
     def towards(
         self, change: Coefficients, part: float, search: Callable[[Coefficients, State], Minimum]
     ) -> tuple[Minimum, float, int]:
-        """The minimum of all else for coefficients that are changed, or for a part of the change.
+        """Return the minimum of all else for coefficients that are changed, or for a part of the
+        change.
 
         **Arguments**
 
@@ -92,7 +96,7 @@ class Profile:
         raise AssertionError
 
     def _size(self, change: Coefficients) -> float:
-        """The square of a change, in the metric of the information."""
+        """Return the square of a change, in the metric of the information."""
         of_scale = self._scaled(change)
         return float(of_scale @ self.information @ of_scale)
 
@@ -112,7 +116,7 @@ class Profile:
 def _eliminated(
     objective: Objective, factored: Factored, p: int
 ) -> Float[np.ndarray, "coefficients coefficients"]:
-    """The information of coefficients, slopes and offsets eliminated."""
+    """Return the information of coefficients, slopes and offsets eliminated."""
     others = p + np.flatnonzero(objective.scale[p:])
     of_others = factored.information[np.ix_(others, others)]
     mixed = factored.information[np.ix_(others, np.arange(p))]

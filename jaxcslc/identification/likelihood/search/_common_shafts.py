@@ -1,3 +1,5 @@
+"""Equations in which a shaft of two joints turns."""
+
 import dataclasses
 
 import numpy as np

@@ -1,21 +1,21 @@
+"""Noise levels and intervals that follow the steps of a search."""
+
 import dataclasses
 
 import numpy as np
-from jaxtyping import Int
 
 from .._levels import Levels, NoiseDraws, hidden_noise, noise_levels, position_errors
 from .._levenberg import DAMPING, SMALL_DAMPING, LevenbergStep
 from .._linear_minimum import LinearMinimum
 from .._objective import Residuals
 from .._problem import Problem
-from ..torque import Whitening, autocovariance
-from ._state import MARGINS, Mask, State, intervals_of
+from ._state import MARGINS, Mask, Stage, State, intervals_of
 from ._weighting import outlier_weights
 
 
 # Noise levels go all the way to where residuals would have them in so many steps, then half of it;
 # they are fixed when they change by less than this part in a step, or after so many steps.
-_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS, _MOST_STEPS_OF_GEARS = 6, 0.05, 14, 40
+_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS, _MOST_STEPS_OF_ADDED = 6, 0.05, 14, 40
 # Counts become intervals when a step moves no coefficient by more than this part of its standard
 # error. Where all of them will, the level of torque noise need not be settled: it follows later.
 NEAR = 0.3
@@ -35,7 +35,7 @@ LITTLE_DAMPING = 1e-2
 def with_levels(
     problem: Problem, state: State, step: LevenbergStep, counted: Mask, number: int
 ) -> State:
-    """Noise levels and weights of outliers that follow the residuals of a step."""
+    """Let noise levels and weights of outliers follow the residuals of a step."""
     draws = _draws(problem, state, step.minimum)
     torque_noise, position_noise = _levels_of(problem, state, step.residuals, draws, counted)
     hidden = hidden_noise(problem.scatter, step.minimum.linear, problem.readings.part, torque_noise)
@@ -44,26 +44,19 @@ def with_levels(
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
         position_noise = np.sqrt(position_noise * state.position_noise)
     change = max(
-        np.abs(np.log(new / old))[:, : problem.joints].max()
+        np.abs(np.log(new / old)).max()
         for new, old in (
             (torque_noise, state.torque_noise),
             (position_noise, state.position_noise),
         )
     )
     modelled = number > len(MARGINS)
-    whitening = state.whitening
-    if modelled and whitening.order:
-        whitening = _coloured(
-            whitening, step.residuals, draws, counted, state.torque_noise, problem.readings.part
-        )
-        moved = whitening.coefficients - state.whitening.coefficients
-        change = max(change, float(np.abs(moved).max()))
     settled = modelled and bool(change <= _LEVEL_TOLERANCE)
-    if problem.transmission is None:
+    if not problem.added:
         final = settled or number >= _MOST_LEVEL_STEPS
-    else:  # what gears let links do shows little by little
-        final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_GEARS
-    if modelled and not whitening.order and step.change <= NEAR:
+    else:  # what added blocks let bodies do shows little by little
+        final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_ADDED
+    if modelled and step.change <= NEAR:
         final |= _all_sharp(problem, draws, position_noise)
     if final:
         least = problem.least_position_noise
@@ -72,9 +65,8 @@ def with_levels(
     levelled = dataclasses.replace(state, torque_noise=torque_noise, position_noise=position_noise)
     return dataclasses.replace(
         levelled,
-        whitening=whitening,
         outlier_weight=outlier_weights(problem, levelled, step, counted),
-        levels_fixed=final,
+        stage=Stage.COUNTS if final else Stage.LEVELS,
     )
 
 
@@ -95,7 +87,7 @@ def _draws(problem: Problem, state: State, minimum: LinearMinimum) -> NoiseDraws
 def _levels_of(
     problem: Problem, state: State, residuals: Residuals, draws: NoiseDraws, counted: Mask
 ) -> tuple[Levels, Levels]:
-    """Noise levels that residuals have, of torque and of positions, none below its least."""
+    """Return noise levels that residuals have, of torque and of positions, none below its least."""
     torque_noise, position_noise = noise_levels(
         residuals,
         draws,
@@ -111,51 +103,29 @@ def _levels_of(
     )
 
 
-def _coloured(
-    whitening: Whitening,
-    residuals: Residuals,
-    draws: NoiseDraws,
-    counted: Mask,
-    torque_noise: Levels,
-    part: Int[np.ndarray, " samples"],
-) -> Whitening:
-    """The filter of the noise that torque residuals show (expectation and maximisation).
-
-    Positions take up a part of the noise: what they take up of a draw of the present noise is added
-    to the autocovariance of residuals.
-    """
-    drawn, taken = draws.torque * torque_noise[part[1:-1]], draws.by_torque.torque
-
-    def covariance(white: np.ndarray) -> np.ndarray:
-        return autocovariance(whitening.removed(white), counted, whitening.order)
-
-    missing = covariance(drawn) - covariance(taken) - covariance(draws.by_position.torque)
-    return Whitening.fitted(covariance(residuals.torque) + missing)
-
-
 def _all_sharp(problem: Problem, draws: NoiseDraws, position_noise: Levels) -> bool:
-    """Whether positions of all joints that move are known much better than steps of encoders."""
+    """Return whether positions of all joints that move are known much better than steps."""
     errors = _in_steps(problem, draws)
     steps = position_noise <= _MORE_THAN_STEPS * problem.least_position_noise
     return bool(np.all(np.isinf(errors) | (steps & (errors <= _SHARP))))
 
 
 def with_intervals(problem: Problem, state: State, minimum: LinearMinimum) -> State:
-    """Counts as intervals, where positions are known much better than a step."""
+    """Make counts intervals, where positions are known much better than a step."""
     errors = _in_steps(problem, _draws(problem, state, minimum))
     counts = state.position_noise <= problem.least_position_noise
     edge = np.where(counts & (errors <= _SHARP), np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
     intervals = intervals_of(problem, edge)
     # What linear equations say of intervals holds near only.
     damping = state.damping if intervals is None else max(state.damping, DAMPING)
-    final = intervals is None
-    return dataclasses.replace(state, intervals=intervals, final=final, damping=damping)
+    stage = Stage.FINAL if intervals is None else Stage.INTERVALS
+    return dataclasses.replace(state, intervals=intervals, stage=stage, damping=damping)
 
 
 def with_refined_intervals(
     problem: Problem, state: State, step: LevenbergStep, counted: Mask
 ) -> State:
-    """Torque noise and edges that follow what intervals leave.
+    """Let torque noise and edges follow what intervals leave.
 
     Single counts hide torque noise far below what they leave of torque. Intervals show it, and with
     a level that is too large, standard errors would be.
@@ -168,17 +138,18 @@ def with_refined_intervals(
     if state.refinements >= _FREE_REFINEMENTS:
         torque_noise = np.sqrt(torque_noise * state.torque_noise)
     edge = np.clip(_EDGE * errors, _LEAST_EDGE, _EDGE * _SHARP)[part]
+    refinements = state.refinements + 1
     return dataclasses.replace(
         state,
         intervals=dataclasses.replace(intervals, edge=np.where(intervals.edge > 0.0, edge, 0.0)),
         torque_noise=torque_noise,
-        refinements=state.refinements + 1,
-        final=state.refinements + 1 == _REFINEMENTS,
+        refinements=refinements,
+        stage=Stage.FINAL if refinements == _REFINEMENTS else Stage.INTERVALS,
     )
 
 
 def _in_steps(problem: Problem, draws: NoiseDraws) -> Levels:
-    """Errors of estimated positions in steps of encoders; infinite where there are none."""
+    """Return errors of estimated positions in steps of encoders; infinite where there are none."""
     step = problem.encoder_step
     errors = position_errors(draws, problem.moving, problem.readings.part, len(step))
     return errors / np.where(step > 0.0, step, 1e-300)

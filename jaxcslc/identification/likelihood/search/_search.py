@@ -1,3 +1,5 @@
+"""The search for the most likely unknowns: one loop of a step, a test and named stages."""
+
 import dataclasses
 from collections.abc import Callable
 
@@ -5,15 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from .._levels import Levels
-from .._levenberg import AT_KINK, PROMISE, SMALL_DAMPING, levenberg_step
+from .._levenberg import AT_KINK, PROMISE, SMALL_DAMPING, LevenbergStep, levenberg_step
 from .._linear import Linear
-from .._objective import Objective, Point
+from .._objective import Objective
+from .._point import Point
 from .._problem import Problem
 from ..band import Factored
 from ._common_shafts import with_common_shafts
 from ._noise import LITTLE_DAMPING, NEAR, with_intervals, with_levels, with_refined_intervals
-from ._state import MARGINS, Mask, State, with_link_levels, with_signs
-from ._weighting import objective_of, outlier_weights, with_sticking
+from ._state import MARGINS, Mask, Stage, State, with_signs
+from ._weighting import objective_of, outlier_weights
 
 
 _MOST_STEPS = 60
@@ -46,24 +49,35 @@ class Minimum:
 
     **Attributes**
 
-    - `point`: all unknowns; `objective`: the sum of squares there; `linear`: its equations.
+    - `state`: all unknowns, signs, weights and levels, for a search that goes on from here.
+    - `objective`: the sum of squares there; `linear`: its equations.
     - `factored`: the equations, whose information is in units of the border's scale.
-    - `torque_noise`, `position_noise`: (recordings, n) standard deviations.
     - `counted`: (equations, n), which equations have the full weight.
     - `steps`: Gauss-Newton steps; `converged`: whether the last one changed nothing.
-    - `state`: of the search: signs, weights and levels, for one that goes on from here.
     """
 
-    point: Point
+    state: State
     objective: Objective
     linear: Linear
     factored: Factored
-    torque_noise: Levels
-    position_noise: Levels
     counted: Mask
     steps: int
     converged: bool
-    state: State
+
+    @property
+    def point(self) -> Point:
+        """All unknowns."""
+        return self.state.point
+
+    @property
+    def torque_noise(self) -> Levels:
+        """(recordings, n) standard deviations [N m or N]."""
+        return self.state.torque_noise
+
+    @property
+    def position_noise(self) -> Levels:
+        """(recordings, n) standard deviations [rad or m]."""
+        return self.state.position_noise
 
 
 def search(
@@ -77,14 +91,11 @@ def search(
     edge: Levels | None = None,
     tolerance: float = 0.0,
     most_steps: int = _MOST_STEPS,
-    noise_coefficients: Float[np.ndarray, "order joints"] | None = None,
     moments: Float[np.ndarray, "samples _"] | None = None,
 ) -> Minimum:
-    """Minimises step by step: signs, weights and noise levels are fixed within each step.
+    """Minimise step by step: signs, weights and noise levels are fixed within each step.
 
-    At first counts are normally distributed and noise levels follow the residuals; then the levels
-    are fixed, and counts become intervals where that says more, with the torque noise that these
-    leave.
+    What else follows the motion between steps is said by stages (`Stage`).
 
     **Arguments**
 
@@ -93,30 +104,12 @@ def search(
       start is then near the minimum. None with fixed levels: no count is an interval.
     - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
     - `most_steps`: after so many it ends wherever it is.
-    - `noise_coefficients`: (order, n) of the autoregression of torque noise to start from; by
-      default torque noise is white.
     - `moments`: (samples, n) of reversals to start from, as `LikelihoodFit.reversal_moments`.
     """
-    state = State.start(
-        problem,
-        point,
-        torque_noise,
-        position_noise,
-        noise_coefficients,
-        fixed_levels,
-        edge,
-        moments,
-    )
+    levels = torque_noise, position_noise
+    state = State.start(problem, point, *levels, fixed_levels, edge, moments)
     first = 0 if edge is None else len(MARGINS)
-    return _ended(
-        problem,
-        state,
-        first,
-        progress,
-        weighted=edge is None,
-        tolerance=tolerance,
-        most_steps=most_steps,
-    )
+    return _ended(problem, state, first, progress, tolerance=tolerance, most_steps=most_steps)
 
 
 def search_on(
@@ -125,7 +118,7 @@ def search_on(
     k: Float[np.ndarray, " coefficients"],
     progress: Callable[[str], None],
 ) -> Minimum:
-    """Goes on from where a search has ended, with other coefficients.
+    """Go on from where a search has ended, with other coefficients.
 
     Signs of the motion, weights and noise levels are those of its end, unless reversals come or go.
     So the sum of squares is the same function of all unknowns, and its minima for several
@@ -138,7 +131,7 @@ def search_on(
     """
     state = dataclasses.replace(
         state,
-        point=dataclasses.replace(state.point, k=k),
+        point=state.point.with_values(k=k),
         damping=SMALL_DAMPING,
         of_friction=state.of_friction or state.point,
     )
@@ -151,73 +144,98 @@ def _ended(
     first: int,
     progress: Callable[[str], None],
     *,
-    weighted: bool = True,
     tolerance: float = 0.0,
     most_steps: int = _MOST_STEPS,
 ) -> Minimum:
-    """Where a search from a state ends.
+    """Search from a state to an end.
 
     **Arguments** as of `search`, and
 
     - `first`: number of its first step: the first few leave much of the motion uncertain.
-    - `weighted`: whether weights of outliers are those of the state; else of the first step.
     """
-    number, rises, end = first - 1, 0, np.inf
+    number, rises, end = first, 0, np.inf
     while True:
-        number += 1
         state, same = with_signs(problem, state, number)
         state, same_shafts = with_common_shafts(problem, state, number)
-        same &= same_shafts
-        state = with_link_levels(problem, state)
-        objective, counted = objective_of(problem, state)
-        if number >= len(MARGINS):
-            objective = with_sticking(problem, state, objective)
+        objective, counted = objective_of(problem, state, number)
         linear = Linear.of(objective, state.point)
         step = levenberg_step(problem, linear, state.point, state.damping)
-        # Nothing has changed, and nothing will.
-        stalled = step.point is state.point and step.damping == state.damping and same
-        rises += same and linear.present_value > end + _RISE
-        state = stepped = dataclasses.replace(state, point=step.point, damping=step.damping)
+        value, test = linear.present_value, _Test.of(state, step, same and same_shafts, number)
+        rises += test.same and value > end + _RISE
+        state = dataclasses.replace(state, point=step.point, damping=step.damping)
         progress(f"maximum likelihood: step {number + 1 - first}")
+        # Rounding lets the sum grow: without a tolerance, that is no end.
+        small = tolerance > 0.0 and test.final and step.fall < tolerance and number >= len(MARGINS)
+        if test.converged or test.stalled or small or number == most_steps - 1:
+            linear = Linear.of(objective, state.point)
+            factored, steps = linear.factored(0.0), number + 1 - first
+            return Minimum(state, objective, linear, factored, counted, steps, test.converged)
+        followed = _followed(problem, state, step, counted, number)
+        end = value - step.fall * value if followed is state else np.inf
+        state = _settled(followed, step, objective, rises)
+        if state.stage is Stage.COUNTS and test.quiet and (test.at_kink or step.change <= NEAR):
+            state = with_intervals(problem, state, step.minimum)
+        number += 1
+
+
+@dataclasses.dataclass(frozen=True)
+class _Test:
+    """Whether a search has ended.
+
+    - `same`: whether signs were those of before; `final`: whether only unknowns move.
+    - `quiet`: whether neither signs nor damping make the step what it is.
+    - `at_kink`: whether what linear equations promise does not come.
+    - `converged`: whether the step changed nothing; `stalled`: whether none ever will.
+    """
+
+    same: bool
+    final: bool
+    quiet: bool
+    at_kink: bool
+    converged: bool
+    stalled: bool
+
+    @classmethod
+    def of(cls, state: State, step: LevenbergStep, same: bool, number: int) -> "_Test":
+        """Test a step from a state; `same`: whether its signs are those of the step before."""
         quiet = same and number >= len(MARGINS) and step.damping <= SMALL_DAMPING
         # Damping makes any step small.
         quiet &= step.minimum.damping <= LITTLE_DAMPING
         settled = step.change <= _SETTLED and step.promise <= PROMISE
         settled |= step.change <= 0.1 * _SETTLED and step.promise <= _PROMISE_OF_POSITIONS
-        fall = step.fall * linear.present_value
+        fall = step.fall * step.minimum.linear.present_value
         at_kink = step.promise <= AT_KINK and fall <= min(_LEVEL, 0.5 * step.promise)
-        settled |= at_kink
-        converged = quiet and settled and state.final and (weighted or number > first)
-        # Rounding lets the sum grow: without a tolerance, that is no end.
-        small = tolerance > 0.0 and state.final and number >= len(MARGINS)
-        small = small and step.fall < tolerance
-        stalled &= state.final and state.of_friction is not None and (weighted or number > first)
-        if converged or small or stalled or number == most_steps - 1:
-            linear = Linear.of(objective, state.point)
-            return Minimum(
-                state.point,
-                objective,
-                linear,
-                linear.factored(0.0),
-                state.torque_noise,
-                state.position_noise,
-                counted,
-                number + 1 - first,
-                converged,
-                state,
-            )
-        if not weighted and number == first:
-            weight = outlier_weights(problem, state, step, counted)
-            state = dataclasses.replace(state, outlier_weight=weight)
-        elif not state.levels_fixed:
-            state = with_levels(problem, state, step, counted, number)
-        elif state.intervals is not None and not state.final and step.change <= _NEARER:
-            state = with_refined_intervals(problem, state, step, counted)
-        end = linear.present_value - fall if state is stepped else np.inf
-        if (state.final and step.change <= _FIXED) or rises >= _MOST_RISES:
-            state = dataclasses.replace(state, of_friction=state.of_friction or state.point)
-        if rises >= _MOST_RISES and state.truncation is None:
-            state = dataclasses.replace(state, truncation=objective.truncation)
-        waiting = state.levels_fixed and state.intervals is None and not state.final
-        if waiting and quiet and (at_kink or step.change <= NEAR):
-            state = with_intervals(problem, state, step.minimum)
+        final = state.stage is Stage.FINAL
+        unchanged = step.point is state.point and step.damping == state.damping and same
+        return cls(
+            same,
+            final,
+            quiet,
+            at_kink,
+            quiet and (settled or at_kink) and final,
+            unchanged and final and state.of_friction is not None,
+        )
+
+
+def _followed(
+    problem: Problem, state: State, step: LevenbergStep, counted: Mask, number: int
+) -> State:
+    """Apply what follows a step in a stage; return the state itself where nothing does."""
+    if state.stage is Stage.OUTLIERS:
+        weight = outlier_weights(problem, state, step, counted)
+        return dataclasses.replace(state, outlier_weight=weight, stage=Stage.FINAL)
+    if state.stage is Stage.LEVELS:
+        return with_levels(problem, state, step, counted, number)
+    if state.stage is Stage.INTERVALS and step.change <= _NEARER:
+        return with_refined_intervals(problem, state, step, counted)
+    return state
+
+
+def _settled(state: State, step: LevenbergStep, objective: Objective, rises: int) -> State:
+    """Fix what follows the motion, at the end and where it goes to and fro."""
+    to_and_fro = rises >= _MOST_RISES
+    if (state.stage is Stage.FINAL and step.change <= _FIXED) or to_and_fro:
+        state = dataclasses.replace(state, of_friction=state.of_friction or state.point)
+    if to_and_fro and state.truncation is None:
+        state = dataclasses.replace(state, truncation=objective.motion.truncation)
+    return state

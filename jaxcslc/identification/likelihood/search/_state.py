@@ -1,15 +1,17 @@
+"""What changes from step to step of a search."""
+
 import dataclasses
+import enum
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from .._levels import Levels
 from .._levenberg import DAMPING
-from .._objective import Point
+from .._point import Point
 from .._problem import Problem
 from .._readings import Intervals
 from .._signs import Signs
-from ..torque import Whitening
 
 
 # Equations left uncertain on either side of a reversal, step by step; after these steps, reversals
@@ -21,16 +23,31 @@ SIGN_STEPS = 7
 Mask = Bool[np.ndarray, "equations joints"]
 
 
+class Stage(enum.Enum):
+    """What follows the motion from step to step, beside signs.
+
+    - `LEVELS`: noise levels and weights of outliers, while readings are normally distributed.
+    - `COUNTS`: nothing, until steps are short: then counts become intervals where that says more.
+    - `INTERVALS`: edges of intervals, and the torque noise that these leave.
+    - `OUTLIERS`: weights of outliers, once, of a search that starts near its end.
+    - `FINAL`: nothing.
+    """
+
+    LEVELS = enum.auto()
+    COUNTS = enum.auto()
+    INTERVALS = enum.auto()
+    OUTLIERS = enum.auto()
+    FINAL = enum.auto()
+
+
 @dataclasses.dataclass(frozen=True)
 class State:
     """What changes from step to step.
 
-    - `whitening`: of torque residuals.
     - `outlier_weight`: (equations, n) of equations far beyond the noise.
     - `ambiguous`: (equations, n) of reversals that came and went.
     - `undecided`: (equations, n) of joints with a common shaft that may turn either way.
-    - `levels_fixed`: whether noise levels and these weights are, while readings are normally
-      distributed; `final`: and what counts are.
+    - `stage`: what else changes.
     - `moments`: (samples, n) of reversals to start from, NaN where they are not known; None if none
       is.
     - `refinements`: of the level of torque noise beside intervals.
@@ -43,18 +60,16 @@ class State:
     signs: Signs | None
     torque_noise: Levels
     position_noise: Levels
-    whitening: Whitening
     outlier_weight: Float[np.ndarray, "equations joints"]
     ambiguous: Mask
     undecided: Mask
     intervals: Intervals | None
     damping: float
-    levels_fixed: bool
-    final: bool
+    stage: Stage
     refinements: int = 0
     moments: Float[np.ndarray, "samples _"] | None = None
     of_friction: Point | None = None
-    truncation: Float[np.ndarray, "equations joints"] | float | None = None
+    truncation: Float[np.ndarray, "equations series"] | float | None = None
 
     @classmethod
     def start(
@@ -63,26 +78,26 @@ class State:
         point: Point,
         torque_noise: Levels,
         position_noise: Levels,
-        noise_coefficients: Float[np.ndarray, "order joints"] | None,
         fixed: bool,
         edge: Levels | None,
         moments: Float[np.ndarray, "samples _"] | None,
     ) -> "State":
         samples, n = problem.readings.position.shape
         intervals = None if edge is None else intervals_of(problem, edge)
+        stage = Stage.LEVELS
+        if fixed:
+            stage = Stage.FINAL if edge is None else Stage.OUTLIERS
         return cls(
             point,
             None,
             np.maximum(torque_noise, problem.least_torque_noise),
             position_noise,
-            Whitening(np.zeros((0, n)) if noise_coefficients is None else noise_coefficients),
             np.ones((samples - 2, n)),
             np.zeros((samples - 2, n), bool),
             np.zeros((samples - 2, n), bool),
             intervals,
             DAMPING,
-            fixed,
-            fixed,
+            stage,
             moments=moments,
         )
 
@@ -93,7 +108,7 @@ class State:
 
 
 def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool]:
-    """The signs of the present motion, unless they are those of before, which is said.
+    """Return the signs of the present motion, unless they are those of before, which is said.
 
     A reversal between two samples belongs to the one that it was with. Of a reversal that comes and
     goes, as next to a rest, and of one whose moment would leave its samples, as where a joint
@@ -106,12 +121,12 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
         signs = Signs.of(
             point.q[:, : problem.joints],
             readings.time,
-            problem.stuck[:, : problem.joints],
+            problem.stuck,
             margin=MARGINS[min(number, len(MARGINS) - 1)],
             modelled=modelled,
             joined=readings.joined,
-            ambiguous=ambiguous[:, : problem.joints],
-        ).widened(point.q.shape[1])
+            ambiguous=ambiguous,
+        )
         if before is None and state.moments is not None:
             unknown = signs.without_moments(state.moments) & ~ambiguous
             if not unknown.any():
@@ -138,16 +153,8 @@ def with_signs(problem: Problem, state: State, number: int) -> tuple[State, bool
     return dataclasses.replace(state, signs=signs, point=point, ambiguous=ambiguous), False
 
 
-def with_link_levels(problem: Problem, state: State) -> State:
-    """With noise of gears' equations that is as large as that of motors lets it be."""
-    model = problem.transmission
-    if model is None:
-        return state
-    return dataclasses.replace(state, torque_noise=model.levels(state.torque_noise))
-
-
 def intervals_of(problem: Problem, edge: Levels) -> Intervals | None:
-    """Readings with edges of these widths; None if all are 0."""
+    """Return readings with edges of these widths; None if all are 0."""
     if not edge.any():
         return None
     part = problem.readings.part

@@ -1,10 +1,13 @@
+"""Recorded torques, averaged as equations of motion average torque."""
+
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ....motion import Recording
 
@@ -29,10 +32,8 @@ class TorqueRecord:
     >>> import numpy as np
     >>> line = np.arange(5.0)[:, None]
     >>> record = TorqueRecord.of([Recording(np.arange(5.0), line, line)], "held")
-    >>> record.averaged()[:, 0].tolist(), record.averaged(0.25)[:, 0].tolist()
-    ([0.5, 1.5, 2.5], [0.75, 1.75, 2.75])
-    >>> record.outside(0.25).tolist()
-    [False, False, False]
+    >>> record.averaged[:, 0].tolist(), record.rate[:, 0].tolist()
+    ([0.5, 1.5, 2.5], [1.0, 1.0, 1.0])
     """
 
     times: tuple[Float[np.ndarray, " _"], ...]
@@ -44,7 +45,7 @@ class TorqueRecord:
     def of(
         cls, recordings: Sequence[Recording], sampling: TorqueSampling, every: int = 1
     ) -> "TorqueRecord":
-        """Those of recordings of the same joints."""
+        """Join recordings of the same joints."""
         return cls(
             tuple(np.asarray(recording.time, float) for recording in recordings),
             tuple(np.asarray(recording.torque, float) for recording in recordings),
@@ -52,64 +53,42 @@ class TorqueRecord:
             every,
         )
 
-    def averaged(self, lag: float = 0.0) -> Float[np.ndarray, "equations joints"]:
-        """Torque of every equation; zeros where an equation spans two recordings.
-
-        **Arguments**
-
-        - `lag`: how much later than positions torques were measured [s]; negative for demands that
-          act later than they are recorded.
-        """
+    @cached_property
+    def averaged(self) -> Float[np.ndarray, "equations joints"]:
+        """Torque of every equation; zeros where an equation spans two recordings."""
 
         def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
             if self.sampling == "held":
-                return _held(time, torque, time[:: self.every], lag, _remaining)
+                return _held(time, torque, time[:: self.every], _remaining)
             if self.every > 1:
-                return _integrated(time, torque, time[:: self.every], lag, 2)
-            if lag != 0.0:
-                torque = _spline(time, torque)(_within(time, lag))
+                return _integrated(time, torque, time[:: self.every], 2)
             return triangle_mean(time, torque)
 
         return self._of_each(values)
 
-    def rate(self, lag: float) -> Float[np.ndarray, "equations joints"]:
-        """The derivative of `averaged` by the lag [N m/s or N/s]."""
+    @property
+    def rate(self) -> Float[np.ndarray, "equations joints"]:
+        """The derivative of `averaged` by the time at which torques are taken [N m/s or N/s]."""
 
         def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
             if self.sampling == "held":
-                return _held(time, torque, time[:: self.every], lag, _density)
+                return _held(time, torque, time[:: self.every], _density)
             if self.every > 1:
-                return _integrated(time, torque, time[:: self.every], lag, 1)
-            return triangle_mean(time, _spline(time, torque)(_within(time, lag), 1))
+                return _integrated(time, torque, time[:: self.every], 1)
+            return triangle_mean(time, _spline(time, torque)(time, 1))
 
         return self._of_each(values)
 
-    def outside(self, lag: float) -> Bool[np.ndarray, " equations"]:
-        """Equations whose torque, so much later, is before the record's start or after its end."""
+    def _of_each(
+        self, values: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    ) -> Float[np.ndarray, "equations joints"]:
+        """Return values of each recording, with zeros for the two equations that span two
+        recordings."""
+        between = np.zeros((2, self.torques[0].shape[1]))
         parts: list[np.ndarray] = []
-        for time in self.times:
-            # A torque that is held is known for one interval more.
-            end = time[-1] + (time[-1] - time[-2] if self.sampling == "held" else 0.0)
-            knots = time[:: self.every]
-            parts.append((knots[:-2] + lag < time[0]) | (knots[2:] + lag > end))
-        return np.concatenate(self._apart(parts, np.ones(2, bool)))
-
-    def _of_each(self, values: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-        pairs = zip(self.times, self.torques, strict=True)
-        parts = [values(time, torque) for time, torque in pairs]
-        return np.concatenate(self._apart(parts, np.zeros((2, self.torques[0].shape[1]))))
-
-    @staticmethod
-    def _apart(parts: list[np.ndarray], between: np.ndarray) -> list[np.ndarray]:
-        """With the two equations between that span two recordings."""
-        result = [parts[0]]
-        for part in parts[1:]:
-            result += [between, part]
-        return result
-
-
-def _within(time: Float[np.ndarray, " samples"], lag: float) -> Float[np.ndarray, " samples"]:
-    return np.clip(time + lag, time[0], time[-1])
+        for time, torque in zip(self.times, self.torques, strict=True):
+            parts += [between, values(time, torque)]
+        return np.concatenate(parts[1:])
 
 
 def _spline(
@@ -122,10 +101,9 @@ def _held(
     time: Float[np.ndarray, " samples"],
     torque: Float[np.ndarray, "samples joints"],
     knots: Float[np.ndarray, " knots"],
-    lag: float,
     weight: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
 ) -> Float[np.ndarray, "equations joints"]:
-    """The triangle's mean of steps: each step counts by the part of the triangle after it.
+    """Return the triangle's mean of steps: each step counts by the part of the triangle after it.
 
     **Arguments**
 
@@ -133,12 +111,12 @@ def _held(
     - `weight`: of a step, `_remaining`; or its derivative by the lag, `_density`.
     """
     start, middle, end = knots[:-2], knots[1:-1], knots[2:]
-    first = np.maximum(np.searchsorted(time, start + lag, side="right"), 1)
-    last = np.searchsorted(time, end + lag, side="left")  # the first step that is too late
+    first = np.maximum(np.searchsorted(time, start, side="right"), 1)
+    last = np.searchsorted(time, end, side="left")  # the first step that is too late
     result = torque[first - 1] if weight is _remaining else np.zeros_like(torque[first])
     for number in range(max(int(np.max(last - first)), 0)):
         index = np.minimum(first + number, len(time) - 1)
-        moment = time[index] - lag - middle
+        moment = time[index] - middle
         share = np.where(first + number < last, weight(moment, middle - start, end - middle), 0.0)
         result = result + share[:, None] * (torque[index] - torque[index - 1])
     return result
@@ -149,7 +127,7 @@ def _remaining(
     before: Float[np.ndarray, " equations"],
     after: Float[np.ndarray, " equations"],
 ) -> Float[np.ndarray, " equations"]:
-    """The part of a triangle over two intervals that is after a moment."""
+    """Return the part of a triangle over two intervals that is after a moment."""
     early = 1.0 - np.square(np.maximum(moment + before, 0.0)) / (before * (before + after))
     late = np.square(np.maximum(after - moment, 0.0)) / (after * (before + after))
     return np.where(moment < 0.0, early, late)
@@ -160,7 +138,7 @@ def _density(
     before: Float[np.ndarray, " equations"],
     after: Float[np.ndarray, " equations"],
 ) -> Float[np.ndarray, " equations"]:
-    """The height of a triangle over two intervals at a moment."""
+    """Return the height of a triangle over two intervals at a moment."""
     side = np.where(moment < 0.0, (moment + before) / before, (after - moment) / after)
     return 2.0 * np.maximum(side, 0.0) / (before + after)
 
@@ -169,16 +147,15 @@ def _integrated(
     time: Float[np.ndarray, " samples"],
     torque: Float[np.ndarray, "samples joints"],
     knots: Float[np.ndarray, " knots"],
-    lag: float,
     times: int,
 ) -> Float[np.ndarray, "equations joints"]:
-    """The triangle's mean of a spline: the second difference of its integral's integral.
+    """Return the triangle's mean of a spline: the second difference of its integral's integral.
 
     **Arguments**
 
     - `times`: how often it is integrated; once for the derivative by the lag.
     """
-    integral = _spline(time, torque).antiderivative(times)(np.clip(knots + lag, time[0], time[-1]))
+    integral = _spline(time, torque).antiderivative(times)(knots)
     h = np.diff(knots)[:, None]
     slopes = np.diff(integral, axis=0) / h
     return 2.0 * np.diff(slopes, axis=0) / (h[:-1] + h[1:])
@@ -187,7 +164,8 @@ def _integrated(
 def triangle_mean(
     time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
 ) -> Float[np.ndarray, "equations joints"]:
-    """The mean of a parabola through three samples, from the triangle's mean and mean square.
+    """Return the mean of a parabola through three samples, from the triangle's mean and mean
+    square.
 
     >>> import numpy as np
     >>> triangle_mean(np.arange(5.0), np.arange(5.0)[:, None])[:, 0].tolist()

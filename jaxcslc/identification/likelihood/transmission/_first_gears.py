@@ -1,3 +1,5 @@
+"""Gears that explain smoothed motion, where a search starts."""
+
 import dataclasses
 from collections.abc import Sequence
 
@@ -47,7 +49,7 @@ class FirstGears:
 def first_gears(
     problem: Problem, k: Float[np.ndarray, " coefficients"], links: Sequence[int]
 ) -> FirstGears:
-    """Gears that leave least of smoothed torques.
+    """Return gears that leave least of smoothed torques.
 
     What gears bear is the torque less what the rotor needs and friction takes, and a link is
     behind its rotor by the compliance times that: both follow from what was recorded of this joint
@@ -96,7 +98,7 @@ def first_gears(
 def smoothed_windup(
     problem: Problem, k: Float[np.ndarray, " coefficients"], gears: Transmission
 ) -> Float[np.ndarray, "samples links"]:
-    """Rotor minus link of gears that are known, about [rad or m].
+    """Return rotor minus link of gears that are known, about [rad or m].
 
     **Arguments**
 
@@ -129,7 +131,7 @@ class _Smoothed:
         readings = problem.readings
         n = readings.position.shape[1]
         parts: list[list[np.ndarray]] = []
-        averaged = readings.torque.averaged()
+        averaged = readings.torque.averaged
         averaged = np.concatenate([averaged[:1], averaged, averaged[-1:]])
         for number in range(int(readings.part[-1]) + 1):
             rows = readings.part == number
@@ -147,7 +149,7 @@ class _Smoothed:
         return cls(joined[:5], joined[5:8], joined[8:])
 
     def rows(self, problem: Problem) -> Int[np.ndarray, " rows"]:
-        """Samples that are compared."""
+        """Return samples that are compared."""
         part = problem.readings.part
         step = max(len(part) // _SAMPLES, 1)
         result: list[np.ndarray] = []
@@ -164,7 +166,7 @@ class _Smoothed:
         friction: Float[np.ndarray, " coefficients"],
         derivative: int,
     ) -> Float[np.ndarray, "samples links"]:
-        """Torque that gears bear, or a derivative of it."""
+        """Return torque that gears bear, or a derivative of it."""
         taken = self.friction[derivative][:, joints] @ friction
         rotor = inertia * self.position[2 + derivative][:, joints]
         return self.torque[derivative][:, joints] - rotor - taken
@@ -179,7 +181,7 @@ class _Smoothed:
         weights: Float[np.ndarray, " joints"],
         rows: Int[np.ndarray, " rows"],
     ) -> tuple[Float[np.ndarray, " coefficients"], Float[np.ndarray, " joints"]]:
-        """Coefficients of links that are behind their rotors, and (n,) RMS residuals."""
+        """Return coefficients of links that are behind their rotors, and (n,) RMS residuals."""
         motion = [values[rows].copy() for values in self.position[:3]]
         torque = self.torque[0][rows].copy()
         behind = [
@@ -210,7 +212,8 @@ def _patterns(
 def _derivatives(
     time: Float[np.ndarray, " samples"], values: Float[np.ndarray, "samples columns"], most: int
 ) -> list[Float[np.ndarray, "samples columns"]]:
-    """Smoothed values and their derivatives by time, by Fourier's series of an odd continuation."""
+    """Return smoothed values and their derivatives by time, by Fourier's series of an odd
+    continuation."""
     count, span = len(time), time[-1] - time[0]
     even = np.linspace(time[0], time[-1], count)
     slope = (values[-1] - values[0]) / span

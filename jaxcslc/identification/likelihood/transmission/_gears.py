@@ -1,3 +1,5 @@
+"""Means over two intervals of what elastic gears bear."""
+
 import dataclasses
 from typing import NamedTuple
 
@@ -50,7 +52,7 @@ class Stencil:
 
     @classmethod
     def of(cls, time: Float[np.ndarray, " samples"]) -> "Stencil":
-        """At samples of these times [s]."""
+        """Compute it at samples of these times [s]."""
         h = np.diff(time)
         before, after = h[:-1], h[1:]
         total = before + after
@@ -85,7 +87,7 @@ class Stencil:
 
     @staticmethod
     def applied(weights: Weights, values: Series) -> Rows:
-        """The weighted sum of three samples, for each equation."""
+        """Return the weighted sum of three samples, for each equation."""
         before, now, after = weights[:, :, None]
         return before * values[:-2] + now * values[1:-1] + after * values[2:]
 
@@ -95,7 +97,7 @@ class Stencil:
         play: Float[np.ndarray, " links"],
         width: Float[np.ndarray, " links"],
     ) -> Windup:
-        """Rotor minus link beyond the dead band of gears with play.
+        """Return rotor minus link beyond the dead band of gears with play.
 
         A dead band of smooth edges: its derivatives are right for a play of zero too, where that by
         the play is minus half of the difference's sign. Beyond the band gears are linear, and the

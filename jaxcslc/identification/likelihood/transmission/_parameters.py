@@ -1,3 +1,5 @@
+"""Parameters of elastic gears."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -13,22 +15,19 @@ class TransmissionParameters(NamedTuple):
     - `lag`: (f,) damping over stiffness [s].
     - `play`: (f,) how far a link moves while its rotor stands still [rad or m].
     - `rotor_inertia`: (f,) at the joint [kg m² or kg].
-    - `viscous_share`, `dry_share`: (f,) of the joint's friction that acts on the link.
     """
 
     compliance: Float[np.ndarray, " links"]
     lag: Float[np.ndarray, " links"]
     play: Float[np.ndarray, " links"]
     rotor_inertia: Float[np.ndarray, " links"]
-    viscous_share: Float[np.ndarray, " links"]
-    dry_share: Float[np.ndarray, " links"]
 
     @classmethod
     def of(cls, values: Float[np.ndarray, " parameters"]) -> "TransmissionParameters":
-        """Of (6 f,) values one after the other."""
-        return cls(*values.reshape(6, -1))
+        """Split (4 f,) values one after the other."""
+        return cls(*values.reshape(4, -1))
 
     @property
     def values(self) -> Float[np.ndarray, " parameters"]:
-        """(6 f,) one after the other."""
+        """(4 f,) one after the other."""
         return np.concatenate(self)

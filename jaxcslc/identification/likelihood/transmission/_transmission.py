@@ -1,3 +1,5 @@
+"""Elastic gears as they were estimated."""
+
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,9 +30,6 @@ class Transmission(eqx.Module):
       estimate of none may be below 0.
     - `rotor_inertia`: (f,) at the joint [kg m² or kg], a part of the network's coefficients;
       `rotor_inertia_error`.
-    - `viscous_share`, `dry_share`: (f,) of the joint's friction that acts on the link and not on
-      the rotor; `viscous_share_error`, `dry_share_error`. 0 ± 0.5 is known beforehand. An estimate
-      of none may be below 0.
     - `link_position`: (samples, f) of the links [rad or m].
 
     >>> import numpy as np
@@ -39,8 +38,7 @@ class Transmission(eqx.Module):
     >>> gears = Transmission(
     ...     joints=(2,), compliance=4e-4 * one, compliance_error=error, lag=3e-3 * one,
     ...     lag_error=1e2 * error, play=1e-3 * one, play_error=error, rotor_inertia=0.5 * one,
-    ...     rotor_inertia_error=1e3 * error, viscous_share=0.0 * one, viscous_share_error=0.1 * one,
-    ...     dry_share=0.3 * one, dry_share_error=0.1 * one, link_position=np.zeros((10, 1)),
+    ...     rotor_inertia_error=1e3 * error, link_position=np.zeros((10, 1)),
     ... )
     >>> gears.stiffness_interval.round().tolist(), gears.damping.round(2).tolist()
     ([[2488.0, 2512.0]], [7.5])
@@ -55,10 +53,6 @@ class Transmission(eqx.Module):
     play_error: Links
     rotor_inertia: Links
     rotor_inertia_error: Links
-    viscous_share: Links
-    viscous_share_error: Links
-    dry_share: Links
-    dry_share_error: Links
     link_position: Float[np.ndarray, "samples links"]
 
     @property
@@ -86,12 +80,11 @@ class Transmission(eqx.Module):
 
     @property
     def parameters(self) -> Float[np.ndarray, " parameters"]:
-        """(6 f,) as `TransmissionParameters`."""
-        shares = self.viscous_share, self.dry_share
-        return np.concatenate([self.compliance, self.lag, self.play, self.rotor_inertia, *shares])
+        """(4 f,) as `TransmissionParameters`."""
+        return np.concatenate([self.compliance, self.lag, self.play, self.rotor_inertia])
 
     def document(self) -> list[dict[str, Any]]:
-        """What a report's file says of it, joint by joint, as plain data."""
+        """Return what a report's file says of it, joint by joint, as plain data."""
         return [
             {
                 "joint": joint,
@@ -105,17 +98,13 @@ class Transmission(eqx.Module):
                 "play_error": float(self.play_error[i]),
                 "rotor_inertia": float(self.rotor_inertia[i]),
                 "rotor_inertia_error": float(self.rotor_inertia_error[i]),
-                "viscous_share": float(self.viscous_share[i]),
-                "viscous_share_error": float(self.viscous_share_error[i]),
-                "dry_share": float(self.dry_share[i]),
-                "dry_share_error": float(self.dry_share_error[i]),
             }
             for i, joint in enumerate(self.joints)
         ]
 
 
 def transmission_lines(entries: Sequence[dict[str, Any]] | None) -> list[str]:
-    """Gears in words, a line for each joint.
+    """Say in words what gears are, a line for each joint.
 
     **Arguments**
 
@@ -135,17 +124,6 @@ def transmission_lines(entries: Sequence[dict[str, Any]] | None) -> list[str]:
             f"transmission of joint {entry['joint']}: stiffness {entry['stiffness']:.4g}"
             f" ({interval}), play {entry['play']:.3g} ± {entry['play_error']:.2g}, damping"
             f" {entry['damping']:.3g}, rotor inertia {entry['rotor_inertia']:.3g} ±"
-            f" {entry['rotor_inertia_error']:.2g}" + _shares(entry)
+            f" {entry['rotor_inertia_error']:.2g}"
         )
     return lines
-
-
-def _shares(entry: dict[str, Any]) -> str:
-    """What acts on the link; nothing of files from before there were shares."""
-    if "dry_share" not in entry:
-        return ""
-    viscous, dry = (
-        f"{entry[kind]:.2g} ± {entry[f'{kind}_error']:.2g} of its {kind[:-6]} friction"
-        for kind in ("viscous_share", "dry_share")
-    )
-    return f"; on the link {viscous}, {dry}"

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ....page import AbstractBlock, Column, Paragraph, Section, Table
-from ...likelihood import EstimatorComparison, calibration_lines, estimator_text, lengths_line
+from ...likelihood import EstimatorComparison, estimator_text, lengths_line, transmission_lines
 from .._section import AbstractSection, AnyReport, open_errors
 
 
@@ -44,10 +44,8 @@ class EstimatorSection(AbstractSection):
         if lengths := estimators.get("lengths"):
             line = lengths_line(lengths, report.model.output_units)
             text += f" {line[0].upper()}{line[1:]}."
-        if lines := calibration_lines(estimators):
-            text += (
-                f" Estimated along: {'; '.join(lines)}. Torques of this page are as they then were."
-            )
+        if lines := transmission_lines(estimators.get("transmission")):
+            text += f" Estimated along: {'; '.join(lines)}."
         columns = [Column(report.model.output_kind, numeric=False)]
         values: list[Sequence[Any]] = [report.model.output_names]
         for kind, name in (("rms", "judged"), ("rms_all_samples", "all")):
@@ -61,9 +59,9 @@ class EstimatorSection(AbstractSection):
             Paragraph(text),
             Table(tuple(columns), rows, "Torque errors by estimator", "estimators-table"),
         ]
-        if selection := estimators.get("selection"):
-            tried = "; ".join(selection["lines"])
-            blocks.append(Paragraph(f"What maximum likelihood tried of its own model: {tried}."))
+        if spacing := estimators.get("spacing"):
+            tried = "; ".join(spacing["lines"])
+            blocks.append(Paragraph(f"Spacing of estimated positions: {tried}."))
         yield Section(
             "Estimators",
             "Least squares regresses torque on smoothed motion. Maximum likelihood estimates the"

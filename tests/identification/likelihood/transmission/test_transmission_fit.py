@@ -8,8 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification.likelihood.transmission import transmission_lines
-from scripts.studies.likelihood.two_masses import TwoMasses, network_of_two_masses, two_masses
+from scripts.studies.likelihood.two_masses import TwoMasses
 
 
 STEP, NOISE = 5e-5, 0.05
@@ -24,13 +23,12 @@ def recording(with_play: TwoMasses) -> jc.Recording:
 
 @pytest.fixture(scope="module")
 def fit(network: jc.CSLC, recording: jc.Recording) -> jc.LikelihoodFit:
-    return jc.MaximumLikelihood(unknowns=("transmission",)).fit(network, recording)
+    return jc.MaximumLikelihood(transmission=(1,)).fit(network, recording)
 
 
 def test_gears_with_play(fit: jc.LikelihoodFit, with_play: TwoMasses) -> None:
     true, gears = with_play, fit.transmission
     assert fit.converged and gears is not None and gears.joints == (1,)
-    assert fit.transmission_choice is not None and fit.transmission_choice.supported
     low, high = gears.stiffness_interval[0]
     assert low < gears.stiffness[0] < high < 1.02 * low
     for value, error, expected in (
@@ -56,51 +54,10 @@ def test_gears_without_play(network: jc.CSLC, without_play: TwoMasses) -> None:
     recording = without_play.recording(STEP, NOISE, np.random.default_rng(2))
     fit = jc.MaximumLikelihood(transmission=(1,)).fit(network, recording)
     gears = fit.transmission
-    assert fit.converged and gears is not None and fit.transmission_choice is None
+    assert fit.converged and gears is not None
     low, high = gears.play_interval[0]
     assert low < 0.0 < high < 2e-4
     assert abs(gears.compliance[0] - 1 / 2500.0) < FAR * gears.compliance_error[0]
-
-
-def test_friction_of_links() -> None:
-    """30 % of viscous and of dry friction act on the link."""
-    true = two_masses(4e-3, dry=1.0, link_share=0.3)
-    network = network_of_two_masses(dry=True)
-    recording = true.recording(STEP, NOISE, np.random.default_rng(3))
-    fit = jc.MaximumLikelihood(transmission=(1,)).fit(network, recording)
-    gears = fit.transmission
-    assert fit.converged and gears is not None
-    for share, error in (
-        (gears.viscous_share, gears.viscous_share_error),
-        (gears.dry_share, gears.dry_share_error),
-    ):
-        assert error[0] < 0.02 and abs(share[0] - 0.3) < FAR * error[0]
-    assert np.all(np.abs(np.asarray(fit.k) - true.k) < FAR * np.asarray(fit.fit.standard_error))
-    assert abs(gears.stiffness[0] / true.stiffness - 1.0) < 5e-3
-    assert "of its dry friction" in transmission_lines(gears.document())[0]
-
-
-def test_rigid_gears_are_supported(network: jc.CSLC, rng: np.random.Generator) -> None:
-    """A motion whose held torque is exact for one body."""
-    time = np.arange(600) * 2e-3
-    torque = 6.0 * np.sin(9.0 * time) + 4.0 * np.sin(23.0 * time)
-    states: list[float] = []
-    state, h = np.zeros(2), 2e-4
-    for held in torque:
-        states.append(float(state[0]))
-        for _ in range(10):
-
-            def rate(x: np.ndarray, held: float = held) -> np.ndarray:
-                return np.array([x[1], (held - 5.0 * np.sin(x[0]) - x[1]) / 1.5])
-
-            state = state + h * rate(state + 0.5 * h * rate(state))
-    position = STEP * np.round(np.array(states)[:, None] / STEP)
-    noisy = torque[:, None] + NOISE * rng.normal(size=(600, 1))
-    fit = jc.MaximumLikelihood(unknowns=("transmission",)).fit(
-        network, jc.Recording(time, position, noisy)
-    )
-    assert fit.transmission is None and fit.converged
-    assert fit.transmission_choice is not None and not fit.transmission_choice.supported
 
 
 def test_start_from_a_fit(network: jc.CSLC, recording: jc.Recording, fit: jc.LikelihoodFit) -> None:
@@ -130,22 +87,21 @@ def test_report(network: jc.CSLC, recording: jc.Recording, tmp_path: Path) -> No
         recording,
         settings=jc.Settings(),
         estimator="maximum-likelihood",
-        likelihood=jc.MaximumLikelihood(unknowns=("transmission",)),
+        likelihood=jc.MaximumLikelihood(transmission=(1,)),
     )
     assert "transmission of joint 1: stiffness 25" in str(report)
     report.save(tmp_path)
     document = json.loads((tmp_path / "identification.json").read_text())
     (entry,) = document["estimators"]["transmission"]
     assert entry["stiffness_interval"][0] < 2500.0 < entry["stiffness_interval"][1] * 1.01
-    assert document["estimators"]["transmission_choice"]["joints"] == [1]
     assert "transmission of joint 1" in (tmp_path / "index.html").read_text()
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"transmission": (1,), "noise_order": 1}, "not with noise_order"),
-        ({"unknowns": ("transmission",), "possible": True}, "not with possible"),
+        ({"transmission": (1,), "lengths": (0.01,)}, "not with lengths"),
+        ({"transmission": (1,), "possible": True}, "not with possible"),
     ],
 )
 def test_options_that_exclude_each_other(options: dict, message: str) -> None:

@@ -1,5 +1,6 @@
+"""Equations of motion of rotors and links that move apart."""
+
 import dataclasses
-from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -7,29 +8,31 @@ from jaxtyping import Bool, Float, Int
 
 from ....network import CSLC
 from ..band import JointColumns
-from ..equations import Linearisation, Stretches
+from ..equations import AbstractEquations, Linearisation
 from ._gears import Stencil
-from ._link_friction import LinkFriction, LinkInput
 from ._parameters import TransmissionParameters
 
 
 Series = Float[np.ndarray, "samples series"]
 Rows = Float[np.ndarray, "equations series"]
+Turns = Float[np.ndarray, "equations joints"]
+# Noise of torque that links have and motors have not, as a part of the motors': equations of gears
+# are not quite exact, which also keeps a search from following a wrong spring.
+_LINK_NOISE = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
-class TransmissionEquations:
+class ElasticEquations(AbstractEquations):
     """Equations of motion of rotors and links that move apart, as functions of positions alone.
 
     Positions are those of n rotors, then those of f links that move apart from them; all other
     links move with their rotors. With ID the torque of the links' motion without friction, rotors'
-    inertia J included, F friction of rotors, L that of links, and u = rotor minus link,
+    inertia J included, F friction, which is the rotors', and u = rotor minus link,
 
-        torque = ID(link) + J (rotor'' - link'') + F(rotor) + L(link)              n equations
-        0 = ID(link) - J link'' + L(link) - (beyond play(u) + lag u') / compliance   f equations
+        torque = ID(link) + J (rotor'' - link'') + F(rotor)              n equations
+        0 = ID(link) - J link'' - (beyond play(u) + lag u') / compliance   f equations
 
-    A share of each joint's friction is L, another one of viscous than of dry friction. All terms
-    are averaged over two intervals with a triangle (`MotionEquations`).
+    All terms are averaged over two intervals with a triangle (`MotionEquations`).
 
     **Attributes**
 
@@ -38,65 +41,67 @@ class TransmissionEquations:
     - `time`: (samples,) [s].
     - `friction`: (p,) coefficients that are of friction.
     - `width`: (f,) least width of a dead band's edges [rad or m].
-    - `speed`: (f,) within which dry friction of a link changes its direction [rad/s or m/s].
     """
 
-    rigid: Stretches
+    rigid: AbstractEquations
     joints: Int[np.ndarray, " links"]
     time: Float[np.ndarray, " samples"]
     friction: Bool[np.ndarray, " coefficients"]
     width: Float[np.ndarray, " links"]
-    speed: Float[np.ndarray, " links"]
 
     @property
-    def network(self) -> CSLC:
+    def network(self) -> CSLC:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Of rigid links."""
         return self.rigid.network
 
     @property
-    def intervals(self) -> Float[np.ndarray, " intervals"]:
+    def intervals(self) -> Float[np.ndarray, " intervals"]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """(samples - 1,) between samples [s]."""
         return self.rigid.intervals
+
+    def noise(
+        self, torque_noise: Float[np.ndarray, "recordings joints"]
+    ) -> Float[np.ndarray, "recordings series"]:
+        """Add that of gears' equations, which is small beside that of motors [N m or N]."""
+        return np.concatenate([torque_noise, _LINK_NOISE * torque_noise[:, self.joints]], axis=1)
 
     def torque(
         self,
         k: Float[np.ndarray, " coefficients"],
         laws: Float[np.ndarray, " laws"],
         q: Series,
-        turn: Rows,
-        direction: Rows,
+        turn: Turns,
+        direction: Turns,
     ) -> Rows:
-        """(equations, n + f).
+        """Return torque of motors, then what is left of gears' equations, (equations, n + f).
 
         **Arguments**
 
-        - `laws`: (n + 6 f,) logarithms of friction's slopes, then `TransmissionParameters`.
-        - `q`: (samples, n + f); `turn`, `direction`: (equations, n + f), those of rotors count.
+        - `laws`: (n + 4 f,) logarithms of friction's slopes, then `TransmissionParameters`.
+        - `q`: (samples, n + f); `turn`, `direction`: (equations, n), of rotors.
         """
         n = self.rigid.network.joint_count
         slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
-        signs = turn[:, :n], direction[:, :n]
+        signs = turn, direction
         of_links = self.rigid.torque(np.where(self.friction, 0.0, k), slopes, link, *signs)
-        of_friction = self.rigid.torque(self._of_rotors(k, laws), slopes, rotor, *signs)
-        inputs = self._link_friction.inputs(slopes, q[:, n:], derivatives=False)
-        return self._equations(k, laws, q, of_links, of_friction, inputs)
+        of_friction = self.rigid.torque(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
+        return self._equations(laws, q, of_links, of_friction)
 
     def linearised(
         self,
         k: Float[np.ndarray, " coefficients"],
         laws: Float[np.ndarray, " laws"],
         q: Series,
-        turn: Rows,
-        direction: Rows,
+        turn: Turns,
+        direction: Turns,
     ) -> Linearisation:
-        """The same with derivatives: by positions at three samples, by `k` and `laws`, by turns."""
+        """Return the same with derivatives by positions, by `k` and `laws`, and by turns."""
         n, f = self.rigid.network.joint_count, len(self.joints)
         slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
         parameters = TransmissionParameters.of(laws[n:])
-        signs = turn[:, :n], direction[:, :n]
+        signs = turn, direction
         of_links = self.rigid.linearised(np.where(self.friction, 0.0, k), slopes, link, *signs)
-        of_friction = self.rigid.linearised(self._of_rotors(k, laws), slopes, rotor, *signs)
-        inputs = self._link_friction.inputs(slopes, q[:, n:], derivatives=True)
+        of_friction = self.rigid.linearised(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
         stencil = self._stencil
         beyond = stencil.windup(rotor[:, self.joints] - q[:, n:], parameters.play, self.width)
         count = len(q) - 2
@@ -127,8 +132,7 @@ class TransmissionEquations:
         p = len(k)
         by_law = np.zeros((count, n + f, p + len(laws)))
         frictions, links = of_friction.by_coefficient.dense, of_links.by_coefficient.dense
-        of_rotors = self._of_rotors(np.ones(p), laws) * frictions[:, :, :p]
-        by_law[:, :n, :p] = np.where(self.friction, of_rotors, links[:, :, :p])
+        by_law[:, :n, :p] = np.where(self.friction, frictions[:, :, :p], links[:, :, :p])
         by_law[:, n:, :p] = np.where(self.friction, 0.0, links[:, joints, :p])
         by_law[:, :n, p : p + n] = frictions[:, :, p:]
         of_link = self._acceleration(q[:, n:])
@@ -140,32 +144,20 @@ class TransmissionEquations:
         by_law[:, series, first + 2 * f] = -beyond.by_play / compliance
         by_law[:, joints, first + 3 * f] = self._acceleration(rotor[:, joints] - q[:, n:])
         by_law[:, series, first + 3 * f] = -of_link
-        for entry in inputs:
-            c, link = entry.coefficient, entry.link
-            joint, share = joints[link], self._share(entry.link, entry.dry, parameters)
-            on_link, column = share * entry.value, p + n + (4 + entry.dry) * f + link
-            for row in (joint, n + link):
-                by_position[:, row, :, n + link] += k[c] * share * entry.by_position.T
-                by_law[:, row, c] += on_link
-                by_law[:, row, column] += k[c] * entry.value
-                by_law[:, row, p + joint] += k[c] * share * entry.by_slope
-            by_law[:, joint, column] -= k[c] * frictions[:, joint, c]
         torques = np.asarray(of_links.torque), np.asarray(of_friction.torque)
         return Linearisation(
-            self._equations(k, laws, q, *torques, inputs),
+            self._equations(laws, q, *torques),
             by_position.reshape(count, n + f, -1),
             JointColumns.of(by_law),
-            np.concatenate([of_friction.by_turn, np.zeros((count, f))], axis=1),
+            of_friction.by_turn,
         )
 
     def _equations(
         self,
-        k: Float[np.ndarray, " coefficients"],
         laws: Float[np.ndarray, " laws"],
         q: Series,
         of_links: Float[np.ndarray, "equations joints"],
         of_friction: Float[np.ndarray, "equations joints"],
-        inputs: Sequence[LinkInput],
     ) -> Rows:
         n = self.rigid.network.joint_count
         parameters = TransmissionParameters.of(laws[n:])
@@ -175,39 +167,14 @@ class TransmissionEquations:
         motor[:, self.joints] += parameters.rotor_inertia * self._acceleration(difference)
         borne = of_links[:, self.joints] - parameters.rotor_inertia * self._acceleration(q[:, n:])
         gears = beyond + parameters.lag * self._rate(difference)
-        for entry in inputs:
-            share = self._share(entry.link, entry.dry, parameters)
-            on_link = k[entry.coefficient] * share * entry.value
-            motor[:, self.joints[entry.link]] += on_link
-            borne[:, entry.link] += on_link
         return np.concatenate([motor, borne - gears / parameters.compliance], axis=1)
 
-    def _of_rotors(
-        self, k: Float[np.ndarray, " coefficients"], laws: Float[np.ndarray, " laws"]
-    ) -> Float[np.ndarray, " coefficients"]:
-        """Coefficients of friction as they are of rotors, other ones 0."""
-        parameters = TransmissionParameters.of(laws[self.rigid.network.joint_count :])
-        result = np.where(self.friction, k, 0.0)
-        for index, link, dry, *_ in self._link_friction.laws:
-            result[index] *= 1.0 - self._share(link, dry, parameters)
-        return result
-
-    @staticmethod
-    def _share(link: int, dry: bool, parameters: TransmissionParameters) -> float:
-        return float((parameters.dry_share if dry else parameters.viscous_share)[link])
-
     def _link(self, q: Series) -> Float[np.ndarray, "samples joints"]:
-        """Positions of all links."""
+        """Return positions of all links."""
         n = self.rigid.network.joint_count
         result = q[:, :n].copy()
         result[:, self.joints] = q[:, n:]
         return result
-
-    @cached_property
-    def _link_friction(self) -> LinkFriction:
-        return LinkFriction(
-            self.rigid.network, self.joints, self._stencil, self.rigid.intervals, self.speed
-        )
 
     @cached_property
     def _stencil(self) -> Stencil:

@@ -1,3 +1,5 @@
+"""Equations of motion whose dry friction yields before it slides."""
+
 import dataclasses
 
 import numpy as np
@@ -5,13 +7,14 @@ from jaxtyping import Float, Int
 
 from ....network import CSLC
 from ...friction import dry_term, pre_sliding
+from ._equations import AbstractEquations, MotionEquations
 from ._linearisation import Linearisation
-from ._stretches import Stretches
 
 
 Samples = Float[np.ndarray, "samples joints"]
 Rows = Float[np.ndarray, "equations joints"]
 Joints = Float[np.ndarray, " joints"]
+Coefficients = Float[np.ndarray, " coefficients"]
 
 # A first state counts as forgotten from this part of it on.
 _FORGOTTEN = 0.01
@@ -20,43 +23,43 @@ _POINTS = 8
 
 
 @dataclasses.dataclass(frozen=True)
-class YieldingEquations:
+class PreSlidingEquations(AbstractEquations):
     """Equations of motion whose dry friction yields before it slides, about present positions.
 
     The state w of a contact depends on all the motion before it. It is that of the present
-    positions, averaged with a triangle as `Stretches` averages friction: a column that is fixed in
-    a step of the search and computed again for the next one, as truncation errors are (deferred
-    correction). Its derivative is left out. That by the position itself, (1 - |w|) / length while
-    the state grows, alone is worse than none: those by earlier positions cancel it for changes that
-    are slow in time, of which nothing but the joint's reversals would have to follow. With it, a
-    pendulum of 400 N m/rad took 49 steps and converged 5 times of 12; without, 11 steps and always,
-    with coefficients as near. Beside that of acceleration, inertia / interval², it is small where
-    samples resolve the contact's vibration.
+    positions, averaged with a triangle as `MotionEquations` averages friction: a column that is
+    fixed in a step of the search and computed again for the next one, as truncation errors are
+    (deferred correction). Its derivative is left out. That by the position itself,
+    (1 - |w|) / length while the state grows, alone is worse than none: those by earlier positions
+    cancel it for changes that are slow in time, of which nothing but the joint's reversals would
+    have to follow. With it, a pendulum of 400 N m/rad took 49 steps and converged 5 times of 12;
+    without, 11 steps and always, with coefficients as near. Beside that of acceleration,
+    inertia / interval², it is small where samples resolve the contact's vibration.
 
     **Attributes**
 
     - `base`: the equations, in which dry friction follows the sign of velocity.
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where it does.
+    - `distances`: (n,) of pre-sliding [rad or m]; 0 where it does.
     - `state`: (equations, n) mean state.
     - `unknown`: (equations, n) the part of the state that is that of the first sample, which
       nothing tells.
     """
 
-    base: Stretches
-    lengths: Joints
+    base: MotionEquations
+    distances: Joints
     state: Rows
     unknown: Rows
 
     @classmethod
-    def about(
+    def of(
         cls,
-        base: Stretches,
+        base: MotionEquations,
         lengths: Joints,
         q: Samples,
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
-    ) -> "YieldingEquations":
-        """At present positions.
+    ) -> "PreSlidingEquations":
+        """Compute states at present positions.
 
         **Arguments**
 
@@ -73,37 +76,36 @@ class YieldingEquations:
         return cls(base, lengths, state, unknown)
 
     @property
-    def network(self) -> CSLC:
-        """As of `Stretches`."""
+    def network(self) -> CSLC:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Of n joints, p coefficients."""
         return self.base.network
 
     @property
-    def intervals(self) -> Float[np.ndarray, " intervals"]:
-        """As of `Stretches`."""
+    def intervals(self) -> Float[np.ndarray, " intervals"]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """(samples - 1,) between samples [s]."""
         return self.base.intervals
 
+    @property
+    def lengths(self) -> Joints:
+        """`distances`."""
+        return self.distances
+
+    def states(self, k: Coefficients) -> tuple[Joints, Rows]:
+        """As of `AbstractEquations`."""
+        return np.abs(self._sizes(k)), self.unknown
+
     def torque(
-        self,
-        k: Float[np.ndarray, " coefficients"],
-        slopes: Joints,
-        q: Samples,
-        turn: Rows,
-        direction: Rows,
+        self, k: Coefficients, laws: Joints, q: Samples, turn: Rows, direction: Rows
     ) -> Rows:
-        """As of `Stretches`, (equations, n)."""
-        torque = self.base.torque(self._others(k), slopes, q, turn, direction)
-        return torque + self.sizes(k) * self.state
+        """As of `AbstractEquations`."""
+        torque = self.base.torque(self._others(k), laws, q, turn, direction)
+        return torque + self._sizes(k) * self.state
 
     def linearised(
-        self,
-        k: Float[np.ndarray, " coefficients"],
-        slopes: Joints,
-        q: Samples,
-        turn: Rows,
-        direction: Rows,
+        self, k: Coefficients, laws: Joints, q: Samples, turn: Rows, direction: Rows
     ) -> Linearisation:
-        """As of `Stretches`."""
-        others = self.base.linearised(self._others(k), slopes, q, turn, direction)
+        """As of `AbstractEquations`."""
+        others = self.base.linearised(self._others(k), laws, q, turn, direction)
         columns = others.by_coefficient
         values = columns.values.copy()
         for joint, index in self._dry:
@@ -111,31 +113,32 @@ class YieldingEquations:
             entry = (columns.joints == joint) & (columns.columns == index)
             values[:, entry] = self.state[:, joint, None]
         return others._replace(
-            torque=others.torque + self.sizes(k) * self.state,
+            torque=others.torque + self._sizes(k) * self.state,
             by_coefficient=dataclasses.replace(columns, values=values),
         )
 
-    def smooth(
-        self, k: Float[np.ndarray, " coefficients"], q: Rows, velocity: Rows, acceleration: Rows
-    ) -> Rows:
-        """As of `Stretches`, (equations, n)."""
-        return self.base.smooth(k, q, velocity, acceleration)
+    def about(
+        self, q: Samples, time: Float[np.ndarray, " samples"], part: Int[np.ndarray, " samples"]
+    ) -> "PreSlidingEquations":
+        """Return them with states of these positions."""
+        return self.of(self.base, self.distances, q, time, part)
 
-    def friction(
+    def truncation(
         self,
-        k: Float[np.ndarray, " coefficients"],
-        slopes: Joints,
+        k: Coefficients,
+        laws: Joints,
         q: Samples,
+        time: Float[np.ndarray, " samples"],
+        part: Int[np.ndarray, " samples"],
         turn: Rows,
         direction: Rows,
-        shift: Rows,
     ) -> Rows:
-        """As of `Stretches`, of friction without a state, (equations, n)."""
-        return self.base.friction(self._others(k), slopes, q, turn, direction, shift)
+        """As of `AbstractEquations`, of friction without a state."""
+        return self.base.truncation(self._others(k), laws, q, time, part, turn, direction)
 
-    def sizes(self, k: Float[np.ndarray, " coefficients"]) -> Joints:
-        """(n,) what states are multiplied by [N m or N]; 0 of joints without one."""
-        sizes = np.zeros(len(self.lengths))
+    def _sizes(self, k: Coefficients) -> Joints:
+        """Return (n,) what states are multiplied by [N m or N]; 0 of joints without one."""
+        sizes = np.zeros(len(self.distances))
         for joint, index in self._dry:
             sizes[joint] = k[index]
         return sizes
@@ -145,10 +148,10 @@ class YieldingEquations:
         """Joints whose dry friction has a state, and the indices of its coefficients."""
         joints = dry_term(self.network).joints
         indices = self.network.layout.indices("dry").tolist()
-        return [pair for pair in zip(joints, indices, strict=True) if self.lengths[pair[0]] > 0.0]
+        return [pair for pair in zip(joints, indices, strict=True) if self.distances[pair[0]] > 0.0]
 
-    def _others(self, k: Float[np.ndarray, " coefficients"]) -> Float[np.ndarray, " coefficients"]:
-        """Coefficients without friction that has a state."""
+    def _others(self, k: Coefficients) -> Coefficients:
+        """Return coefficients without friction that has a state."""
         others = k.copy()
         others[[index for _, index in self._dry]] = 0.0
         return others
@@ -157,8 +160,8 @@ class YieldingEquations:
 def mean_states(
     q: Samples, time: Float[np.ndarray, " samples"], lengths: Joints
 ) -> Float[np.ndarray, "2 equations joints"]:
-    """States of contacts averaged with a triangle about each sample but the ends, and the part of
-    them that is the first state's.
+    """Return states of contacts averaged with a triangle about each sample but the ends, and the
+    part of them that is the first state's.
 
     Between samples the path is the cubic with the velocities of parabolas through three samples:
     where a joint turns is known to a part of an interval.
@@ -186,7 +189,7 @@ def mean_states(
 
 
 def _mean(values: Float[np.ndarray, "points joints"], h: Float[np.ndarray, "intervals 1"]) -> Rows:
-    """Of a triangle about each sample, by Simpson's rule on either side."""
+    """Average with a triangle about each sample, by Simpson's rule on either side."""
     simpson = np.full(_POINTS + 1, 2.0)
     simpson[1::2], simpson[[0, -1]] = 4.0, 1.0
     x = np.arange(_POINTS + 1) / _POINTS
