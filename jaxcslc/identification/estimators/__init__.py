@@ -1,8 +1,5 @@
 """Estimators by name: objects that `identify` fits a problem with."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
-
 from ._estimator import (
     AbstractEstimator as AbstractEstimator,
     Fit as Fit,
@@ -16,14 +13,4 @@ from ._maximum_likelihood import (
     Likelihood as Likelihood,
     within_memory as within_memory,
 )
-
-
-ESTIMATORS: Mapping[str, AbstractEstimator] = MappingProxyType(
-    {
-        "least-squares": Regression(),
-        "maximum-likelihood": Likelihood(),
-        "instrumental-variables": SimulatedMotion(),
-        "auto": Likelihood(always=False),
-    }
-)
-"""Estimators of `identify` and of the command, by name."""
+from ._registry import ESTIMATORS as ESTIMATORS

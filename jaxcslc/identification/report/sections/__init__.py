@@ -1,57 +1,33 @@
 """Kinds of results of a report, a file each; `SECTIONS` lists them in the order of the text."""
 
-from .._section import AbstractSection
 from ._coefficients import (
     CoefficientSection as CoefficientSection,
     ExcitationSection as ExcitationSection,
-    SlopeSection,
-    SystematicSection,
+    SlopeSection as SlopeSection,
+    SystematicSection as SystematicSection,
 )
 from ._errors import (
     ErrorSection as ErrorSection,
     HeldOutSection as HeldOutSection,
     QualitySection as QualitySection,
 )
-from ._estimators import EstimatorSection
+from ._estimators import EstimatorSection as EstimatorSection
 from ._fit_quality import fit_quality as fit_quality
-from ._friction_trials import FrictionTrialSection, PreSlidingSection
-from ._given import GroupsSection, PriorSection
-from ._horizon import HorizonSection
-from ._model import ModelSection, MotionSection
-from ._possible import PossibleSection
+from ._friction_trials import (
+    FrictionTrialSection as FrictionTrialSection,
+    PreSlidingSection as PreSlidingSection,
+)
+from ._given import GroupsSection as GroupsSection, PriorSection as PriorSection
+from ._horizon import HorizonSection as HorizonSection
+from ._model import ModelSection as ModelSection, MotionSection as MotionSection
+from ._possible import PossibleSection as PossibleSection
 from ._recordings import (
     CurveSection as CurveSection,
-    FrictionSection,
+    FrictionSection as FrictionSection,
     RecordingSection as RecordingSection,
     WarningSection as WarningSection,
 )
+from ._registry import SECTIONS as SECTIONS
 from ._repeat import RepeatSection as RepeatSection
 from ._settings import SettingsSection as SettingsSection
-from ._several import SeveralSection
-
-
-SECTIONS: tuple[type[AbstractSection], ...] = (
-    ModelSection,
-    SettingsSection,
-    GroupsSection,
-    PriorSection,
-    SeveralSection,
-    CoefficientSection,
-    SlopeSection,
-    SystematicSection,
-    ExcitationSection,
-    ErrorSection,
-    QualitySection,
-    HeldOutSection,
-    CurveSection,
-    RecordingSection,
-    EstimatorSection,
-    HorizonSection,
-    FrictionSection,
-    PossibleSection,
-    PreSlidingSection,
-    FrictionTrialSection,
-    WarningSection,
-    MotionSection,
-    RepeatSection,
-)
+from ._several import SeveralSection as SeveralSection
